@@ -12,7 +12,7 @@ from daq.acquisition.air_truth import AirTruth
 from daq.acquisition.sampler import Sampler
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.devices import AutopilotPort, Devices
-from daq.actuation.pwm.heartbeat import Heartbeat
+from daq.actuation.pwm.heartbeat import HeartbeatLine
 from daq.actuation.servos import plan_of
 from daq.clock import Clock
 from daq.companion.config import IdentificationConfig
@@ -32,7 +32,7 @@ from daq.logger import Logger, Opening
 from daq.recorder.recorder import Recorder
 from daq.recorder.storage import Storage
 from daq.recorder.timing import LoopTiming
-from daq.sensors.bus import I2cBus, SerialPort
+from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.telemetry.link import RadioLink, radio_link
 from daq.telemetry.uplink import TURN_NS
 from daq.transport.ports import BytePort
@@ -42,7 +42,7 @@ _UPLINK_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Edge:
+class HardwareEdge:
     """What the logger is connected to.
 
     bus, gnss, autopilot, pulse: as `daq.acquisition.sampler.Sampler` takes them. radio: the port to the ground, None without one.
@@ -52,13 +52,13 @@ class Edge:
 
     clock: Clock
     bus: I2cBus | None
-    gnss: SerialPort | None
+    gnss: SerialPortCalls | None
     source: str
-    autopilot: SerialPort | None = None
+    autopilot: SerialPortCalls | None = None
     pulse: Callable[[], int | None] | None = None
     radio: BytePort | None = None
     storage: Storage | None = None
-    heartbeat: Heartbeat | None = None
+    heartbeat: HeartbeatLine | None = None
     override: AutopilotPort | None = None
 
 
@@ -119,7 +119,7 @@ def recording_info(config: LoggerConfig, text: str, session: str, source: str, s
 def assemble(
     config: LoggerConfig,
     text: str,
-    edge: Edge,
+    edge: HardwareEdge,
     *,
     session: str | None = None,
     folder: str | None = None,
@@ -198,7 +198,7 @@ def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logge
     return Companion(wanted, aircraft, str(config.calibration), logger.say, show)
 
 
-def _actuation(config: LoggerConfig, edge: Edge) -> Actuation | None:
+def _actuation(config: LoggerConfig, edge: HardwareEdge) -> Actuation | None:
     """The sequencer with its manoeuvre checked; None where none is configured. Raises ManoeuvreError,
     HeartbeatError or AutopilotError."""
     if config.sequencer is None:

@@ -23,7 +23,7 @@ class ConfigError(UserError):
     """A configuration file that cannot be used."""
 
 
-class Section(BaseModel):
+class ConfigSection(BaseModel):
     """Base of all configuration sections: unknown keys are mistakes, values do not change after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -33,7 +33,7 @@ _FINISHING_NS = 1_000_000  # to finish one scan on a slow computer
 _ROOM_TO_FINISH = 0.1  # of the time between two scans
 
 
-class AircraftConfig(Section):
+class AircraftConfig(ConfigSection):
     """`[aircraft]`: which aircraft carries the logger."""
 
     name: str = Field(default="", description="name under which results are filed; empty: flights name no aircraft")
@@ -41,7 +41,7 @@ class AircraftConfig(Section):
     file: str = Field(default="", description="its file (docs/aircraft.md), carried by every recording; empty: none")
 
 
-class ScanConfig(Section):
+class ScanConfig(ConfigSection):
     """`[scan]`: how often all channels are read, and how the process is scheduled."""
 
     rate_hz: Annotated[float, Field(gt=0, le=2000)] = 20.0
@@ -63,7 +63,7 @@ class ScanConfig(Section):
         return max(1, int(min(wished, room)))
 
 
-class PreflightConfig(Section):
+class PreflightConfig(ConfigSection):
     """`[preflight]`: the limits of the go/no-go table."""
 
     scans: Annotated[int, Field(ge=2, le=10_000)] = 80  # scans looked at; should outlast the stuck-value times
@@ -81,7 +81,7 @@ class PreflightConfig(Section):
     )
 
 
-class LoggerConfig(Section):
+class LoggerConfig(ConfigSection):
     """The whole file. `calibration` is a directory of calibration files, embedded in every recording."""
 
     aircraft: AircraftConfig = AircraftConfig()

@@ -22,7 +22,7 @@ from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
 from daq.contract.control import Control, Weigh
 from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
-from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame, Statistics
+from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.recorder import Recorder
 from daq.recorder.timing import LoopTiming
@@ -61,7 +61,7 @@ class SensorSource(Protocol):
         ...
 
 
-class Downlink(Protocol):
+class DownlinkSink(Protocol):
     """What sends to the ground. Nothing here waits."""
 
     def offer(self, scan: Scan) -> None:
@@ -72,7 +72,7 @@ class Downlink(Protocol):
         """Send what is due."""
         ...
 
-    def event(self, event: Event) -> None:
+    def event(self, event: EventMessage) -> None:
         """An event marker, to be sent soon."""
         ...
 
@@ -101,7 +101,7 @@ class Listener(Protocol):
         ...
 
 
-class Uplink(Protocol):
+class UplinkSource(Protocol):
     """What hears from the ground."""
 
     def service(self, now_ns: int, control: Control) -> None:
@@ -138,8 +138,8 @@ class Logger:
         clock: Clock,
         sampler: SensorSource,
         recorder: Recorder,
-        downlink: Downlink | None = None,
-        uplink: Uplink | None = None,
+        downlink: DownlinkSink | None = None,
+        uplink: UplinkSource | None = None,
         *,
         together: int = 1,
         timing: LoopTiming | None = None,
@@ -181,7 +181,7 @@ class Logger:
         self._books_of = 0  # the one of them whose books `_last_books` are
         sampler.on_event = self._switch
 
-    def connect(self, downlink: Downlink, uplink: Uplink | None) -> None:
+    def connect(self, downlink: DownlinkSink, uplink: UplinkSource | None) -> None:
         """Give the logger its link, before it runs."""
         self._downlink, self._uplink = downlink, uplink
 
@@ -396,7 +396,7 @@ class Logger:
         """The books of the recording under way, or of the last one; None before there was one."""
         return self._recorder.statistics() if self._recorder is not None else self._last_books
 
-    def mark_event(self, text: str, origin: str) -> Event:
+    def mark_event(self, text: str, origin: str) -> EventMessage:
         """Record an event marker at the present scan and tell the ground."""
         zero = parse_pitot_zero(text)
         if zero is not None and self._truth is not None:
@@ -429,8 +429,8 @@ class Logger:
     def _switch(self, mark: EventMark) -> None:
         self._mark(mark.time_monotonic_ns, mark.scan_number, "event switch", mark.source)
 
-    def _mark(self, time_ns: int, number: int, text: str, origin: str) -> Event:
-        event = Event(time_ns, self._utc(time_ns), number, origin, text)
+    def _mark(self, time_ns: int, number: int, text: str, origin: str) -> EventMessage:
+        event = EventMessage(time_ns, self._utc(time_ns), number, origin, text)
         if self._recorder is not None:
             self._recorder.event(event)
         if self._downlink is not None:

@@ -28,7 +28,7 @@ Names = str | Iterable[str]
 
 
 @dataclass(frozen=True)
-class Problem:
+class ResolvedCall:
     """What a call works on. notes: what of a simulation is held, or not measured."""
 
     model: Model
@@ -51,7 +51,7 @@ def resolve(
     needs_aircraft: bool = False,
     hold_initial: Names = "",
     free_initial: Names = "",
-) -> Problem:
+) -> ResolvedCall:
     """The flights with names of their own, the model, and the aircraft it is of.
 
     segments: stretches as of `select_segments`; each_segment: every one as a flight. free: what of a simulation is estimated.
@@ -70,7 +70,7 @@ def resolve(
     else:
         craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
         loaded, notes = load_model(model, craft), ()
-    return Problem(with_initial_states(loaded, hold_initial, free_initial), craft, tuple(read), chosen, notes)
+    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), craft, tuple(read), chosen, notes)
 
 
 def read_flights(flights: Flights, segments: str | None = None, *, each_segment: bool = False) -> list[Flight]:

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
         watch,
     )
     from sideslip.api import frequency as frequency_response
-    from sideslip.chain import Flown, fly_scenario
+    from sideslip.chain import ChainFlight as Flown
+    from sideslip.chain import fly_scenario
     from sideslip.cli import software_version
     from sideslip.entry import main
     from sideslip.records import calibrate, info, recover, verify
@@ -39,7 +40,7 @@ _HOMES = {
     "main": "sideslip.entry",
     "software_version": "sideslip.cli",
 }
-_RENAMED = {"frequency_response": "frequency"}
+_RENAMED = {"frequency_response": "frequency", "Flown": "ChainFlight"}
 __all__ = [
     "Flown", "analyse", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response",
     "gap", "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",

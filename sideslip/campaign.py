@@ -11,8 +11,8 @@ from daq.contract.outputs import tried_folder, write_json
 from daq.contract.plain_words import comma_separated
 
 if TYPE_CHECKING:
-    from estimation.campaign.plan import Plan
-    from estimation.campaign.run import Engine, Outcome
+    from estimation.campaign.plan import CampaignPlan
+    from estimation.campaign.run import CampaignEngine, CampaignOutcome
 
 SHOWN = 20  # sentences on failed flights, and on groups, that are printed; the tables hold all
 
@@ -89,7 +89,7 @@ def campaign(
     with Store(out, time.monotonic) as store:
         work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
 
-        def engine(pieces: int) -> "Engine":
+        def engine(pieces: int) -> "CampaignEngine":
             return _engine(pieces, workers, scheduler, serial, dashboard)
 
         with Progress("campaign") as progress:
@@ -102,7 +102,7 @@ def campaign(
     return 1 if outcome.failed else 0
 
 
-def _plan(flights: tuple[str, ...], options: dict[str, Any], trust_code: bool) -> "tuple[Plan, Path]":
+def _plan(flights: tuple[str, ...], options: dict[str, Any], trust_code: bool) -> "tuple[CampaignPlan, Path]":
     """The plan, and the folder its paths begin at. Options go before what a file says."""
     from estimation.campaign.plan import named_programs, plan_from, read_plan
 
@@ -122,7 +122,7 @@ def _plan(flights: tuple[str, ...], options: dict[str, Any], trust_code: bool) -
     return plan_from({"flights": flights, **options}, "of the command line"), Path()
 
 
-def _engine(pieces: int, workers: int | None, scheduler: str, serial: bool, dashboard: bool) -> "Engine":
+def _engine(pieces: int, workers: int | None, scheduler: str, serial: bool, dashboard: bool) -> "CampaignEngine":
     import os
 
     if serial:
@@ -137,7 +137,7 @@ def _engine(pieces: int, workers: int | None, scheduler: str, serial: bool, dash
     return cluster
 
 
-def _page(outcome: "Outcome", plan: "Plan", folder: Path) -> Path:
+def _page(outcome: "CampaignOutcome", plan: "CampaignPlan", folder: Path) -> Path:
     """The page; drawn anew only where something is new."""
     page = folder / "index.html"
     if outcome.unchanged and page.is_file():
@@ -147,7 +147,7 @@ def _page(outcome: "Outcome", plan: "Plan", folder: Path) -> Path:
     return write_campaign_page(outcome, plan, folder)
 
 
-def _say(outcome: "Outcome", out: Path, page: Path | None, wall_s: float) -> None:
+def _say(outcome: "CampaignOutcome", out: Path, page: Path | None, wall_s: float) -> None:
     from estimation.campaign.claims import told
 
     click.echo(

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Flown:
+class ChainFlight:
     """What one simulated flight has left. summary: as `ground --json`; agreed: air and ground hold the same scans.
 
     sequencer: time [s] and words of each of its transitions.
@@ -35,7 +35,7 @@ def fly_scenario(
     backfill: bool = True,
     live: "Callable[[int], LiveView] | None" = None,
     tell: Callable[[float], None] = lambda share: None,
-) -> Flown:
+) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
     tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
@@ -89,7 +89,7 @@ def fly_scenario(
         ground, lines = handed.path, handed.lines()
         summary["flight"] = str(ground)
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
-    return Flown(folder / "flight.mcap", ground, files.truth, summary, agreed, lines, sequencer)
+    return ChainFlight(folder / "flight.mcap", ground, files.truth, summary, agreed, lines, sequencer)
 
 
 def _sequencer_words(onboard: Path) -> tuple[tuple[float, str], ...]:

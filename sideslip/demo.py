@@ -156,10 +156,10 @@ def _named(flight: Path, out: Path, name: str) -> Path:
 def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
     """Three flights to learn from and one to hold out, all of one aircraft with one hidden effect."""
     from estimation.commands.progress import Progress
-    from firmware_sim.runs.campaign import Campaign
+    from firmware_sim.runs.campaign import CampaignFlights
 
     paths = []
-    for number, (scenario, seed) in enumerate(Campaign(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
+    for number, (scenario, seed) in enumerate(CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
         with Progress(f"flying hidden_{number}") as bar:
             flown = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
         paths.append(_named(flown.onboard, out, f"hidden_{number}"))

@@ -13,7 +13,7 @@ from daq.contract.outputs import tried_folder, write_json
 from sideslip.chain import fly_scenario
 
 if TYPE_CHECKING:
-    from firmware_sim.runs.flight import SimulatedFlight
+    from firmware_sim.runs.flight import SimulatedFlightRun
     from firmware_sim.world.scenario import Scenario
     from groundstation.viewer.live import LiveView
 
@@ -151,7 +151,7 @@ def _fly_over_port(scenario: "Scenario", folder: Path, port: str, seed: int | No
     return 0
 
 
-def _serve_until_interrupted(flight: "SimulatedFlight") -> bool:
+def _serve_until_interrupted(flight: "SimulatedFlightRun") -> bool:
     """Leave the radio on until Ctrl-C, or for RADIO_ON_S; whether it was Ctrl-C.
 
     By a flag: an exception raised between any two instructions is lost where it meets a finaliser.

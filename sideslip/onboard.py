@@ -8,10 +8,10 @@ import math
 import sys
 from typing import BinaryIO
 
-from daq.companion.wire import Answer, Setup, read_frame, read_setup
+from daq.companion.wire import CompanionReply, Setup, read_frame, read_setup
 from daq.contract.errors import UserError
 from daq.contract.scan import ScanDecodeError
-from daq.identification.stretches import Stretches
+from daq.identification.stretches import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.schema import load_calibration
 from groundstation.identification.alignment import ScanAlignment
@@ -24,11 +24,11 @@ BATCH_S = 2.0  # s of scans at once: nobody looks at a screen here, and half the
 WANTED = 0.05  # bound to be reached, as a share of a derivative; only for the words
 
 
-def answer_of(state: LiveState) -> Answer:
+def answer_of(state: LiveState) -> CompanionReply:
     """What is told of a state."""
     known = state.estimates.derivatives
     told = {n: (known[n].estimate, known[n].std) for n in NAMES if known[n].told}
-    return Answer(state.time, told, short_line(state))
+    return CompanionReply(state.time, told, short_line(state))
 
 
 def answers(source: BinaryIO, sink: BinaryIO) -> None:
@@ -39,7 +39,7 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
     setup: Setup = read_setup(first)
     calibrator = Calibrator(load_calibration(setup.calibration), setup.details)
     alignment, landing = ScanAlignment(BATCH_S), LandingLimits()
-    stretches = Stretches(landing.flying_speed, landing.flying_s)
+    stretches = ManoeuvreDetector(landing.flying_speed, landing.flying_s)
     live = LiveIdentification(live_aircraft(setup.aircraft), calibrator, WANTED, alignment, stretches)
     due = -math.inf
     told_trouble = False
@@ -54,13 +54,13 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
             _write(sink, answer_of(state))
         if live.trouble and not told_trouble:
             told_trouble = True
-            _write(sink, Answer(trouble=live.trouble))
+            _write(sink, CompanionReply(trouble=live.trouble))
     final = live.finish()
     if final is not None:
         _write(sink, answer_of(final))
 
 
-def _write(sink: BinaryIO, answer: Answer) -> None:
+def _write(sink: BinaryIO, answer: CompanionReply) -> None:
     sink.write(answer.line())
     sink.flush()
 
@@ -70,7 +70,7 @@ def main() -> None:
     try:
         answers(sys.stdin.buffer, sys.stdout.buffer)
     except UserError as error:
-        _write(sys.stdout.buffer, Answer(trouble=str(error)))
+        _write(sys.stdout.buffer, CompanionReply(trouble=str(error)))
     except BrokenPipeError:
         return
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.cli.services import Advice, Services
+from groundstation.cli.services import LogAdvice, Services
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
@@ -17,7 +17,7 @@ def _aircraft(name: str, text: str | None = None, model: str = "") -> "LiveAircr
     return live_aircraft(name, text, model)
 
 
-def _recipe(flight: "Flight") -> Advice:
+def _recipe(flight: "Flight") -> LogAdvice:
     from estimation.session.recipe import recipe
 
     return recipe(flight)

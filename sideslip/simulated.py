@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from estimation.campaign.keys import digest_of_files
-from estimation.campaign.tasks import Simulator
+from estimation.campaign.tasks import FlightMaker
 
 NOT_FLOWN = ("sensors", "faults", "radio", "logger", "sequencer")
 """Tables of a scenario that decide nothing here: there is no bus, no chip and no radio."""
@@ -52,6 +52,6 @@ def flown(description: Mapping[str, Any]) -> bytes:
         return path.read_bytes()
 
 
-def simulator() -> Simulator:
+def simulator() -> FlightMaker:
     """What `estimation.campaign` takes."""
-    return Simulator(described, flown, digest_of_files(("firmware_sim", "estimation/aircraft")))
+    return FlightMaker(described, flown, digest_of_files(("firmware_sim", "estimation/aircraft")))

@@ -9,7 +9,7 @@ import numpy as np
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Rate
 from daq.contract.control import Weigh
-from daq.contract.recordings.messages import Event
+from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.telemetry.config import DownlinkConfig
@@ -82,9 +82,9 @@ class FakeLogger:
         changed, self.recording = self.recording, False
         return changed
 
-    def mark_event(self, text: str, origin: str) -> Event:
+    def mark_event(self, text: str, origin: str) -> EventMessage:
         self.marks.append((text, origin))
-        return Event(0, 0, len(self.marks), origin, text)
+        return EventMessage(0, 0, len(self.marks), origin, text)
 
     def ask_sequencer(self, digest: int | None) -> str:
         self.asked.append(digest)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import sideslip
-from firmware_sim.runs.campaign import Campaign
+from firmware_sim.runs.campaign import CampaignFlights
 from firmware_sim.world.scenario import Scenario, load_scenario
 from firmware_sim.world.simulation import derivatives_of
 
@@ -62,7 +62,9 @@ def gap_sets(scratch: Path, made: Path, key: dict[str, Any]) -> list[dict[str, A
     """Fly the sets of the key to `made`, and put the true derivatives into it; the manifest does not tell what the key tells."""
     rows = []
     for letter, entry in key.items():
-        plan = Campaign(hidden=tuple((name, size) for name, size in entry["hidden"]), seed=entry["seed"]).scenarios()
+        plan = CampaignFlights(
+            hidden=tuple((name, size) for name, size in entry["hidden"]), seed=entry["seed"]
+        ).scenarios()
         for number, (scenario, seed) in enumerate(plan):
             flown = sideslip.fly_scenario(scenario, scratch / f"{letter}{number}", seed=seed, backfill=False)
             target = made / "gap" / f"{letter}_{number}.mcap"

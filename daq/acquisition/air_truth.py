@@ -46,7 +46,7 @@ _VANES = {"alpha_vane": "angle-of-attack vane", "beta_vane": "sideslip vane"}
 
 
 @dataclass(frozen=True, slots=True)
-class Contradiction:
+class SensorContradiction:
     """What is wrong. of: sensor or channel; text: a sentence with value, unit and limit."""
 
     of: str
@@ -167,7 +167,7 @@ class AirTruth:
         """The pitot was zeroed at this count, by whomever."""
         self._zero_count, self._auto_zero = count, False
 
-    def look(self, scan: Scan) -> list[Contradiction]:
+    def look(self, scan: Scan) -> list[SensorContradiction]:
         """Take a scan; once a second, what has become wrong since the last look."""
         self._scans.append(scan)
         while scan.time - self._scans[0].time > WINDOW_S:
@@ -197,7 +197,7 @@ class AirTruth:
     def _full(self) -> bool:
         return len(self._scans) >= LEAST_SCANS and self._scans[-1].time - self._scans[0].time > 0.8 * WINDOW_S
 
-    def _present(self) -> Iterator[Contradiction]:
+    def _present(self) -> Iterator[SensorContradiction]:
         scans = list(self._scans)
         speeds = [s for s in map(ground_speed, scans) if s is not None]
         if len(speeds) < 2 or min(speeds) < MOVING_M_S:
@@ -208,13 +208,13 @@ class AirTruth:
             seen = counts(scans, name)
             if len(seen) >= LEAST_SCANS and max(seen) - min(seen) < FROZEN_COUNTS:
                 moved = f"moves by {max(seen) - min(seen):.0f} counts in {WINDOW_S:.0f} s at {fmean(speeds):.0f} m/s"
-                yield Contradiction(name, f"{words} is frozen: {moved} (at least {FROZEN_COUNTS:.0f} in flight)")
+                yield SensorContradiction(name, f"{words} is frozen: {moved} (at least {FROZEN_COUNTS:.0f} in flight)")
         force = self._scales.force(scans)
         if force is not None and force[2] > -0.3 * GRAVITY:
             seen_z = f"mean specific force on body z is {force[2]:+.1f} m/s2 in flight (at most {-0.3 * GRAVITY:.1f})"
-            yield Contradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
+            yield SensorContradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
 
-    def _pitot(self, scans: Sequence[Scan], speed: float) -> Iterator[Contradiction]:
+    def _pitot(self, scans: Sequence[Scan], speed: float) -> Iterator[SensorContradiction]:
         pitot = counts(scans, "pitot_pressure")
         if len(pitot) < LEAST_SCANS or math.isnan(self._zero_count):
             return
@@ -223,12 +223,12 @@ class AirTruth:
         at = f"at GPS {speed:.0f} m/s"
         if pressure < NEGATIVE_PA:
             words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {at} (limit {NEGATIVE_PA:.0f}): tubes swapped?"
-            yield Contradiction("pitot sign", words)
+            yield SensorContradiction("pitot sign", words)
         elif pressure < LEAST_SHARE * by_gps:
             words = f"pitot reads {pressure:.0f} Pa {at} (at least {LEAST_SHARE * by_gps:.0f}): covered or blocked?"
-            yield Contradiction("pitot level", words)
+            yield SensorContradiction("pitot level", words)
         elif pressure > MOST_SHARE * by_gps:
             words = (
                 f"pitot reads {pressure:.0f} Pa {at} (at most {MOST_SHARE * by_gps:.0f}): blocked with pressure in it?"
             )
-            yield Contradiction("pitot level", words)
+            yield SensorContradiction("pitot level", words)

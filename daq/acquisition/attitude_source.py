@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping
 
 from daq.acquisition.attitude import AttitudeFilter
-from daq.acquisition.health import Record
-from daq.acquisition.supervisor import Outcome
+from daq.acquisition.health import HealthRecord
+from daq.acquisition.supervisor import GroupOutcome
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.config import SensorsConfig
 from daq.sensors.gravity_reference import VelocityFix
@@ -25,7 +25,7 @@ class AttitudeSource:
     def __init__(self, config: SensorsConfig, imu_rate_hz: float, now_ns: int) -> None:
         assert config.attitude is not None
         imu = config.section("imu")
-        self.record = Record("attitude", SensorState.RECOVERING, now_ns, config.attitude.required)
+        self.record = HealthRecord("attitude", SensorState.RECOVERING, now_ns, config.attitude.required)
         gyro_range = getattr(imu, "gyro_range_dps", 500)
         self._accel_scale = 9.80665 / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
         self._gyro_scale = math.radians(1 / COUNTS_PER_DPS[gyro_range])
@@ -36,7 +36,7 @@ class AttitudeSource:
         self._airspeed: float | None = None
         self._airspeed_ns = 0
 
-    def update(self, outcomes: Mapping[str, Outcome], scan_ns: int) -> Outcome:
+    def update(self, outcomes: Mapping[str, GroupOutcome], scan_ns: int) -> GroupOutcome:
         """The attitude belonging to this scan's IMU sample."""
         imu = outcomes["imu"]
         counts = imu.values
@@ -58,11 +58,11 @@ class AttitudeSource:
             return self._report(SensorState.RECOVERING, "finding its level", imu.time_ns, attitude.counts())
         return self._report(SensorState.OK, "", imu.time_ns, attitude.counts())
 
-    def _report(self, state: SensorState, detail: str, time_ns: int, values: Mapping[str, RawValue]) -> Outcome:
+    def _report(self, state: SensorState, detail: str, time_ns: int, values: Mapping[str, RawValue]) -> GroupOutcome:
         self.record.note(state, detail, time_ns)
-        return Outcome(state, detail, time_ns, values)
+        return GroupOutcome(state, detail, time_ns, values)
 
-    def _fix(self, gnss: Outcome | None) -> VelocityFix | None:
+    def _fix(self, gnss: GroupOutcome | None) -> VelocityFix | None:
         if gnss is None or gnss.state is not SensorState.OK or "velocity_north_mm" not in gnss.values:
             return None
         counts = gnss.values
@@ -73,7 +73,7 @@ class AttitudeSource:
         )
         return VelocityFix(gnss.time_ns * 1e-9 + self._imu_delay_s, velocity)
 
-    def _note_airspeed(self, pitot: Outcome | None) -> None:
+    def _note_airspeed(self, pitot: GroupOutcome | None) -> None:
         """Airspeed by the pitot sensor's nominal transfer function; good to a few per cent, enough for the turn."""
         if pitot is None or pitot.state is not SensorState.OK or math.isnan(self._pascal_per_count):
             return
@@ -82,7 +82,7 @@ class AttitudeSource:
         self._airspeed_ns = pitot.time_ns
 
 
-def _field(mag: Outcome | None) -> tuple[float, float, float] | None:
+def _field(mag: GroupOutcome | None) -> tuple[float, float, float] | None:
     if mag is None or mag.state is not SensorState.OK:
         return None
     counts = mag.values

@@ -77,17 +77,17 @@ class HealthSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What `Watch` thinks of one sample."""
+class SampleVerdict:
+    """What `GroupWatch` thinks of one sample."""
 
     state: SensorState = SensorState.OK
     detail: str = ""
 
 
-WELL = Verdict()
+WELL = SampleVerdict()
 
 
-class Watch:
+class GroupWatch:
     """Judges the samples of one group: limits, spikes, values that never change."""
 
     def __init__(self, channels: tuple[str, ...], config: HealthConfig) -> None:
@@ -104,7 +104,7 @@ class Watch:
         self._level: dict[str, RawValue] = {}
         self._doubtful: dict[str, RawValue] = {}
 
-    def judge(self, values: Mapping[str, RawValue], time_ns: int) -> Verdict:
+    def judge(self, values: Mapping[str, RawValue], time_ns: int) -> SampleVerdict:
         """The verdict on one sample taken at `time_ns`."""
         verdict = self._range(values) if self._limits else None
         if verdict is None and self._max_step:
@@ -113,14 +113,14 @@ class Watch:
             verdict = self._stuck(values, time_ns)
         return verdict or WELL
 
-    def _range(self, values: Mapping[str, RawValue]) -> Verdict | None:
+    def _range(self, values: Mapping[str, RawValue]) -> SampleVerdict | None:
         for name, (low, high) in self._limits.items():
             value = values.get(name)
             if value is not None and not low <= value <= high:
-                return Verdict(SensorState.OUT_OF_RANGE, f"{name} {value} outside {low:g} to {high:g}")
+                return SampleVerdict(SensorState.OUT_OF_RANGE, f"{name} {value} outside {low:g} to {high:g}")
         return None
 
-    def _spike(self, values: Mapping[str, RawValue]) -> Verdict | None:
+    def _spike(self, values: Mapping[str, RawValue]) -> SampleVerdict | None:
         verdict = None
         for name, step in self._max_step.items():
             value = values.get(name)
@@ -136,10 +136,10 @@ class Watch:
                 self._level[name] = value
             else:
                 self._doubtful[name] = value
-                verdict = Verdict(SensorState.OUT_OF_RANGE, f"{name} jumped from {level} to {value}")
+                verdict = SampleVerdict(SensorState.OUT_OF_RANGE, f"{name} jumped from {level} to {value}")
         return verdict
 
-    def _stuck(self, values: Mapping[str, RawValue], time_ns: int) -> Verdict | None:
+    def _stuck(self, values: Mapping[str, RawValue], time_ns: int) -> SampleVerdict | None:
         verdict = None
         for name, limit_ns in self._stuck_ns.items():
             value = values.get(name)
@@ -149,11 +149,11 @@ class Watch:
             if held is None or value != held[0]:
                 self._held[name] = value, time_ns
             elif time_ns - held[1] > limit_ns:
-                verdict = Verdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - held[1]) * 1e-9:.1f} s")
+                verdict = SampleVerdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - held[1]) * 1e-9:.1f} s")
         return verdict
 
 
-class Record:
+class HealthRecord:
     """The mutable side of a `GroupHealth`, kept by the sampler."""
 
     def __init__(self, group: str, state: SensorState, time_ns: int, required: bool) -> None:

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from daq.acquisition.attitude_source import AttitudeSource
-from daq.acquisition.health import HealthSummary, Record
-from daq.acquisition.supervisor import Outcome, Supervisor
+from daq.acquisition.health import HealthRecord, HealthSummary
+from daq.acquisition.supervisor import GroupOutcome, Supervisor
 from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
-from daq.sensors.bus import I2cBus, SerialPort
+from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.sensors.config import SensorsConfig
 from daq.sensors.registry import Surroundings, build_drivers
 from daq.sensors.timebase import TimeBase
@@ -61,7 +61,7 @@ class UnfinishedScan(NamedTuple):
     time_utc_ns: int
     utc_accuracy_ns: int
     lateness_us: int
-    outcomes: dict[str, Outcome]
+    outcomes: dict[str, GroupOutcome]
 
 
 def _ignore(_: object) -> None:
@@ -82,11 +82,11 @@ class Sampler:
         self,
         config: SensorsConfig,
         bus: I2cBus | None,
-        serial: SerialPort | None,
+        serial: SerialPortCalls | None,
         clock: Clock,
         *,
         rate_hz: float = 20.0,
-        autopilot: SerialPort | None = None,
+        autopilot: SerialPortCalls | None = None,
         pulse: Callable[[], int | None] | None = None,
         on_event: Callable[[EventMark], None] = _ignore,
         on_taken: Callable[[UnfinishedScan], None] = _ignore,
@@ -168,7 +168,7 @@ class Sampler:
         start = self._clock.monotonic_ns()
         if self._pulse is not None and (edge := self._pulse()) is not None:
             self.timebase.observe_pulse(edge)
-        outcomes: dict[str, Outcome] = {}
+        outcomes: dict[str, GroupOutcome] = {}
         self._read_bus(number, start, outcomes)
         for supervisor in self._on_serial:
             self._read_serial(supervisor, number, outcomes)
@@ -203,7 +203,7 @@ class Sampler:
         """Sensors read less often take turns instead of all falling into the same scan."""
         return self._on_bus.index(supervisor) if supervisor in self._on_bus else 0
 
-    def _read_bus(self, number: int, start: int, outcomes: dict[str, Outcome]) -> None:
+    def _read_bus(self, number: int, start: int, outcomes: dict[str, GroupOutcome]) -> None:
         due = []
         for supervisor in self._on_bus:
             if supervisor.ready_ns is not None:
@@ -218,7 +218,7 @@ class Sampler:
             return
         self._run(due, start, outcomes)
 
-    def _run(self, due: list[Supervisor], start: int, outcomes: dict[str, Outcome]) -> None:
+    def _run(self, due: list[Supervisor], start: int, outcomes: dict[str, GroupOutcome]) -> None:
         """Take all due samples as far as the budget allows; a sample begun but not finished goes on in the next scan."""
         clock, limit = self._clock, start + self._budget_ns
         waiting = list(due)
@@ -276,11 +276,11 @@ class Sampler:
         self._bus_retry_ns = now + self._bus_pause_ns
         self._bus_pause_ns = min(2 * self._bus_pause_ns, BUS_RETRY_LIMIT_NS)
 
-    def _pass_over(self, waiting: list[Supervisor], now: int, outcomes: dict[str, Outcome]) -> None:
+    def _pass_over(self, waiting: list[Supervisor], now: int, outcomes: dict[str, GroupOutcome]) -> None:
         for supervisor in waiting:
             outcomes[supervisor.group] = supervisor.passed_over(self._bus_held, SensorState.ABSENT, now)
 
-    def _read_serial(self, supervisor: Supervisor, number: int, outcomes: dict[str, Outcome]) -> None:
+    def _read_serial(self, supervisor: Supervisor, number: int, outcomes: dict[str, GroupOutcome]) -> None:
         if supervisor.every != 1 and not self._due(supervisor, number):
             return
         now = self._clock.monotonic_ns()
@@ -322,7 +322,7 @@ class Sampler:
         if self._attitude is not None:
             records["attitude"] = self._attitude.record
         now = self._clock.monotonic_ns()
-        off = {g: Record(g, SensorState.OFF, now, required=False) for g in self._off}
+        off = {g: HealthRecord(g, SensorState.OFF, now, required=False) for g in self._off}
         groups = tuple((records.get(g) or off[g]).snapshot() for g in GROUP_NAMES)
         return HealthSummary(now, groups, self._bus_held)
 

@@ -8,7 +8,7 @@ marked recovering before they count. Every exception of a driver that means trou
 from collections.abc import Generator, Mapping
 from typing import NamedTuple
 
-from daq.acquisition.health import WELL, Record, Watch
+from daq.acquisition.health import WELL, GroupWatch, HealthRecord
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, Wait
@@ -30,7 +30,7 @@ _OK = SensorState.OK
 VALUES_RECORDED = frozenset({SensorState.OK, SensorState.OUT_OF_RANGE, SensorState.STUCK, SensorState.RECOVERING})
 
 
-class Outcome(NamedTuple):
+class GroupOutcome(NamedTuple):
     """What a group contributes to a scan. Times are monotonic [ns]."""
 
     state: SensorState
@@ -47,13 +47,13 @@ class Supervisor:
         self.driver = driver
         self.group = driver.group
         self.every = every
-        self.record = Record(self.group, SensorState.ABSENT, now_ns, section.required)
+        self.record = HealthRecord(self.group, SensorState.ABSENT, now_ns, section.required)
         self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
         self.ready_ns: int | None = None  # when the sample under way can go on [ns]; None when there is none
         self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
         self.up = False  # set up and being read
         self._config = config
-        self._watch = Watch(tuple(c.name for c in channels_of(self.group)), config)
+        self._watch = GroupWatch(tuple(c.name for c in channels_of(self.group)), config)
         self._staged = type(driver).stages is not Driver.stages
         self._setup: Generator[Wait, None, None] | None = None
         self._sample: Generator[Wait, None, Reading] | None = None
@@ -133,7 +133,7 @@ class Supervisor:
         self.ready_ns = now_ns
         self._repetitions = REPETITIONS
 
-    def advance(self, now_ns: int, may_retry: bool) -> Outcome | None:
+    def advance(self, now_ns: int, may_retry: bool) -> GroupOutcome | None:
         """Take the sample one stage further; the outcome when it is finished, else None."""
         self.timed_out = False
         try:
@@ -156,7 +156,7 @@ class Supervisor:
     def _end_sample(self) -> None:
         self._sample = self.ready_ns = None
 
-    def _failed(self, error: OSError, now_ns: int, may_retry: bool) -> Outcome | None:
+    def _failed(self, error: OSError, now_ns: int, may_retry: bool) -> GroupOutcome | None:
         self._end_sample()
         self.timed_out = error.errno in TIMEOUT_ERRNOS
         if may_retry and self._repetitions and not self.timed_out:
@@ -171,7 +171,7 @@ class Supervisor:
             self._go_down(SensorState.ABSENT, detail, now_ns)
         return self._outcome(SensorState.ABSENT, detail, now_ns)
 
-    def _finished(self, reading: Reading, started_ns: int) -> Outcome:
+    def _finished(self, reading: Reading, started_ns: int) -> GroupOutcome:
         self._failures = self._excused = 0
         if self.driver.repeated:
             self.record.retries += self.driver.repeated
@@ -191,7 +191,7 @@ class Supervisor:
             self._untrusted -= 1
             return self._outcome(SensorState.RECOVERING, "answers again", time_ns, reading)
         self.record.note(_OK, "", time_ns)
-        return Outcome(_OK, "", time_ns, values, events)
+        return GroupOutcome(_OK, "", time_ns, values, events)
 
     def _chip_complains(self, state: SensorState, detail: str, now_ns: int) -> None:
         if state is SensorState.FAULT:
@@ -233,19 +233,19 @@ class Supervisor:
         if self.up and self.ready_ns is None and not self._intact():
             self._go_down(SensorState.FAULT, "lost its settings (supply dip); being set up again", now_ns)
 
-    def passed_over(self, reason: str, state: SensorState, now_ns: int) -> Outcome:
+    def passed_over(self, reason: str, state: SensorState, now_ns: int) -> GroupOutcome:
         """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""
         if self._sample is not None:
             self._sample.close()
         self._end_sample()
         return self._outcome(state, reason, now_ns)
 
-    def lost(self, now_ns: int) -> Outcome:
+    def lost(self, now_ns: int) -> GroupOutcome:
         """The outcome of a scan while the sensor is down."""
         return self._outcome(self._lost_state, self._lost_detail, now_ns)
 
-    def _outcome(self, state: SensorState, detail: str, time_ns: int, reading: Reading | None = None) -> Outcome:
+    def _outcome(self, state: SensorState, detail: str, time_ns: int, reading: Reading | None = None) -> GroupOutcome:
         self.record.note(state, detail, time_ns)
         if reading is None or state not in VALUES_RECORDED:
-            return Outcome(state, detail, time_ns, events=reading.events if reading else ())
-        return Outcome(state, detail, time_ns, reading.values, reading.events)
+            return GroupOutcome(state, detail, time_ns, events=reading.events if reading else ())
+        return GroupOutcome(state, detail, time_ns, reading.values, reading.events)

@@ -18,11 +18,11 @@ from daq.actuation.output import Output
 from daq.actuation.pwm.heartbeat import HeartbeatError
 from daq.actuation.pwm.output import PwmOutput
 from daq.actuation.seen import Seen
-from daq.actuation.sequencer import Frame, Sequencer
-from daq.actuation.servos import Plan, plan_of, servos_of
+from daq.actuation.sequencer import Sequencer, SequencerCommand
+from daq.actuation.servos import ServoManoeuvre, plan_of, servos_of
 from daq.clock import NS, Clock
 from daq.contract.manoeuvre import Manoeuvre
-from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame
+from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Reason, State
 from daq.sensors.config import SensorsConfig
@@ -42,7 +42,7 @@ class Reporter(Protocol):
         """A line for the log and, from warnings up, the ground."""
         ...
 
-    def mark_event(self, text: str, origin: str) -> Event:
+    def mark_event(self, text: str, origin: str) -> EventMessage:
         """An event in the recording, told to the ground."""
         ...
 
@@ -73,7 +73,13 @@ class Actuation:
     """
 
     def __init__(
-        self, config: SequencerConfig, plan: Plan, sensors: SensorsConfig, output: Output, clock: Clock, period_s: float
+        self,
+        config: SequencerConfig,
+        plan: ServoManoeuvre,
+        sensors: SensorsConfig,
+        output: Output,
+        clock: Clock,
+        period_s: float,
     ) -> None:
         self._config, self._clock, self._output = config, clock, output
         self._motion = MotionReader(config, sensors)
@@ -112,7 +118,9 @@ class Actuation:
         """Let go at the end of the recording."""
         self._output.close(self._clock.monotonic_ns())
 
-    def _report(self, frame: Frame, put: tuple[float, ...] | None, seen: Seen, scan: Scan, reporter: Reporter) -> None:
+    def _report(
+        self, frame: SequencerCommand, put: tuple[float, ...] | None, seen: Seen, scan: Scan, reporter: Reporter
+    ) -> None:
         if frame.words:
             ordinary = frame.reason in _ORDINARY or frame.state is State.IDLE
             reporter.say(LogLevel.INFO if ordinary else LogLevel.WARNING, "sequencer", frame.words)

@@ -17,11 +17,11 @@ CONTROLS = ("delta_e", "delta_a", "delta_r")
 """Controls of a manoeuvre, in the order of recordings and messages."""
 
 
-class _Table(BaseModel):
+class _SequencerTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class ChipConfig(_Table):
+class ChipConfig(_SequencerTable):
     """`[sequencer.chip]`: PCA9685. Not at 0x40, where the capture co-processor is; 0x41 is strap A0 closed.
 
     oscillator_hz: of this very chip, 23 to 27 MHz; measure it once on the bench (`docs/sequencer.md`).
@@ -34,7 +34,7 @@ class ChipConfig(_Table):
     loopback_channel: Annotated[int, Field(ge=0, le=15)] = 3
 
 
-class PilotConfig(_Table):
+class PilotConfig(_SequencerTable):
     """`[sequencer.pilot]`: a second capture co-processor at the receiver, in front of the multiplexer.
 
     switch_input: the channel that is also the multiplexer's SEL. loopback_input: where the chip's spare output comes back.
@@ -46,7 +46,7 @@ class PilotConfig(_Table):
     loopback_input: Annotated[int, Field(ge=1, le=6)] = 6
 
 
-class AutopilotConfig(_Table):
+class AutopilotConfig(_SequencerTable):
     """`[sequencer.autopilot]`: an ArduPlane that drives the servos, with `through = "ardupilot"`.
 
     port: as `[downlink]` has it, such as serial:/dev/ttyAMA2:115200; nobody else may read it. system_id: ours, the one whose
@@ -61,7 +61,7 @@ class AutopilotConfig(_Table):
     longest_override_s: Annotated[float, Field(ge=0.06, le=0.3)] = 0.1
 
 
-class HeartbeatConfig(_Table):
+class HeartbeatConfig(_SequencerTable):
     """`[sequencer.heartbeat]`: files of the two lines to the monostable, such as a gpio-leds device's `brightness`.
 
     line: a rising edge starts the monostable anew. clear: low ends it at once; None where it is not wired.
@@ -72,7 +72,7 @@ class HeartbeatConfig(_Table):
     clear: Path | None = Path("/sys/class/leds/sideslip-clear/brightness")
 
 
-class OutputConfig(_Table):
+class ServoOutputConfig(_SequencerTable):
     """`[sequencer.output.NAME]`: one servo. us_per_rad: pulse width for each radian of a control.
 
     pilot_input: his signal for this servo. readback: the pulse input behind the multiplexer, 0 for none. Through an autopilot an
@@ -98,7 +98,7 @@ class OutputConfig(_Table):
 Range = tuple[float, float]
 
 
-class EnvelopeConfig(_Table):
+class EnvelopeConfig(_SequencerTable):
     """`[sequencer.limits]`: outside of these the pilot gets the aircraft. None: not watched.
 
     Motion is what the scan shows with nominal transfer functions, without calibration: leave room for it.
@@ -129,14 +129,14 @@ class EnvelopeConfig(_Table):
         return pair
 
 
-class VaneConfig(_Table):
+class VaneConfig(_SequencerTable):
     """`[sequencer.alpha_vane]`: nominal transfer function of the angle-of-attack vane, as its calibration file has it."""
 
     centre_v: float = 2.5
     rad_per_v: float = 0.8
 
 
-class SequencerConfig(_Table):
+class SequencerConfig(_SequencerTable):
     """The whole of `[sequencer]`.
 
     manoeuvre: file of `sideslip design`. through: a servo driver of our own, or an autopilot. start: `switch`: it begins when
@@ -153,7 +153,7 @@ class SequencerConfig(_Table):
     pilot: PilotConfig = PilotConfig()
     heartbeat: HeartbeatConfig = HeartbeatConfig()
     autopilot: AutopilotConfig = AutopilotConfig()
-    output: dict[str, OutputConfig]
+    output: dict[str, ServoOutputConfig]
     limits: EnvelopeConfig = EnvelopeConfig()
     alpha_vane: VaneConfig = VaneConfig()
     status_rate_hz: NotNegative = 2.0  # SEQUENCER_STATUS to the ground while not idle: 52 bytes each with a signature

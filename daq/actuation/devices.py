@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from daq.actuation.pwm.heartbeat import Heartbeat
+from daq.actuation.pwm.heartbeat import HeartbeatLine
 from daq.clock import Clock
 from daq.sensors.bus import I2cBus
 
@@ -25,6 +25,6 @@ class Devices:
     """bus and heartbeat for a servo driver behind a multiplexer, autopilot for one in between; None where not opened."""
 
     bus: I2cBus | None
-    heartbeat: Heartbeat | None
+    heartbeat: HeartbeatLine | None
     clock: Clock
     autopilot: AutopilotPort | None = None

@@ -3,11 +3,11 @@
 import math
 
 from daq.actuation.config import EnvelopeConfig
-from daq.actuation.motion import Motion
+from daq.actuation.motion import MotionState
 from daq.contract.sequencing import Reason
 
 
-class Envelope:
+class FlightEnvelope:
     """Judges a motion against the configured limits; a watched quantity that is not known is a stale sensor."""
 
     def __init__(self, limits: EnvelopeConfig) -> None:
@@ -27,7 +27,7 @@ class Envelope:
             (name, limit, reason, scale, unit) for name, limit, reason, scale, unit in rows if limit is not None
         ]
 
-    def judge(self, motion: Motion) -> tuple[Reason, str] | None:
+    def judge(self, motion: MotionState) -> tuple[Reason, str] | None:
         """The first thing that is wrong, stale sensors before limits; None inside."""
         for name, *_ in self._rows:
             if getattr(motion, name) is None:

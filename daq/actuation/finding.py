@@ -8,7 +8,7 @@ from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class TrialFinding:
     """One thing tried: well or not, in words."""
 
     what: str
@@ -16,10 +16,10 @@ class Finding:
     text: str
 
 
-def try_manoeuvre(config: SequencerConfig) -> Finding:
+def try_manoeuvre(config: SequencerConfig) -> TrialFinding:
     """Whether the configured manoeuvre is one this aircraft may fly."""
     try:
         plan = plan_of(load_manoeuvre(config.manoeuvre), config)
     except ManoeuvreError as error:
-        return Finding("manoeuvre", False, str(error))
-    return Finding("manoeuvre", True, f"{plan.digest[:6]}, {plan.duration_s:.1f} s, within this aircraft's limits")
+        return TrialFinding("manoeuvre", False, str(error))
+    return TrialFinding("manoeuvre", True, f"{plan.digest[:6]}, {plan.duration_s:.1f} s, within this aircraft's limits")

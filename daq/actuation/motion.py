@@ -28,7 +28,7 @@ _NEEDED: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MotionState:
     """At one instant; None where not known. bank, alpha [rad]; load_factor [1], + upwards; airspeed [m/s]; height [m]."""
 
     bank: float | None = None
@@ -52,13 +52,13 @@ class MotionReader:
         self._pascal_per_count, self._pascal_at_zero = nominal_transfer(sensors.section("pitot"))
         self._good: dict[str, tuple[int, Mapping[str, RawValue]]] = {}
 
-    def read(self, scan: Scan, now_ns: int) -> Motion:
+    def read(self, scan: Scan, now_ns: int) -> MotionState:
         """The motion as known at `now_ns`."""
         for group, channel in _NEEDED.items():
             status = scan.groups.get(group)
             if status is not None and status.state is SensorState.OK and channel in scan.values:
                 self._good[group] = scan.time_monotonic_ns + 1000 * status.offset_us, scan.values
-        return Motion(
+        return MotionState(
             bank=self._bank(now_ns),
             load_factor=self._scaled("imu", "accel_z", now_ns, -self._g_per_count),
             airspeed=self._airspeed(now_ns),

@@ -16,14 +16,14 @@ MEASURE_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Proven:
+class OutputTrialResult:
     """What came of it: reason NONE when it is shown, else why not; detail in words."""
 
     reason: Reason = Reason.NONE
     detail: str = ""
 
 
-class Proof(Protocol):
+class OutputTrial(Protocol):
     """scale: pulse width put out over the one asked for. fault: what a fault of this output is called. unlike: what is to
     be looked for when it is not followed. trying: what is still being tried at go, empty when it may start.
     """
@@ -43,7 +43,7 @@ class Proof(Protocol):
         """Checking begins."""
         ...
 
-    def check(self, seen: Seen, elapsed_s: float) -> Proven | None:
+    def check(self, seen: Seen, elapsed_s: float) -> OutputTrialResult | None:
         """While checking, so long after it began; None: not yet."""
         ...
 
@@ -51,7 +51,7 @@ class Proof(Protocol):
         """Armed, and the switch is not at go."""
         ...
 
-    def at_go(self, seen: Seen) -> Proven | None:
+    def at_go(self, seen: Seen) -> OutputTrialResult | None:
         """Armed, and the switch is at go; None: not yet."""
         ...
 
@@ -82,7 +82,7 @@ class FrequencyProof:
         """Forget what was measured."""
         self._measured, self.scale = [], 1.0
 
-    def check(self, seen: Seen, elapsed_s: float) -> Proven | None:
+    def check(self, seen: Seen, elapsed_s: float) -> OutputTrialResult | None:
         """Average the loopback pulses."""
         if elapsed_s < SETTLE_S:
             return None
@@ -90,22 +90,22 @@ class FrequencyProof:
             self._measured.append(seen.output.loopback_us)
         if len(self._measured) >= SAMPLES:
             return self._frequency()
-        return Proven(Reason.FREQUENCY, "no pulses come back") if elapsed_s > MEASURE_S else None
+        return OutputTrialResult(Reason.FREQUENCY, "no pulses come back") if elapsed_s > MEASURE_S else None
 
-    def _frequency(self) -> Proven:
+    def _frequency(self) -> OutputTrialResult:
         scale = fmean(self._measured) / self._loopback_us
         detail = f"{self._frequency_hz / scale:.2f} Hz measured, {self._frequency_hz:.2f} expected"
         if abs(1.0 / scale - 1.0) > self._error:
-            return Proven(Reason.FREQUENCY, detail)
+            return OutputTrialResult(Reason.FREQUENCY, detail)
         self.scale = scale
-        return Proven(detail=detail)
+        return OutputTrialResult(detail=detail)
 
     def rest(self) -> None:
         """Nothing changes."""
 
-    def at_go(self, seen: Seen) -> Proven | None:
+    def at_go(self, seen: Seen) -> OutputTrialResult | None:
         """Everything was shown while checking."""
-        return Proven()
+        return OutputTrialResult()
 
     def pulses(self, seen: Seen) -> tuple[float, ...] | None:
         """The pilot's signals."""

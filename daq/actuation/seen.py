@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from daq.actuation.motion import Motion
+from daq.actuation.motion import MotionState
 from daq.contract.sequencing import Switch
 
 
@@ -33,7 +33,7 @@ class Seen:
 
     now_ns: int
     late_ns: int
-    motion: Motion
+    motion: MotionState
     output: Glimpse
     recording: bool = True
     link_s: float | None = None

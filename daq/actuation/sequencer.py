@@ -12,10 +12,10 @@ from enum import Enum, auto
 from statistics import median
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.envelope import Envelope
-from daq.actuation.proof import Proof
+from daq.actuation.envelope import FlightEnvelope
+from daq.actuation.proof import OutputTrial
 from daq.actuation.seen import Glimpse, Seen
-from daq.actuation.servos import STILL, Increments, Plan, Servo
+from daq.actuation.servos import STILL, ConfiguredServo, Increments, ServoManoeuvre
 from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch
 
 SWITCH_FRAMES = 3
@@ -29,7 +29,7 @@ FOLLOW_US = 25.0
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class SequencerCommand:
     """What to do. pulses: for each output [us], None for none. words: what to tell, empty without a transition."""
 
     state: State
@@ -41,7 +41,7 @@ class Frame:
     words: str = ""
 
 
-class Wish(Enum):
+class SequencerRequest(Enum):
     """What the ground asks for."""
 
     START = auto()
@@ -63,18 +63,18 @@ class Sequencer:
     def __init__(
         self,
         config: SequencerConfig,
-        plan: Plan,
-        servos: tuple[Servo, ...],
+        plan: ServoManoeuvre,
+        servos: tuple[ConfiguredServo, ...],
         period_s: float,
-        proof: Proof,
+        proof: OutputTrial,
     ) -> None:
         self.state, self.reason = State.IDLE, Reason.NONE
         self._config, self._limits = config, config.limits
         self.plan, self._servos = plan, servos
         self._period_s, self._proof = period_s, proof
-        self._envelope = Envelope(config.limits)
+        self._envelope = FlightEnvelope(config.limits)
         self._off_seen = False
-        self._wish: Wish | None = None  # of the ground, for the next frame
+        self._wish: SequencerRequest | None = None  # of the ground, for the next frame
         self._since_ns = 0  # when the state was entered
         self._go_ns: int | None = None  # since when the switch has been at go, while armed
         self._last_ns: int | None = None
@@ -110,19 +110,19 @@ class Sequencer:
             return "the pilot's switch is not at go"
         if self._proof.trying:
             return self._proof.trying
-        if self._wish is Wish.STOP:
+        if self._wish is SequencerRequest.STOP:
             return "it is being stopped"
-        self._wish = Wish.START
+        self._wish = SequencerRequest.START
         return ""
 
     def ask_stop(self) -> str:
         """A wish to end what is under way; why not, empty when it is taken."""
         if not self.state.beats:
             return f"sequencer is {self.state.words}: the pilot has the aircraft"
-        self._wish = Wish.STOP
+        self._wish = SequencerRequest.STOP
         return ""
 
-    def take(self, plan: Plan) -> str:
+    def take(self, plan: ServoManoeuvre) -> str:
         """Another manoeuvre to fly; why not, empty when it is taken. The pilot arms what he has been told of, so his switch is at
         off meanwhile."""
         if self.state not in (State.IDLE, State.RELEASED):
@@ -134,7 +134,7 @@ class Sequencer:
 
     # ---------------------------------------------------------------------------------------- a frame
 
-    def step(self, seen: Seen) -> Frame:
+    def step(self, seen: Seen) -> SequencerCommand:
         """Decide one frame."""
         self._note(seen)
         move = self._handlers[self.state](seen)
@@ -215,7 +215,7 @@ class Sequencer:
             return None
         if proven.reason is not Reason.NONE:
             return Move(State.RELEASED, proven.reason, proven.detail)
-        if self._config.start == "switch" or self._wish is Wish.START:
+        if self._config.start == "switch" or self._wish is SequencerRequest.START:
             return self._start()
         waited = (seen.now_ns - self._go_ns) * 1e-9
         return Move(State.RELEASED, Reason.WAITED, f"in {waited:.0f} s") if waited > self._config.wait_s else None
@@ -268,7 +268,7 @@ class Sequencer:
             return Move(State.RELEASED, self._proof.fault, output.fault)
         if not seen.recording:
             return Move(State.RELEASED, Reason.RECORDING)
-        return Move(State.RELEASED, Reason.GROUND) if self._wish is Wish.STOP else None
+        return Move(State.RELEASED, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
 
     def _untimely(self, seen: Seen) -> Move | None:
         if seen.late_ns > self._limits.late_ms * 1e6:
@@ -294,7 +294,7 @@ class Sequencer:
             return wrong
         if not seen.recording:
             return Move(State.RAMPING, Reason.RECORDING)
-        return Move(State.RAMPING, Reason.GROUND) if self._wish is Wish.STOP else None
+        return Move(State.RAMPING, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
 
     def _moved(self, output: Glimpse) -> str:
         """Which of the pilot's signals that can be seen has left where it was at the start, empty for none."""
@@ -342,19 +342,19 @@ class Sequencer:
 
     # ---------------------------------------------------------------------------------------- output
 
-    def _put(self, seen: Seen, words: str) -> Frame:
+    def _put(self, seen: Seen, words: str) -> SequencerCommand:
         elapsed = self._seconds(seen.now_ns)
         if self.state in (State.CHECKING, State.ARMED):
-            return Frame(self.state, self.reason, elapsed, pulses=self._proof.pulses(seen), words=words)
+            return SequencerCommand(self.state, self.reason, elapsed, pulses=self._proof.pulses(seen), words=words)
         if self.state not in (State.RUNNING, State.RAMPING):
             self._increments = STILL
-            return Frame(self.state, self.reason, elapsed, words=words)
+            return SequencerCommand(self.state, self.reason, elapsed, words=words)
         self._increments = self._wanted(elapsed)
         pulses, limited = self._limited(seen.now_ns)
         self._put_out.append((seen.now_ns, pulses))
         while (seen.now_ns - self._put_out[0][0]) * 1e-9 > FOLLOW_S:
             self._put_out.popleft()
-        return Frame(self.state, self.reason, elapsed, self._increments, pulses, limited, words)
+        return SequencerCommand(self.state, self.reason, elapsed, self._increments, pulses, limited, words)
 
     def _wanted(self, elapsed_s: float) -> Increments:
         if self.state is State.RUNNING:

@@ -13,7 +13,7 @@ STILL: Increments = (0.0,) * len(CONTROLS)
 
 
 @dataclass(frozen=True, slots=True)
-class Servo:
+class ConfiguredServo:
     """One output. us_per_rad in the order of CONTROLS; limits of the pulse width [us] and of its rate [us/s].
 
     read_back: its pulses are measured behind the multiplexer.
@@ -38,7 +38,7 @@ class Servo:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ServoManoeuvre:
     """A manoeuvre as the sequencer flies it: increments (samples) at `time_step` [s]."""
 
     digest: str
@@ -63,16 +63,16 @@ class Plan:
         before, after = self.increments[index], self.increments[index + 1]
         return tuple(a + share * (b - a) for a, b in zip(before, after, strict=True))
 
-    def reach(self, servo: Servo) -> tuple[float, float]:
+    def reach(self, servo: ConfiguredServo) -> tuple[float, float]:
         """Smallest and largest change of a servo's pulse width [us]."""
         shifts = [servo.shift(i) for i in self.increments]
         return min(shifts), max(shifts)
 
 
-def servos_of(config: SequencerConfig) -> tuple[Servo, ...]:
+def servos_of(config: SequencerConfig) -> tuple[ConfiguredServo, ...]:
     """The servos of a configuration, in its order; an autopilot tells of each output what it takes it for."""
     return tuple(
-        Servo(
+        ConfiguredServo(
             name,
             tuple(o.us_per_rad.get(c, 0.0) for c in CONTROLS),  # type: ignore[call-overload]  # keys are CONTROLS
             o.lowest_us,
@@ -84,7 +84,7 @@ def servos_of(config: SequencerConfig) -> tuple[Servo, ...]:
     )
 
 
-def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> Plan:
+def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> ServoManoeuvre:
     """The manoeuvre, if this aircraft's limits allow it. Raises ManoeuvreError naming control or output, value and limit."""
     largest = math.radians(config.limits.largest_deg)
     for name, values in manoeuvre.increments.items():
@@ -96,14 +96,14 @@ def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> Plan:
             )
     still = (0.0,) * manoeuvre.samples
     rows = zip(*(manoeuvre.increments.get(c, still) for c in CONTROLS), strict=True)
-    plan = Plan(manoeuvre.digest, manoeuvre.time_step, tuple(rows))
+    plan = ServoManoeuvre(manoeuvre.digest, manoeuvre.time_step, tuple(rows))
     for servo in servos_of(config):
         _check_servo(servo, plan)
     _check_moved(manoeuvre, servos_of(config))
     return plan
 
 
-def _check_servo(servo: Servo, plan: Plan) -> None:
+def _check_servo(servo: ConfiguredServo, plan: ServoManoeuvre) -> None:
     shifts = [servo.shift(i) for i in plan.increments]
     fastest = max((abs(b - a) for a, b in zip(shifts, shifts[1:], strict=False)), default=0.0) / plan.time_step
     if fastest > servo.slew_us_per_s:
@@ -118,7 +118,7 @@ def _check_servo(servo: Servo, plan: Plan) -> None:
         )
 
 
-def _check_moved(manoeuvre: Manoeuvre, servos: Sequence[Servo]) -> None:
+def _check_moved(manoeuvre: Manoeuvre, servos: Sequence[ConfiguredServo]) -> None:
     for index, control in enumerate(CONTROLS):
         if any(manoeuvre.increments.get(control, ())) and not any(s.us_per_rad[index] for s in servos):
             raise ManoeuvreError(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 
 from daq.companion.config import IdentificationConfig
-from daq.companion.wire import LONGEST_LINE, Answer, Setup, frame, read_answer, setup_frame
+from daq.companion.wire import LONGEST_LINE, CompanionReply, Setup, frame, read_answer, setup_frame
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.scan import Scan, encode_scan
 
@@ -124,7 +124,7 @@ class Companion:
             if answer is not None:
                 self._tell(answer)
 
-    def _tell(self, answer: Answer) -> None:
+    def _tell(self, answer: CompanionReply) -> None:
         if answer.trouble:
             self._say(LogLevel.WARNING, NAME, f"{answer.trouble}; recording goes on")
             process, self._process = self._process, None

@@ -30,7 +30,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Answer:
+class CompanionReply:
     """values: derivative -> estimate and bound, those that can be told. words: one line for a person. trouble: why there is
     no more."""
 
@@ -74,7 +74,7 @@ def read_setup(data: bytes) -> Setup:
     return Setup(**json.loads(data))
 
 
-def read_answer(line: bytes) -> Answer | None:
+def read_answer(line: bytes) -> CompanionReply | None:
     """An answer, of what it holds only what can be shown; None for a line that is none."""
     try:
         found = json.loads(line)
@@ -89,4 +89,4 @@ def read_answer(line: bytes) -> Answer | None:
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError, OverflowError):
         return None
     sound = {n: v for n, v in told.items() if all(map(math.isfinite, v))}
-    return Answer(time, sound, words[:500], trouble[:500])
+    return CompanionReply(time, sound, words[:500], trouble[:500])

@@ -21,7 +21,7 @@ NVM_BYTES = 21
 
 
 @dataclass(frozen=True)
-class Bmp390:
+class Bmp390Trimming:
     """Compensation coefficients of one BMP390, from its 21 bytes of non-volatile memory at register 0x31.
 
     Layout and floating-point formulas: Bosch BST-BMP390-DS002, sections 3.11.1 and 8.4 to 8.6.

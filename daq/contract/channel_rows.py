@@ -17,7 +17,7 @@ class Rate(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class ChannelGroup:
     """Channels read together in one bus conversation: one read offset and one sensor state for all of them."""
 
     name: str
@@ -54,7 +54,7 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class FlightColumn:
     """One calibrated flight column: SI, radians, body axes."""
 
     name: str

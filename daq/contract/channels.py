@@ -9,20 +9,20 @@ installed packages (`daq.contract.laboratory`) and stand after the built-in ones
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
-from daq.contract.channel_rows import Channel, Column, Downlink, Group, Rate, RawType
+from daq.contract.channel_rows import Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType
 
-BUILT_IN_GROUPS: tuple[Group, ...] = (
-    Group("imu", "accelerometer and gyro", "ICM-20948"),
-    Group("mag", "magnetometer", "AK09916"),
-    Group("attitude", "attitude filter", "imufusion"),
-    Group("analog_a", "vanes and elevon potentiometers", "ADS1115 0x48"),
-    Group("analog_b", "rudder potentiometer, supplies, analog 1", "ADS1115 0x49"),
-    Group("analog_c", "analog inputs 2 to 5", "ADS1115 0x4A"),
-    Group("pitot", "differential pressure", "MS4525DO"),
-    Group("static", "static pressure", "BMP390"),
-    Group("thrust", "thrust load cell", "NAU7802"),
-    Group("capture", "digital inputs and PWM widths", "capture co-processor"),
-    Group("gnss", "GPS", "u-blox NAV-PVT"),
+BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
+    ChannelGroup("imu", "accelerometer and gyro", "ICM-20948"),
+    ChannelGroup("mag", "magnetometer", "AK09916"),
+    ChannelGroup("attitude", "attitude filter", "imufusion"),
+    ChannelGroup("analog_a", "vanes and elevon potentiometers", "ADS1115 0x48"),
+    ChannelGroup("analog_b", "rudder potentiometer, supplies, analog 1", "ADS1115 0x49"),
+    ChannelGroup("analog_c", "analog inputs 2 to 5", "ADS1115 0x4A"),
+    ChannelGroup("pitot", "differential pressure", "MS4525DO"),
+    ChannelGroup("static", "static pressure", "BMP390"),
+    ChannelGroup("thrust", "thrust load cell", "NAU7802"),
+    ChannelGroup("capture", "digital inputs and PWM widths", "capture co-processor"),
+    ChannelGroup("gnss", "GPS", "u-blox NAV-PVT"),
 )
 
 _G = 9.80665
@@ -131,45 +131,50 @@ BUILT_IN_CHANNELS: tuple[Channel, ...] = (
 _PI = 3.141592653589793
 _RUDDER = "rudder, + trailing edge to port: force to +y, nose left"
 
-BUILT_IN_COLUMNS: tuple[Column, ...] = (
-    *(Column(f"a{x}", "m/s2", f"specific force at the CG, {x} axis", "/acceleration", (-120.0, 120.0)) for x in "xyz"),
-    Column("p", "rad/s", "roll rate, + right wing down", "/rates", (-10.0, 10.0)),
-    Column("q", "rad/s", "pitch rate, + nose up", "/rates", (-10.0, 10.0)),
-    Column("r", "rad/s", "yaw rate, + nose right", "/rates", (-10.0, 10.0)),
-    Column("phi", "rad", "bank angle, + right wing down", "/attitude", (-_PI, _PI)),
-    Column("theta", "rad", "pitch attitude, + nose up", "/attitude", (-_PI / 2, _PI / 2)),
-    Column("psi", "rad", "heading from true north, + clockwise", "/attitude", (-_PI, 2 * _PI)),
-    Column("alpha", "rad", "angle of attack, + wind from below", "/airdata/angles", (-_PI / 2, _PI / 2)),
-    Column("beta", "rad", "sideslip, + wind from the right", "/airdata/angles", (-_PI / 2, _PI / 2)),
-    Column("V", "m/s", "true airspeed", "/airdata/speed", (0.0, 350.0)),
-    Column("V_cas", "m/s", "calibrated airspeed", "/airdata/speed", (0.0, 350.0)),
-    Column("delta_e", "rad", "elevator, (left + right)/2, + trailing edge down", "/controls/measured", (-1.0, 1.0)),
-    Column("delta_a", "rad", "aileron, + rolls left", "/controls/measured", (-1.0, 1.0)),
-    Column("delta_r", "rad", _RUDDER, "/controls/measured", (-1.0, 1.0)),
-    Column("cmd_e", "rad", "elevator commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
-    Column("cmd_a", "rad", "aileron commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
-    Column("cmd_r", "rad", "rudder commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
-    Column("throttle", "1", "throttle commanded by PWM, 0 to 1", "/controls/throttle", (-0.1, 1.1)),
-    Column("thrust", "N", "thrust, + forward", "/propulsion", (-1e5, 1e6)),
-    Column("rho", "kg/m3", "air density", "/airdata/density", (0.08, 1.6)),
-    Column("p_static", "Pa", "static pressure", "/airdata/static", (5.0e3, 1.1e5)),
-    Column("p_dynamic", "Pa", "pitot minus static pressure", "/airdata/dynamic", (-500.0, 7.0e4)),
-    Column("temperature", "K", "outside air temperature", "/airdata/temperature", (180.0, 340.0)),
-    Column("latitude", "deg", "latitude, + north", "/gnss/position", (-90.0, 90.0)),
-    Column("longitude", "deg", "longitude, + east", "/gnss/position", (-180.0, 180.0)),
-    Column("altitude", "m", "pressure altitude above mean sea level", "/airdata/altitude", (-500.0, 20_000.0)),
-    Column("altitude_gnss", "m", "GPS height above mean sea level", "/gnss/altitude", (-500.0, 20_000.0)),
-    Column("vn", "m/s", "ground velocity, + north", "/gnss/velocity", (-400.0, 400.0)),
-    Column("ve", "m/s", "ground velocity, + east", "/gnss/velocity", (-400.0, 400.0)),
-    Column("vd", "m/s", "ground velocity, + down", "/gnss/velocity", (-400.0, 400.0)),
-    *(Column(f"m{x}", "T", f"magnetic field, {x} axis", "/magnetic", (-1e-4, 1e-4)) for x in "xyz"),
-    *(Column(f"analog_{i}", "V", f"analog input {i}", "/inputs/analog", (-0.5, 6.5)) for i in range(1, 6)),
-    *(Column(f"digital_{i}", "1", f"digital input {i}", "/inputs/digital", (0.0, 1.0)) for i in range(1, 6)),
-    Column("supply_voltage", "V", "main supply", "/power", (0.0, 60.0)),
+BUILT_IN_COLUMNS: tuple[FlightColumn, ...] = (
+    *(
+        FlightColumn(f"a{x}", "m/s2", f"specific force at the CG, {x} axis", "/acceleration", (-120.0, 120.0))
+        for x in "xyz"
+    ),
+    FlightColumn("p", "rad/s", "roll rate, + right wing down", "/rates", (-10.0, 10.0)),
+    FlightColumn("q", "rad/s", "pitch rate, + nose up", "/rates", (-10.0, 10.0)),
+    FlightColumn("r", "rad/s", "yaw rate, + nose right", "/rates", (-10.0, 10.0)),
+    FlightColumn("phi", "rad", "bank angle, + right wing down", "/attitude", (-_PI, _PI)),
+    FlightColumn("theta", "rad", "pitch attitude, + nose up", "/attitude", (-_PI / 2, _PI / 2)),
+    FlightColumn("psi", "rad", "heading from true north, + clockwise", "/attitude", (-_PI, 2 * _PI)),
+    FlightColumn("alpha", "rad", "angle of attack, + wind from below", "/airdata/angles", (-_PI / 2, _PI / 2)),
+    FlightColumn("beta", "rad", "sideslip, + wind from the right", "/airdata/angles", (-_PI / 2, _PI / 2)),
+    FlightColumn("V", "m/s", "true airspeed", "/airdata/speed", (0.0, 350.0)),
+    FlightColumn("V_cas", "m/s", "calibrated airspeed", "/airdata/speed", (0.0, 350.0)),
+    FlightColumn(
+        "delta_e", "rad", "elevator, (left + right)/2, + trailing edge down", "/controls/measured", (-1.0, 1.0)
+    ),
+    FlightColumn("delta_a", "rad", "aileron, + rolls left", "/controls/measured", (-1.0, 1.0)),
+    FlightColumn("delta_r", "rad", _RUDDER, "/controls/measured", (-1.0, 1.0)),
+    FlightColumn("cmd_e", "rad", "elevator commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
+    FlightColumn("cmd_a", "rad", "aileron commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
+    FlightColumn("cmd_r", "rad", "rudder commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
+    FlightColumn("throttle", "1", "throttle commanded by PWM, 0 to 1", "/controls/throttle", (-0.1, 1.1)),
+    FlightColumn("thrust", "N", "thrust, + forward", "/propulsion", (-1e5, 1e6)),
+    FlightColumn("rho", "kg/m3", "air density", "/airdata/density", (0.08, 1.6)),
+    FlightColumn("p_static", "Pa", "static pressure", "/airdata/static", (5.0e3, 1.1e5)),
+    FlightColumn("p_dynamic", "Pa", "pitot minus static pressure", "/airdata/dynamic", (-500.0, 7.0e4)),
+    FlightColumn("temperature", "K", "outside air temperature", "/airdata/temperature", (180.0, 340.0)),
+    FlightColumn("latitude", "deg", "latitude, + north", "/gnss/position", (-90.0, 90.0)),
+    FlightColumn("longitude", "deg", "longitude, + east", "/gnss/position", (-180.0, 180.0)),
+    FlightColumn("altitude", "m", "pressure altitude above mean sea level", "/airdata/altitude", (-500.0, 20_000.0)),
+    FlightColumn("altitude_gnss", "m", "GPS height above mean sea level", "/gnss/altitude", (-500.0, 20_000.0)),
+    FlightColumn("vn", "m/s", "ground velocity, + north", "/gnss/velocity", (-400.0, 400.0)),
+    FlightColumn("ve", "m/s", "ground velocity, + east", "/gnss/velocity", (-400.0, 400.0)),
+    FlightColumn("vd", "m/s", "ground velocity, + down", "/gnss/velocity", (-400.0, 400.0)),
+    *(FlightColumn(f"m{x}", "T", f"magnetic field, {x} axis", "/magnetic", (-1e-4, 1e-4)) for x in "xyz"),
+    *(FlightColumn(f"analog_{i}", "V", f"analog input {i}", "/inputs/analog", (-0.5, 6.5)) for i in range(1, 6)),
+    *(FlightColumn(f"digital_{i}", "1", f"digital input {i}", "/inputs/digital", (0.0, 1.0)) for i in range(1, 6)),
+    FlightColumn("supply_voltage", "V", "main supply", "/power", (0.0, 60.0)),
 )
 
 
-def _whole_table() -> tuple[tuple[Group, ...], tuple[Channel, ...], tuple[Column, ...]]:
+def _whole_table() -> tuple[tuple[ChannelGroup, ...], tuple[Channel, ...], tuple[FlightColumn, ...]]:
     """The built-in rows and those of laboratory packages; the latter need pydantic, so only where there are any."""
     packages = entry_points(group="sideslip.channels")
     if not packages:
@@ -181,7 +186,7 @@ def _whole_table() -> tuple[tuple[Group, ...], tuple[Channel, ...], tuple[Column
 
 GROUPS, CHANNELS, COLUMNS = _whole_table()
 CHANNEL_BY_NAME: Mapping[str, Channel] = {c.name: c for c in CHANNELS}
-COLUMN_BY_NAME: Mapping[str, Column] = {c.name: c for c in COLUMNS}
+COLUMN_BY_NAME: Mapping[str, FlightColumn] = {c.name: c for c in COLUMNS}
 GROUP_NAMES: tuple[str, ...] = tuple(g.name for g in GROUPS)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from daq.contract.manoeuvre import Manoeuvre
-from daq.contract.recordings.messages import Event
+from daq.contract.recordings.messages import EventMessage
 
 Weigh = Callable[[Manoeuvre], Callable[[], str]]
 """Weighs a manoeuvre against the aircraft's limits, in any thread; raises ManoeuvreError. What it returns puts the manoeuvre in
@@ -27,7 +27,7 @@ class Control(Protocol):
         """End the recording; False when none is under way."""
         ...
 
-    def mark_event(self, text: str, origin: str) -> Event:
+    def mark_event(self, text: str, origin: str) -> EventMessage:
         """Record an event at the present scan, and tell the ground."""
         ...
 

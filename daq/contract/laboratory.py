@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from daq.contract.channel_rows import RAW_LIMITS, Channel, Column, Downlink, Group, Rate, RawType
+from daq.contract.channel_rows import RAW_LIMITS, Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 
@@ -29,17 +29,17 @@ class LaboratoryError(UserError):
     """A laboratory's package whose channels cannot be used."""
 
 
-class _Row(BaseModel):
+class _LaboratoryRow(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Group(_Row):
+class _Group(_LaboratoryRow):
     name: _Name
     title: str
     device: str
 
 
-class _Channel(_Row):
+class _Channel(_LaboratoryRow):
     """`columns` left out: one flight column of the channel's own name and unit."""
 
     name: _Name
@@ -54,7 +54,7 @@ class _Channel(_Row):
     columns: tuple[str, ...] | None = None
 
 
-class _Column(_Row):
+class _Column(_LaboratoryRow):
     name: _Name
     unit: str
     meaning: str
@@ -63,36 +63,36 @@ class _Column(_Row):
     title: str = ""
 
 
-class _File(_Row):
+class _File(_LaboratoryRow):
     group: tuple[_Group, ...] = ()
     channel: tuple[_Channel, ...]
     column: tuple[_Column, ...] = ()
 
 
 @dataclass(frozen=True)
-class Rows:
+class TableRows:
     """Groups, channels and columns of a table, or of the part of it that one package brings."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[ChannelGroup, ...]
     channels: tuple[Channel, ...]
-    columns: tuple[Column, ...]
+    columns: tuple[FlightColumn, ...]
 
-    def plus(self, other: "Rows") -> "Rows":
+    def plus(self, other: "TableRows") -> "TableRows":
         """These rows and then the other ones."""
-        return Rows(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        return TableRows(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
 
 def with_packages(
     packages: Iterable[EntryPoint],
-    groups: tuple[Group, ...],
+    groups: tuple[ChannelGroup, ...],
     channels: tuple[Channel, ...],
-    columns: tuple[Column, ...],
-) -> tuple[tuple[Group, ...], tuple[Channel, ...], tuple[Column, ...]]:
+    columns: tuple[FlightColumn, ...],
+) -> tuple[tuple[ChannelGroup, ...], tuple[Channel, ...], tuple[FlightColumn, ...]]:
     """The whole table: the given rows, then those of the packages in order of name.
 
     Raises LaboratoryError naming file and key for a row that is wrong, or that does not fit the others.
     """
-    table = Rows(groups, channels, columns)
+    table = TableRows(groups, channels, columns)
     for package in sorted({p.value for p in packages}):
         file = package_folder(package) / ROWS_FILE
         table = table.plus(read_rows(file, package))
@@ -118,7 +118,7 @@ def calibration_files() -> dict[str, bytes]:
     return {file.name: file.read_bytes() for folder in folders for file in sorted(folder.glob("*.toml"))}
 
 
-def read_rows(file: Path, package: str) -> Rows:
+def read_rows(file: Path, package: str) -> TableRows:
     """The rows of a package. Raises LaboratoryError naming file and key."""
     try:
         read = _File.model_validate(read_toml(file, "file of a laboratory's package", LaboratoryError))
@@ -128,11 +128,11 @@ def read_rows(file: Path, package: str) -> Rows:
             f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}; see docs/sensors.md"
         ) from error
     channels = tuple(_channel(row, package) for row in read.channel)
-    named = tuple(Column(**row.model_dump()) for row in read.column)
+    named = tuple(FlightColumn(**row.model_dump()) for row in read.column)
     known = {c.name for c in named}
     implied = tuple(_column(c) for r, c in zip(read.channel, channels, strict=True) if r.columns is None)
-    return Rows(
-        tuple(Group(**row.model_dump(), package=package) for row in read.group),
+    return TableRows(
+        tuple(ChannelGroup(**row.model_dump(), package=package) for row in read.group),
         channels,
         (*named, *(c for c in implied if c.name not in known)),
     )
@@ -144,19 +144,19 @@ def _channel(row: _Channel, package: str) -> Channel:
     return replace(Channel(**values), package=package)
 
 
-def _column(channel: Channel) -> Column:
+def _column(channel: Channel) -> FlightColumn:
     """The flight column that a channel has of itself: its plausible range is what its counts can say."""
     ends = sorted(count * (channel.scale or 1.0) + channel.offset for count in RAW_LIMITS[channel.raw_type])
-    return Column(channel.name, channel.unit or "1", channel.meaning, f"/{channel.group}", (ends[0], ends[1]))
+    return FlightColumn(channel.name, channel.unit or "1", channel.meaning, f"/{channel.group}", (ends[0], ends[1]))
 
 
-def check(table: Rows, where: str) -> None:
+def check(table: TableRows, where: str) -> None:
     """Raise LaboratoryError for a table whose names collide or lead nowhere."""
     for mistake in _mistakes(table):
         raise LaboratoryError(f"{where}: {mistake}")
 
 
-def _mistakes(table: Rows) -> Iterator[str]:
+def _mistakes(table: TableRows) -> Iterator[str]:
     groups = [g.name for g in table.groups]
     columns = [c.name for c in table.columns]
     fields_of_scan = [c.name for c in table.channels] + [g + end for g in groups for end in ("_state", "_offset_us")]

@@ -6,7 +6,7 @@ Slopes after Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), as scipy'
 from typing import NamedTuple
 
 
-class Curve(NamedTuple):
+class CubicCurve(NamedTuple):
     """A cubic over one interval of `h` seconds. first, last: values at its ends; rise, fall: slopes there [1/s]."""
 
     h: float
@@ -37,7 +37,7 @@ def slope(h0: float, h1: float, y0: float, y1: float, y2: float) -> float:
     return (first + second) / (first / before + second / after)
 
 
-def middle_curve(t: tuple[float, float, float, float], y: tuple[float, float, float, float]) -> Curve:
+def middle_curve(t: tuple[float, float, float, float], y: tuple[float, float, float, float]) -> CubicCurve:
     """The curve between the middle two of four samples."""
     h0, h, h2 = t[1] - t[0], t[2] - t[1], t[3] - t[2]
-    return Curve(h, y[1], y[2], slope(h0, h, y[0], y[1], y[2]), slope(h, h2, y[1], y[2], y[3]))
+    return CubicCurve(h, y[1], y[2], slope(h0, h, y[0], y[1], y[2]), slope(h, h2, y[1], y[2], y[3]))

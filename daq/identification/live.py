@@ -11,7 +11,7 @@ from daq.identification.airframe import COLUMNS, CONTROLS, EQUATIONS, Airframe, 
 from daq.identification.controls import ControlSignal
 from daq.identification.rows import TOTAL, RowMaker
 from daq.identification.simulated_motion import SimulatedMotion
-from daq.identification.solve import Solution, solve
+from daq.identification.solve import RegressionSolution, solve
 from daq.identification.sums import Block, Sums
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ class LiveEstimator:
                 found[coefficient] = EquationInformation(solution.columns, normal, solution.covariance)
         return found
 
-    def solutions(self) -> dict[str, Solution | None]:
+    def solutions(self) -> dict[str, RegressionSolution | None]:
         """Each equation as far as the scans so far tell it."""
         sums = self._sums()
         return {c: solve(sums, e, self._columns(c)) for e, c in enumerate(EQUATIONS)}
@@ -186,7 +186,7 @@ class LiveEstimator:
             if term not in self._controls or self._controls[term].moved
         )
 
-    def _described(self, coefficient: str, solution: Solution | None, level: Array) -> list[LiveDerivative]:
+    def _described(self, coefficient: str, solution: RegressionSolution | None, level: Array) -> list[LiveDerivative]:
         if solution is None:
             return [self._untold(coefficient, term) for term in ("0", *EQUATIONS[coefficient])]
         value, variance = solution.constant(level) if level[0] > 0.0 else (math.nan, math.inf)
@@ -227,7 +227,7 @@ class LiveEstimator:
             if solution is not None and not doubtful.intersection(EQUATIONS[coefficient]):
                 self._motion.values.update(self._weighed(coefficient, solution))
 
-    def _weighed(self, coefficient: str, solution: Solution) -> dict[str, float]:
+    def _weighed(self, coefficient: str, solution: RegressionSolution) -> dict[str, float]:
         names = [f"{coefficient}_{COLUMNS[c]}" for c in solution.columns]
         beliefs = [self._airframe.beliefs.get(n) for n in names]
         if any(b is None or not b.std > 0.0 for b in beliefs):

@@ -37,7 +37,7 @@ PULSES: Mapping[str, tuple[tuple[float, float], ...]] = {  # parts of the peak, 
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class CandidateManoeuvre:
     """One manoeuvre of the library. title: as a person says it; aileron, rudder: pulses, empty where it rests; aileron first."""
 
     title: str
@@ -46,15 +46,15 @@ class Candidate:
 
 
 LIBRARY = (
-    *(Candidate(f"aileron {kind}", aileron=kind) for kind in PULSES),
-    *(Candidate(f"rudder {kind}", rudder=kind) for kind in PULSES),
-    Candidate("aileron doublet, then rudder doublet", "doublet", "doublet"),
-    Candidate("aileron 3-2-1-1, then rudder doublet", "3-2-1-1", "doublet"),
+    *(CandidateManoeuvre(f"aileron {kind}", aileron=kind) for kind in PULSES),
+    *(CandidateManoeuvre(f"rudder {kind}", rudder=kind) for kind in PULSES),
+    CandidateManoeuvre("aileron doublet, then rudder doublet", "doublet", "doublet"),
+    CandidateManoeuvre("aileron 3-2-1-1, then rudder doublet", "3-2-1-1", "doublet"),
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Advice:
+class ManoeuvreAdvice:
     """What to fly. worst: the derivative furthest from its wanted bound; now, then: that bound in units of the wanted one,
     before and after the manoeuvre; share: of the library's usual peaks that is flown, so that the response stays small."""
 
@@ -71,7 +71,7 @@ def next_manoeuvre(
     information: Mapping[str, EquationInformation],
     wanted: Mapping[str, float],
     sample: Sample,
-) -> Advice | None:
+) -> ManoeuvreAdvice | None:
     """The manoeuvre that lowers the largest bound / wanted most; None where all are reached, or nothing is solved yet.
 
     values: derivatives as known by now [1/rad], also those not solved. wanted: bounds [1/rad]. sample: flight condition.
@@ -85,7 +85,7 @@ def next_manoeuvre(
     worst = max(now, key=lambda n: now[n])
     if now[worst] <= 1.0:
         return None
-    best: tuple[float, Candidate, float, dict[str, float]] | None = None
+    best: tuple[float, CandidateManoeuvre, float, dict[str, float]] | None = None
     for candidate in LIBRARY:
         columns, share = predicted_columns(airframe, values, candidate, sample)
         added = {c: _normal(columns, i) / i.noise for c, i in known.items()}
@@ -94,7 +94,7 @@ def next_manoeuvre(
         if best is None or reached < best[0]:
             best = (reached, candidate, share, then)
     assert best is not None
-    return Advice(best[1].title, worst, now[worst], best[3][worst], best[2])
+    return ManoeuvreAdvice(best[1].title, worst, now[worst], best[3][worst], best[2])
 
 
 def has_condition(sample: Sample) -> bool:
@@ -124,7 +124,7 @@ def _normal(columns: Array, i: EquationInformation) -> Array:
 
 
 def predicted_columns(
-    airframe: Airframe, values: Mapping[str, float], candidate: Candidate, sample: Sample
+    airframe: Airframe, values: Mapping[str, float], candidate: CandidateManoeuvre, sample: Sample
 ) -> tuple[Array, float]:
     """(rows, 6) columns of the regression without their mean [Pa s], and the share of the peaks that is flown."""
     if not has_condition(sample):
@@ -177,7 +177,7 @@ def linear_lateral(airframe: Airframe, values: Mapping[str, float], sample: Samp
     return rows[:, :4], rows[:, 4:]
 
 
-def _surfaces(candidate: Candidate, lag: float) -> Array:
+def _surfaces(candidate: CandidateManoeuvre, lag: float) -> Array:
     """(steps, 2) aileron and rudder [rad] behind a first-order servo; the second control moves when the first is done."""
     command = np.zeros((round(LONG / STEP), 2))
     at = 0.0

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from daq.identification.airframe import COLUMNS, EQUATIONS, Airframe, Sample
 from daq.identification.interval import cubic_weights
 from daq.identification.servo import SurfaceCurves
-from daq.identification.simulated_motion import Motion, SimulatedMotion
+from daq.identification.simulated_motion import LateralState, SimulatedMotion
 
 Array = NDArray[np.float64]
 
@@ -43,12 +43,12 @@ class Row(NamedTuple):
     instruments: Array
 
 
-class Scan(NamedTuple):
+class MotionScan(NamedTuple):
     """A scan with its surfaces as the instruments take them [rad] and the motion simulated at its time."""
 
     sample: Sample
     surfaces: tuple[float, float]
-    motion: Motion
+    motion: LateralState
 
 
 class RowMaker:
@@ -58,7 +58,7 @@ class RowMaker:
         self._airframe = airframe
         self._simulated = simulated
         self._curves = [SurfaceCurves(airframe.servo_lag) for _ in range(4)]  # as `_surfaces` has them
-        self._scans: deque[Scan] = deque(maxlen=5)
+        self._scans: deque[MotionScan] = deque(maxlen=5)
         self._integrals: deque[tuple[Array, Array, bool]] = deque(maxlen=2)  # simulated motion, surfaces; known well
 
     def restart(self) -> None:
@@ -75,7 +75,7 @@ class RowMaker:
         """
         if len(self._scans) < 2:
             self._simulated.restart(sample)
-        self._scans.append(Scan(sample, surfaces, self._simulated.motion))
+        self._scans.append(MotionScan(sample, surfaces, self._simulated.motion))
         if len(self._scans) >= 4:
             self._simulate()
         if len(self._scans) < 5:
@@ -99,7 +99,7 @@ class RowMaker:
         surfaces = np.array([curves[0].integral, curves[1].integral])
         self._integrals.append((simulated, surfaces, all(c.sure for c in self._curves)))
 
-    def _row(self, scans: list[Scan]) -> Row:
+    def _row(self, scans: list[MotionScan]) -> Row:
         weights = cubic_weights(*(s.sample.time for s in scans))
         before, after = scans[1].sample, scans[2].sample
         measured = weights @ np.stack([self._integrands(s.sample) for s in scans])
@@ -138,6 +138,6 @@ class RowMaker:
         measured[WIDTH + 2] += (a.Izz * dr - a.Ixz * dp) * per_span
 
 
-def _surfaces(scan: Scan) -> tuple[float, float, float, float]:
+def _surfaces(scan: MotionScan) -> tuple[float, float, float, float]:
     """Aileron and rudder as measured, then as the instruments take them."""
     return scan.sample.delta_a, scan.sample.delta_r, *scan.surfaces

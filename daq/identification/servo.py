@@ -34,7 +34,7 @@ class Between(Protocol):
         ...
 
 
-class Edge(NamedTuple):
+class ServoEdge(NamedTuple):
     """A servo that runs towards `before` until `edge` seconds into the interval of `h` seconds, then towards `after`."""
 
     h: float
@@ -101,11 +101,11 @@ class SurfaceCurves:
         self.sure = True
         if abs(first - target) > EDGE:  # still on its way
             self._target = (last - first * fade) / (1.0 - fade)
-            return Edge(h, self._lag, first, self._target, self._target, 0.0)
+            return ServoEdge(h, self._lag, first, self._target, self._target, 0.0)
         self._target = None
         return middle_curve(t, y)
 
-    def _edge(self, t: Four, y: Four, target: float, fade: float) -> Edge | None:
+    def _edge(self, t: Four, y: Four, target: float, fade: float) -> ServoEdge | None:
         assert self._lag is not None
         next_fade = math.exp(-(t[3] - t[2]) / self._lag)
         after = (y[3] - y[2] * next_fade) / (1.0 - next_fade)
@@ -116,4 +116,4 @@ class SurfaceCurves:
             return None
         h, self.sure = t[2] - t[1], u >= SURE
         u = min(max(u, fade), 1.0)
-        return Edge(h, self._lag, y[1], target, after, h + self._lag * math.log(u))
+        return ServoEdge(h, self._lag, y[1], target, after, h + self._lag * math.log(u))

@@ -24,7 +24,7 @@ DELAY = (
 LIMITS = (0.6, 12.0, 6.0, 3.0)  # rad, rad/s, rad/s, rad of beta p r phi: beyond, the believed aircraft has departed
 
 
-class Motion(NamedTuple):
+class LateralState(NamedTuple):
     """Sideslip [rad], roll and yaw rate [rad/s], bank [rad]; or their rates of change, or their integrals."""
 
     beta: float
@@ -32,9 +32,11 @@ class Motion(NamedTuple):
     r: float
     phi: float
 
-    def moved(self, rate: "Motion", dt: float) -> "Motion":
+    def moved(self, rate: "LateralState", dt: float) -> "LateralState":
         """Where this motion is after `dt` seconds at constant rates."""
-        return Motion(self.beta + dt * rate.beta, self.p + dt * rate.p, self.r + dt * rate.r, self.phi + dt * rate.phi)
+        return LateralState(
+            self.beta + dt * rate.beta, self.p + dt * rate.p, self.r + dt * rate.r, self.phi + dt * rate.phi
+        )
 
     @property
     def departed(self) -> bool:
@@ -42,7 +44,7 @@ class Motion(NamedTuple):
         return not all(abs(x) < limit for x, limit in zip(self, LIMITS, strict=True))
 
 
-class Drive(NamedTuple):
+class MotionInputs(NamedTuple):
     """What drives the motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces."""
 
     q: float
@@ -54,7 +56,7 @@ class Drive(NamedTuple):
     delta_r: float
 
 
-NOWHERE = Motion(0.0, 0.0, 0.0, 0.0)
+NOWHERE = LateralState(0.0, 0.0, 0.0, 0.0)
 
 
 class SimulatedMotion:
@@ -69,10 +71,10 @@ class SimulatedMotion:
 
     def restart(self, sample: Sample) -> None:
         """Begin anew from measured motion."""
-        self.motion = Motion(sample.beta, sample.p, sample.r, sample.phi)
+        self.motion = LateralState(sample.beta, sample.p, sample.r, sample.phi)
         self._lag.clear()
 
-    def advance(self, first: Sample, last: Sample, aileron: Between, rudder: Between) -> Motion:
+    def advance(self, first: Sample, last: Sample, aileron: Between, rudder: Between) -> LateralState:
         """Go from `first` to `last`: the integral of the motion over the interval. V, alpha, theta, q on straight lines."""
         interval = last.time - first.time
         steps = max(1, math.ceil(interval / LONGEST_STEP))
@@ -91,7 +93,9 @@ class SimulatedMotion:
         if len(self._lag) == DELAY:
             self.motion = self.motion._replace(phi=self.motion.phi + min(dt / SETTLE, 1.0) * self._lag[0])
 
-    def _step(self, integral: Motion, h: float, first: Drive, middle: Drive, last: Drive) -> Motion:
+    def _step(
+        self, integral: LateralState, h: float, first: MotionInputs, middle: MotionInputs, last: MotionInputs
+    ) -> LateralState:
         """One step of the classical Runge-Kutta method over `h` seconds, of the motion and of its integral."""
         x = self.motion
         k1 = self._rates(x, first)
@@ -102,7 +106,7 @@ class SimulatedMotion:
         self.motion = x.moved(k1, sixth).moved(k2, 2 * sixth).moved(k3, 2 * sixth).moved(k4, sixth)
         return integral.moved(x.moved(k1, sixth).moved(k2, sixth).moved(k3, sixth), h)
 
-    def _rates(self, x: Motion, u: Drive) -> Motion:
+    def _rates(self, x: LateralState, u: MotionInputs) -> LateralState:
         """Equations of lateral motion without the rate of change of airspeed, which instruments can do without."""
         d, a = self.values, self._airframe
         q_s = 0.5 * u.rho * u.V * u.V * a.area
@@ -114,7 +118,7 @@ class SimulatedMotion:
         roll = q_s * a.span * Cl + a.Ixz * x.p * u.q - (a.Izz - a.Iyy) * u.q * x.r
         yaw = q_s * a.span * Cn - a.Ixz * u.q * x.r - (a.Iyy - a.Ixx) * x.p * u.q
         side = q_s * CY / a.mass + GRAVITY * math.cos(u.theta) * math.sin(x.phi)
-        return Motion(
+        return LateralState(
             x.p * math.sin(u.alpha) - x.r * math.cos(u.alpha) + side / u.V,
             (a.Izz * roll + a.Ixz * yaw) / self._inertia,
             (a.Ixx * yaw + a.Ixz * roll) / self._inertia,
@@ -122,9 +126,9 @@ class SimulatedMotion:
         )
 
 
-def _between(a: Sample, b: Sample, part: float, aileron: Between, rudder: Between) -> Drive:
+def _between(a: Sample, b: Sample, part: float, aileron: Between, rudder: Between) -> MotionInputs:
     rest = 1.0 - part
-    return Drive(
+    return MotionInputs(
         rest * a.q + part * b.q,
         rest * a.theta + part * b.theta,
         rest * a.alpha + part * b.alpha,

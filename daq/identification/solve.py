@@ -30,7 +30,7 @@ _BARTLETT = np.concatenate([[1.0], 2.0 * (1.0 - np.arange(1, LAGS + 1) / (LAGS +
 
 
 @dataclass(frozen=True)
-class Solution:
+class RegressionSolution:
     """values: (n,) of the columns `columns`; covariance: (n, n), honest; white: the same as if residuals were white.
 
     scatter: of the sum of the left side's residuals, per row.
@@ -56,7 +56,7 @@ def own_columns(equation: int, columns: Sequence[int]) -> list[int]:
     return [c + (WIDTH if equation == SIDE else 0) for c in columns]
 
 
-def solve(sums: Sums, equation: int, columns: Sequence[int]) -> Solution | None:
+def solve(sums: Sums, equation: int, columns: Sequence[int]) -> RegressionSolution | None:
     """Derivatives of one equation (0 CY, 1 Cl, 2 Cn) for the given columns; None where these rows cannot tell them.
 
     sums: without their constant.
@@ -81,7 +81,9 @@ def solve(sums: Sums, equation: int, columns: Sequence[int]) -> Solution | None:
     coloured = inverse @ _score(sums, pick, residual, freedom) @ inverse.T
     lacking = np.maximum(LEAST_SHARE * np.diag(white) - np.diag(coloured), 0.0)
     scatter = max(float(_BARTLETT @ residual), LEAST_SHARE * residual[0]) / freedom
-    return Solution(equation, tuple(pick), values, widened * (coloured + np.diag(lacking)), white, widened * scatter)
+    return RegressionSolution(
+        equation, tuple(pick), values, widened * (coloured + np.diag(lacking)), white, widened * scatter
+    )
 
 
 def _residual_products(sums: Sums, equation: int, own: list[int], values: Array) -> Array:

@@ -18,7 +18,7 @@ WITHIN = 1.0  # s within which a control's travel counts as one movement
 TRAVEL = math.radians(1.0)  # rad of travel that is a movement: ten noise levels, and less than anybody flies on purpose
 
 
-class Stretches:
+class ManoeuvreDetector:
     """Feed samples in order of time; late ones afterwards, they are judged by what was found before.
 
     speed: airspeed [m/s] above which the aircraft flies, once it was for `since` [s].

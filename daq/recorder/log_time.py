@@ -5,7 +5,7 @@ file are those of the monotonic clock, and log times never jump, whatever GPS or
 """
 
 from daq.clock import NS, Clock
-from daq.contract.recordings.recording import COMPUTER, GPS, Entry, LogTime, utc_of_scan
+from daq.contract.recordings.recording import COMPUTER, GPS, LogTime, RecordedMessage, utc_of_scan
 
 CLOCK_SET_NS = 1_735_689_600 * NS
 """The system's clock has been set when it stands at 2025 or later: clocks without a battery begin in 1970, or when their
@@ -23,7 +23,7 @@ class SessionTime:
         known = utc_ns >= CLOCK_SET_NS
         self.best = LogTime(utc_ns - clock.monotonic_ns(), COMPUTER) if known else LogTime()
 
-    def see(self, entry: Entry) -> None:
+    def see(self, entry: RecordedMessage) -> None:
         """Learn from a scan that knows UTC."""
         known = utc_of_scan(entry)
         if known is not None:

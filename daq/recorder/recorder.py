@@ -16,12 +16,20 @@ from pathlib import Path
 from typing import cast
 
 from daq.clock import NS, Clock
-from daq.contract.recordings.messages import Event, Health, LogLevel, LogLine, Message, SequencerFrame, Statistics
-from daq.contract.recordings.recording import Entry, RecordingInfo, message_entry, scan_entry
+from daq.contract.recordings.messages import (
+    EventMessage,
+    Health,
+    LogLevel,
+    LogLine,
+    Message,
+    SequencerFrame,
+    Statistics,
+)
+from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder.config import RecorderConfig
 from daq.recorder.log_time import SessionTime
-from daq.recorder.segment import Segment, Syncer
+from daq.recorder.segment import OpenRecording, Syncer
 from daq.recorder.segment_files import SegmentFiles
 from daq.recorder.slot_counts import SlotCounts
 from daq.recorder.storage import RealStorage, Storage
@@ -62,14 +70,14 @@ class Recorder:
         self._news = threading.Condition(self._lock)
         self._inbox: deque[Scan | Message] = deque()
         self._books = SlotCounts()
-        self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
-        self._returned: deque[Entry] = deque()  # were in a file that failed after it was closed
+        self._pending: deque[RecordedMessage] = deque()  # encoded, in order, not yet in a file
+        self._returned: deque[RecordedMessage] = deque()  # were in a file that failed after it was closed
         self._time = SessionTime(clock)
         self._details: dict[str, str] = {}
         self._new_details: dict[str, str] = {}
         self._abandoned: list[int] = []
         self._free: dict[str, int] = {}  # free_bytes of the card, as far as it is known
-        self._segment: Segment | None = None
+        self._segment: OpenRecording | None = None
         self._reported_ns: int | None = None
         self._pause_s = config.retry_s  # before the next file, while one after another fails
         self._write_latency = Histogram()
@@ -125,7 +133,7 @@ class Recorder:
         with self._lock:
             self._books.reach(number)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: EventMessage) -> None:
         """Record an event marker."""
         self._take_message(event)
 
@@ -267,7 +275,7 @@ class Recorder:
         while self._pending or self._segment is None or self._failed():
             if self._segment is None and not self._open_segment():
                 return False
-            segment = cast(Segment, self._segment)
+            segment = cast(OpenRecording, self._segment)
             try:
                 self._fill(segment)
             except OSError as error:
@@ -279,7 +287,7 @@ class Recorder:
                 self._pause_s = self._config.retry_s
         return self._flush_if_idle()
 
-    def _fill(self, segment: Segment) -> None:
+    def _fill(self, segment: OpenRecording) -> None:
         """Put pending messages into the segment, flushing and rotating as they come due; OSError when it fails."""
         if segment.failure is not None:
             raise segment.failure
@@ -303,7 +311,7 @@ class Recorder:
             if entry.log_time_ns - (segment.chunk_started_ns or 0) >= self._chunk_ns:
                 self._flush(segment)
 
-    def _flush(self, segment: Segment) -> None:
+    def _flush(self, segment: OpenRecording) -> None:
         now = self._clock.monotonic_ns()
         if self._reported_ns is None or now - self._reported_ns >= self._config.statistics_s * NS:
             self._reported_ns = now
@@ -333,7 +341,7 @@ class Recorder:
                 return False
         return True
 
-    def _write_details(self, segment: Segment) -> None:
+    def _write_details(self, segment: OpenRecording) -> None:
         with self._news:
             fresh = {k: v for k, v in self._new_details.items() if self._details.get(k) != v}
             self._new_details = {}
@@ -377,7 +385,7 @@ class Recorder:
         with self._news:
             return not self._returned
 
-    def _abandon(self, segment: Segment, error: OSError) -> None:
+    def _abandon(self, segment: OpenRecording, error: OSError) -> None:
         """Give a file up after an error; what the card has not confirmed goes into the next one."""
         self._segment = None
         self._complain(f"{segment.path} given up ({error.strerror or error}); recording goes on in a new file")
@@ -388,7 +396,7 @@ class Recorder:
         else:
             self._files.remove(segment.path, segment.file)
 
-    def _sync_failed(self, segment: Segment, error: OSError, finished: bool) -> None:
+    def _sync_failed(self, segment: OpenRecording, error: OSError, finished: bool) -> None:
         """In the sync thread: the card did not take a segment's content."""
         if finished:
             entries = self._take_back(segment)
@@ -401,7 +409,7 @@ class Recorder:
                 segment.failure = error
             self._news.notify_all()
 
-    def _take_back(self, segment: Segment) -> list[Entry]:
+    def _take_back(self, segment: OpenRecording) -> list[RecordedMessage]:
         entries = segment.take_back()
         with self._news:
             self._books.write_errors += 1
@@ -427,5 +435,5 @@ class Recorder:
         self._pending.append(message_entry(line))
 
 
-def _entry(item: Scan | Message) -> Entry:
+def _entry(item: Scan | Message) -> RecordedMessage:
     return scan_entry(item) if isinstance(item, Scan) else message_entry(item)

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import IO, cast
 
 from daq.clock import Clock
-from daq.contract.recordings.recording import Entry, RecordingInfo, RecordingWriter
+from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, RecordingWriter
 from daq.recorder.storage import StorageFile
 from daq.recorder.timing import Histogram
 
 _LOG = logging.getLogger("sideslip.recorder")
 
 
-class Segment:
+class OpenRecording:
     """A file in progress, with the messages in it that the card has not confirmed yet."""
 
     def __init__(self, path: Path, file: StorageFile, info: RecordingInfo, *, compress: bool, keep: int) -> None:
@@ -33,10 +33,10 @@ class Segment:
         self.failure: OSError | None = None  # found by the sync thread
         self._keep = keep
         self._lock = threading.Lock()
-        self._unconfirmed: deque[Entry] = deque()
+        self._unconfirmed: deque[RecordedMessage] = deque()
         self._total = 0  # messages ever added; the last of them are the unconfirmed ones
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: RecordedMessage) -> None:
         """Add a message to the chunk in progress and keep it until confirmed; OSError when the file fails."""
         self.writer.write(entry)
         with self._lock:
@@ -60,7 +60,7 @@ class Segment:
             while self._unconfirmed and self._total - len(self._unconfirmed) < total:
                 self._unconfirmed.popleft()
 
-    def take_back(self) -> list[Entry]:
+    def take_back(self) -> list[RecordedMessage]:
         """The messages not confirmed, in order; they are the caller's from now on."""
         with self._lock:
             entries = list(self._unconfirmed)
@@ -69,9 +69,9 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
+class _WriteJob:
     file: StorageFile
-    segment: Segment | None = None  # to be synced
+    segment: OpenRecording | None = None  # to be synced
     over: threading.Event | None = None  # close the file after the sync, and say so
 
 
@@ -81,12 +81,12 @@ class Syncer:
     failed: called from this thread with a segment and its error; the flag says whether the segment was finished.
     """
 
-    def __init__(self, failed: Callable[[Segment, OSError, bool], None], clock: Clock, sync: bool) -> None:
+    def __init__(self, failed: Callable[[OpenRecording, OSError, bool], None], clock: Clock, sync: bool) -> None:
         self.latency = Histogram()
         self._failed = failed
         self._clock = clock
         self._sync = sync
-        self._jobs: deque[_Job] = deque()
+        self._jobs: deque[_WriteJob] = deque()
         self._at_work = False
         self._news = threading.Condition()
         self._stopping = False
@@ -96,7 +96,7 @@ class Syncer:
         """Begin to work."""
         self._thread.start()
 
-    def request(self, segment: Segment) -> None:
+    def request(self, segment: OpenRecording) -> None:
         """Have what a segment holds now confirmed.
 
         While a sync is under way one more waits behind it, whatever comes: on a card slower than the requests it begins
@@ -105,7 +105,7 @@ class Syncer:
         with self._news:
             waiting = any(j.segment is segment for j in self._jobs)
         if not waiting:
-            self._add(_Job(segment.file, segment))
+            self._add(_WriteJob(segment.file, segment))
 
     @property
     def busy(self) -> bool:
@@ -113,17 +113,17 @@ class Syncer:
         with self._news:
             return self._at_work or bool(self._jobs)
 
-    def retire(self, segment: Segment) -> threading.Event:
+    def retire(self, segment: OpenRecording) -> threading.Event:
         """Sync a finished segment and close its file; the event is set when that is over."""
         over = threading.Event()
         with self._news:  # this sync covers what waits for one
             self._jobs = deque(j for j in self._jobs if j.segment is not segment)
-        self._add(_Job(segment.file, segment, over))
+        self._add(_WriteJob(segment.file, segment, over))
         return over
 
     def close_later(self, file: StorageFile) -> None:
         """Close a file that is of no more use; closing may block on a bad card."""
-        self._add(_Job(file))
+        self._add(_WriteJob(file))
 
     def stop(self) -> None:
         """End the thread after the jobs it has; returns at once."""
@@ -136,7 +136,7 @@ class Syncer:
         """The thread, to be waited for after `stop`."""
         return self._thread
 
-    def _add(self, job: _Job) -> None:
+    def _add(self, job: _WriteJob) -> None:
         with self._news:
             self._jobs.append(job)
             self._news.notify_all()
@@ -157,7 +157,7 @@ class Syncer:
             if job.over is not None:
                 job.over.set()
 
-    def _confirm(self, segment: Segment, *, finished: bool) -> None:
+    def _confirm(self, segment: OpenRecording, *, finished: bool) -> None:
         if segment.failure is not None:
             # The system forgets pages whose writing failed: the next sync of the same file succeeds without them.
             self._failed(segment, segment.failure, finished)

@@ -10,7 +10,7 @@ from pathlib import Path
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.recordings.recording import RecordingInfo
 from daq.recorder.config import RecorderConfig
-from daq.recorder.segment import Segment
+from daq.recorder.segment import OpenRecording
 from daq.recorder.storage import Storage, StorageFile
 
 
@@ -41,7 +41,7 @@ class SegmentFiles:
         self._close_later = close_later
         self._complain = complain
 
-    def open(self, details: Mapping[str, str]) -> Segment | None:
+    def open(self, details: Mapping[str, str]) -> OpenRecording | None:
         """The next segment, its head written with the session's identity and `details`; None when no directory takes it."""
         for root in self._config.directories:
             self._make_room(root)
@@ -50,7 +50,7 @@ class SegmentFiles:
                 return segment
         return None
 
-    def free_bytes(self, segment: Segment) -> int:
+    def free_bytes(self, segment: OpenRecording) -> int:
         """Space left where a segment is."""
         return self._storage.free_bytes(segment.path.parent)
 
@@ -63,7 +63,7 @@ class SegmentFiles:
             self._fails(f"{path} cannot be removed", error)
             self.next_number += 1
 
-    def _open_in(self, root: Path, details: Mapping[str, str]) -> Segment | None:
+    def _open_in(self, root: Path, details: Mapping[str, str]) -> OpenRecording | None:
         try:
             path, file = self._create(root / self._folder)
         except OSError as error:
@@ -71,7 +71,7 @@ class SegmentFiles:
             return None
         info = replace(self._info, segment=self.next_number, details={**self._info.details, **details})
         try:
-            segment = Segment(path, file, info, compress=self._config.compress, keep=self._keep)
+            segment = OpenRecording(path, file, info, compress=self._config.compress, keep=self._keep)
             segment.writer.flush()
         except OSError as error:
             self._fails(f"{root}: a new file cannot be written", error)

@@ -49,7 +49,7 @@ class I2cBus(Protocol):
 
 
 @runtime_checkable
-class SerialPort(Protocol):
+class SerialPortCalls(Protocol):
     """The calls of `serial.Serial` that drivers use, the port opened non-blocking (`timeout=0`)."""
 
     @property

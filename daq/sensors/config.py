@@ -37,13 +37,13 @@ AdcRate = Literal[8, 16, 32, 64, 128, 250, 475, 860]
 _DETERMINANT_SIGN = {"xyz": 1, "yzx": 1, "zxy": 1, "xzy": -1, "zyx": -1, "yxz": -1}
 
 
-class Section(BaseModel):
+class SensorConfigSection(BaseModel):
     """Base of the sections: unknown keys are mistakes, values do not change after reading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class SensorSection(Section):
+class SensorSection(SensorConfigSection):
     """What all sensors have in common.
 
     every: read in every n-th scan; left out, the smallest n at which the chip can deliver a new sample each time.
@@ -54,7 +54,7 @@ class SensorSection(Section):
     required: bool = True
 
 
-class BusConfig(Section):
+class BusConfig(SensorConfigSection):
     """`[sensors.bus]`: the I2C adapter. timeout_ms bounds a transfer on a bus that is held low."""
 
     device: str = "/dev/i2c-1"
@@ -250,7 +250,7 @@ _MAX_STEP: dict[str, float] = {
 }
 
 
-class HealthConfig(Section):
+class HealthConfig(SensorConfigSection):
     """`[sensors.health]`: when a sensor is no longer believed.
 
     stuck_s: longest time a channel may show one and the same value; channels not named are not watched.
@@ -284,7 +284,7 @@ class ExtraConfig(SensorSection):
     options: dict[str, Any] = Field(default_factory=dict)
 
 
-class SensorsConfig(Section):
+class SensorsConfig(SensorConfigSection):
     """The whole of `[sensors]`."""
 
     bus: BusConfig = BusConfig()

@@ -16,7 +16,7 @@ from fastcrc import crc16
 
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
-from daq.sensors.bus import SerialPort
+from daq.sensors.bus import SerialPortCalls
 from daq.sensors.config import CaptureConfig
 
 SERVO_OUTPUT_RAW, CRC_EXTRA = 36, 222
@@ -55,7 +55,7 @@ class MavlinkServo(Driver):
     uses_i2c = False
     max_rate_hz = 50.0
 
-    def __init__(self, config: CaptureConfig, port: SerialPort, now_ns: Callable[[], int]) -> None:
+    def __init__(self, config: CaptureConfig, port: SerialPortCalls, now_ns: Callable[[], int]) -> None:
         self._config = config
         self._port = port
         self._now = now_ns

@@ -15,7 +15,7 @@ from daq.sensors.ads1115 import Ads1115
 from daq.sensors.ak09916 import Ak09916
 from daq.sensors.base import Driver
 from daq.sensors.bmp390 import Bmp390
-from daq.sensors.bus import I2cBus, SerialPort
+from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.sensors.capture import Capture
 from daq.sensors.config import ExtraConfig, SensorsConfig
 from daq.sensors.icm20948 import Icm20948
@@ -35,8 +35,8 @@ class Surroundings:
     """What drivers are connected to. `autopilot` is the serial port of `mavlink_servo`."""
 
     bus: I2cBus | None
-    gnss: SerialPort | None
-    autopilot: SerialPort | None
+    gnss: SerialPortCalls | None
+    autopilot: SerialPortCalls | None
     now_ns: Callable[[], int]
     timebase: TimeBase
 
@@ -46,7 +46,7 @@ class Surroundings:
             raise DriverConfigError(f"sensors.{group} needs an I2C bus and none was opened; set sensors.bus.device")
         return self.bus
 
-    def need_port(self, port: SerialPort | None, group: str) -> SerialPort:
+    def need_port(self, port: SerialPortCalls | None, group: str) -> SerialPortCalls:
         """The serial port. Raises DriverConfigError when there is none."""
         if port is None:
             raise DriverConfigError(

@@ -35,7 +35,7 @@ class Relation:
         return monotonic_ns + self.offset_ns + round(self.drift * (monotonic_ns - self.reference_ns))
 
 
-class _Line:
+class _OffsetLine:
     """Offset observations in bins of one second, the smallest delay of each, and the line through them.
 
     An observation that contradicts the line by more than `jump_ns` is set aside; when `_AGREED` in a row contradict
@@ -124,8 +124,8 @@ class TimeBase:
         self.poll_ns = poll_ns
         self._delay_ns = latency_ns + poll_ns // 2
         self._poll_sigma_ns = poll_ns / math.sqrt(12)
-        self._fixes = _Line(jump_ns=300 * MS, drift_after_s=60.0)
-        self._pulses = _Line(jump_ns=200_000, drift_after_s=10.0)
+        self._fixes = _OffsetLine(jump_ns=300 * MS, drift_after_s=60.0)
+        self._pulses = _OffsetLine(jump_ns=200_000, drift_after_s=10.0)
         self._time_accuracy_ns = 0
         self._last_pulse_ns: int | None = None
         self._last_edge_ns: int | None = None

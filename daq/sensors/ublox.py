@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator
 
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
-from daq.sensors.bus import SerialPort
+from daq.sensors.bus import SerialPortCalls
 from daq.sensors.config import GnssConfig
 from daq.sensors.timebase import TimeBase
 from daq.sensors.ubx import ACK_ACK, ACK_NAK, NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
@@ -31,7 +31,9 @@ class Ublox(Driver):
     group = "gnss"
     uses_i2c = False
 
-    def __init__(self, config: GnssConfig, port: SerialPort, now_ns: Callable[[], int], timebase: TimeBase) -> None:
+    def __init__(
+        self, config: GnssConfig, port: SerialPortCalls, now_ns: Callable[[], int], timebase: TimeBase
+    ) -> None:
         self._config = config
         self._port = port
         self._now = now_ns

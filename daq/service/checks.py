@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class PreflightVerdict(StrEnum):
     """What a check says."""
 
     GO = "go"
@@ -13,10 +13,10 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class PreflightCheck:
     """One line of the table. of_sequencer: it concerns what moves the controls."""
 
     name: str
-    verdict: Verdict
+    verdict: PreflightVerdict
     text: str
     of_sequencer: bool = False

@@ -19,7 +19,7 @@ from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
-from daq.service.checks import Check, Verdict
+from daq.service.checks import PreflightCheck, PreflightVerdict
 from daq.service.rest_checks import rest_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
@@ -32,17 +32,17 @@ _BYTES_PER_SCAN = 480  # of an uncompressed recording, with its share of the ind
 class Preflight:
     """The whole table."""
 
-    checks: tuple[Check, ...]
+    checks: tuple[PreflightCheck, ...]
 
     @property
     def go(self) -> bool:
         """Whether nothing forbids the flight."""
-        return all(c.verdict is not Verdict.NO_GO for c in self.checks)
+        return all(c.verdict is not PreflightVerdict.NO_GO for c in self.checks)
 
     @property
-    def failed(self) -> tuple[Check, ...]:
+    def failed(self) -> tuple[PreflightCheck, ...]:
         """The checks that forbid it."""
-        return tuple(c for c in self.checks if c.verdict is Verdict.NO_GO)
+        return tuple(c for c in self.checks if c.verdict is PreflightVerdict.NO_GO)
 
     def text(self) -> str:
         """The table for people."""
@@ -109,15 +109,17 @@ def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: SensorSource)
     return scans, lateness
 
 
-def _sensor_checks(summary: HealthSummary, scans: list[Scan]) -> Iterable[Check]:
+def _sensor_checks(summary: HealthSummary, scans: list[Scan]) -> Iterable[PreflightCheck]:
     if summary.bus_fault:
-        yield Check("bus", Verdict.NO_GO, f"{summary.bus_fault}; look for a short or a chip without supply")
+        yield PreflightCheck(
+            "bus", PreflightVerdict.NO_GO, f"{summary.bus_fault}; look for a short or a chip without supply"
+        )
     for health in summary.groups:
         if health.state is not SensorState.OFF:
             yield _sensor_check(health, scans)
 
 
-def _sensor_check(health: GroupHealth, scans: list[Scan]) -> Check:
+def _sensor_check(health: GroupHealth, scans: list[Scan]) -> PreflightCheck:
     """A sensor passes when it is well at the end and was in nearly all of the second half of the scans.
 
     The attitude filter needs seconds to find its level, whatever the sensors do: of it the last scans count.
@@ -126,50 +128,52 @@ def _sensor_check(health: GroupHealth, scans: list[Scan]) -> Check:
     states = [s.groups[health.group].state for s in scans[max(0, since) :] if health.group in s.groups]
     well = sum(1 for s in states if s is SensorState.OK)
     steady = bool(states) and well >= 0.9 * len(states)
-    bad = Verdict.NO_GO if health.required else Verdict.CAUTION
+    bad = PreflightVerdict.NO_GO if health.required else PreflightVerdict.CAUTION
     if health.state is SensorState.OK and steady:
-        return Check(health.group, Verdict.GO, health.words)
+        return PreflightCheck(health.group, PreflightVerdict.GO, health.words)
     if health.state is SensorState.OK or (health.group == "gnss" and health.state is SensorState.STALE and well):
-        return Check(health.group, Verdict.CAUTION, f"{health.words}, but well in only {well} of {len(states)} scans")
-    return Check(health.group, bad, health.words)
+        return PreflightCheck(
+            health.group, PreflightVerdict.CAUTION, f"{health.words}, but well in only {well} of {len(states)} scans"
+        )
+    return PreflightCheck(health.group, bad, health.words)
 
 
-def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> Check:
+def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> PreflightCheck:
     worst = sorted(lateness_us)[int(0.99 * (len(lateness_us) - 1))] / 1000
     limit = config.preflight.lateness_p99_ms
     text = f"99 % of scans begin within {worst:.2f} ms of their deadline (limit {limit:g} ms)"
-    return Check("timing", Verdict.GO if worst <= limit else Verdict.NO_GO, text)
+    return PreflightCheck("timing", PreflightVerdict.GO if worst <= limit else PreflightVerdict.NO_GO, text)
 
 
-def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> Check:
+def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightCheck:
     limit = config.preflight.time_accuracy_ms
-    bad = Verdict.NO_GO if config.preflight.require_time else Verdict.CAUTION
+    bad = PreflightVerdict.NO_GO if config.preflight.require_time else PreflightVerdict.CAUTION
     if not last.time_utc_ns:
-        return Check("clock", bad, "UTC is not known: no resolved GPS time yet; wait for a fix under open sky")
+        return PreflightCheck("clock", bad, "UTC is not known: no resolved GPS time yet; wait for a fix under open sky")
     accuracy = last.utc_accuracy_ns / 1e6
     if accuracy > limit:
         text = (
             f"UTC is known to {accuracy:.2f} ms only (limit {limit:g} ms); wait, or connect the pulse-per-second line"
         )
-        return Check("clock", bad, text)
+        return PreflightCheck("clock", bad, text)
     off = (clock.utc_ns() - clock.monotonic_ns() + last.time_monotonic_ns - last.time_utc_ns) / NS
     if abs(off) > 2:
         text = (
             f"UTC known to {accuracy:.3g} ms; this computer's own clock is {off:+.0f} s off, which file names will show"
         )
-        return Check("clock", Verdict.CAUTION, text)
-    return Check("clock", Verdict.GO, f"UTC from GPS, known to {accuracy:.3g} ms")
+        return PreflightCheck("clock", PreflightVerdict.CAUTION, text)
+    return PreflightCheck("clock", PreflightVerdict.GO, f"UTC from GPS, known to {accuracy:.3g} ms")
 
 
-def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterable[Check]:
+def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterable[PreflightCheck]:
     for i, directory in enumerate(config.recorder.directories):
         name = "card" if i == 0 else f"card {i + 1}"
         try:
             free = storage.free_bytes(directory)
             slowest_ms = _probe(storage, clock, directory / ".preflight")
         except OSError as error:
-            bad = Verdict.NO_GO if i == 0 else Verdict.CAUTION
-            yield Check(name, bad, f"{directory}: cannot be written ({error.strerror or error})")
+            bad = PreflightVerdict.NO_GO if i == 0 else PreflightVerdict.CAUTION
+            yield PreflightCheck(name, bad, f"{directory}: cannot be written ({error.strerror or error})")
             continue
         hours = free / (_BYTES_PER_SCAN * config.scan.rate_hz) / 3600
         text = f"{directory}: {free / 1e6:.0f} MB free, enough for {hours:.1f} h; slowest write and sync {slowest_ms:.0f} ms"
@@ -182,9 +186,9 @@ def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterab
         lasting = not in_memory(directory)
         if not lasting:
             text += "; it lies in memory and goes with the power: is the card mounted?"
-        bad = Verdict.NO_GO if i == 0 and not (enough and lasting) else Verdict.CAUTION
-        verdict = Verdict.GO if enough and fast and lasting else bad
-        yield Check(name, verdict, text)
+        bad = PreflightVerdict.NO_GO if i == 0 and not (enough and lasting) else PreflightVerdict.CAUTION
+        verdict = PreflightVerdict.GO if enough and fast and lasting else bad
+        yield PreflightCheck(name, verdict, text)
 
 
 def _probe(storage: Storage, clock: Clock, path: Path) -> float:
@@ -207,11 +211,13 @@ def _probe(storage: Storage, clock: Clock, path: Path) -> float:
 
 def _sequencer_checks(
     config: LoggerConfig, clock: Clock, sampler: SensorSource, devices: Devices | None
-) -> Iterable[Check]:
+) -> Iterable[PreflightCheck]:
     if config.sequencer is None:
         return
     if devices is None:
-        yield Check("sequencer", Verdict.NO_GO, "nothing of it is open; set sequencer.heartbeat", True)
+        yield PreflightCheck(
+            "sequencer", PreflightVerdict.NO_GO, "nothing of it is open; set sequencer.heartbeat", True
+        )
         return
     numbers = count(config.preflight.scans)
 
@@ -219,24 +225,35 @@ def _sequencer_checks(
         return sampler.finish(sampler.take(next(numbers), clock.monotonic_ns()))
 
     for finding in findings(config.sequencer, devices, take_scan):
-        yield Check(finding.what, Verdict.GO if finding.well else Verdict.NO_GO, finding.text, of_sequencer=True)
+        yield PreflightCheck(
+            finding.what,
+            PreflightVerdict.GO if finding.well else PreflightVerdict.NO_GO,
+            finding.text,
+            of_sequencer=True,
+        )
 
 
-def _calibration_check(config: LoggerConfig) -> Check:
+def _calibration_check(config: LoggerConfig) -> PreflightCheck:
     if config.calibration is None:
-        return Check("calibration", Verdict.CAUTION, "no calibration files: the recording will not carry its own")
-    return Check("calibration", Verdict.GO, f"files of {config.calibration.name} will be embedded in every recording")
+        return PreflightCheck(
+            "calibration", PreflightVerdict.CAUTION, "no calibration files: the recording will not carry its own"
+        )
+    return PreflightCheck(
+        "calibration", PreflightVerdict.GO, f"files of {config.calibration.name} will be embedded in every recording"
+    )
 
 
-def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] | None) -> Check:
-    bad = Verdict.NO_GO if config.preflight.require_radio else Verdict.CAUTION
+def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] | None) -> PreflightCheck:
+    bad = PreflightVerdict.NO_GO if config.preflight.require_radio else PreflightVerdict.CAUTION
     if radio is None:
         wanted = config.preflight.require_radio
-        return Check("radio", bad if wanted else Verdict.GO, "no downlink configured")
+        return PreflightCheck("radio", bad if wanted else PreflightVerdict.GO, "no downlink configured")
     report = radio()
     if report is None:
-        return Check("radio", bad, "nothing heard from the radio; is it powered, and is the ground station on?")
+        return PreflightCheck(
+            "radio", bad, "nothing heard from the radio; is it powered, and is the ground station on?"
+        )
     margin = min(report.rssi_dbm - report.noise_dbm, report.remote_rssi_dbm - report.remote_noise_dbm)
     limit = config.preflight.radio_margin_db
     text = f"signal {margin:.0f} dB above noise at the weaker end (limit {limit:g} dB), buffer {report.free_percent} % free"
-    return Check("radio", Verdict.GO if margin >= limit else bad, text)
+    return PreflightCheck("radio", PreflightVerdict.GO if margin >= limit else bad, text)

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from daq.clock import NS, Clock
 from daq.service.preflight import RadioReport
-from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, FrameEncoder, MavlinkFrame
 from daq.transport.ports import BytePort
 
 _STEP_NS = NS // 20
@@ -31,14 +31,14 @@ def listen(
                     encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2)
                 )
             for found in decoder.feed(port.read(_READ_BYTES)):
-                if isinstance(found, Frame) and found.msg_id == RADIO_STATUS_ID:
+                if isinstance(found, MavlinkFrame) and found.msg_id == RADIO_STATUS_ID:
                     return _report(found)
         clock.sleep_until(now + _STEP_NS)
         now = clock.monotonic_ns()
     return None
 
 
-def _report(frame: Frame) -> RadioReport:
+def _report(frame: MavlinkFrame) -> RadioReport:
     fields = frame.fields()
     dbm = {name: _dbm(fields[name]) for name in ("rssi", "noise", "remrssi", "remnoise")}
     return RadioReport(dbm["rssi"], dbm["noise"], dbm["remrssi"], dbm["remnoise"], int(str(fields["txbuf"])))

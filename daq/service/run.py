@@ -14,7 +14,7 @@ from typing import Any
 from daq.acquisition.sampler import Sampler
 from daq.actuation.devices import Devices
 from daq.actuation.pwm.heartbeat import FileHeartbeat
-from daq.assembly import Assembly, Edge, assemble
+from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config
 from daq.contract.errors import UserError
@@ -22,7 +22,7 @@ from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
-from daq.service.checks import Check, Verdict
+from daq.service.checks import PreflightCheck, PreflightVerdict
 from daq.service.notify import Notifier
 from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
@@ -42,7 +42,7 @@ class PreflightRefusal(UserError):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class RecordingOutcome:
     """How a recording ended."""
 
     books: Statistics
@@ -89,7 +89,7 @@ def preflight_on_hardware(path: Path) -> Preflight:
         return _preflight(config, clock, hardware, radio, devices)
 
 
-def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool) -> Outcome:
+def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool) -> RecordingOutcome:
     """Record until SIGTERM or SIGINT. Raises PreflightRefusal on a no-go without an override."""
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     config, text = load_config(path)
@@ -104,7 +104,7 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
         if why is not None:
             config = config.model_copy(update={"sequencer": None})
             opening.append(Opening(LogLevel.WARNING, "sequencer", f"sequencer is off for this session: {why}"))
-        edge = Edge(
+        edge = HardwareEdge(
             clock,
             hardware.bus,
             hardware.gnss,
@@ -119,7 +119,7 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
         return run_until_signal(config, text, edge, opening)
 
 
-def run_until_signal(config: LoggerConfig, text: str, edge: Edge, opening: list[Opening]) -> Outcome:
+def run_until_signal(config: LoggerConfig, text: str, edge: HardwareEdge, opening: list[Opening]) -> RecordingOutcome:
     """Run the logger in this process until SIGTERM or SIGINT, feeding the watchdog."""
     prepare_process(config.scan)
     notifier = Notifier()
@@ -145,7 +145,7 @@ def run_until_signal(config: LoggerConfig, text: str, edge: Edge, opening: list[
             notifier.close()
             if made.link is not None:
                 made.link.uplink.close()
-    return Outcome(books, config.recorder.directories[0] / made.session, stop.name)
+    return RecordingOutcome(books, config.recorder.directories[0] / made.session, stop.name)
 
 
 def _status_line(made: Assembly) -> str:
@@ -172,7 +172,10 @@ def _preflight(
         ours = config.downlink or DownlinkConfig()
         heard = lambda: listen(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
     table = run_preflight(config, clock, sampler, RealStorage(), heard, devices)
-    away = (Check("hardware", Verdict.CAUTION, f"{why}; it joins when it comes") for why in absent(hardware, radio))
+    away = (
+        PreflightCheck("hardware", PreflightVerdict.CAUTION, f"{why}; it joins when it comes")
+        for why in absent(hardware, radio)
+    )
     return replace(table, checks=(*table.checks, *away))
 
 

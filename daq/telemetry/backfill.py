@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from daq.contract.errors import UserError
-from daq.contract.recordings.messages import Event
+from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import Scan, encode_scan
 from daq.telemetry.send_queue import Item, item
@@ -149,7 +149,7 @@ def _rows(data: bytes) -> dict[int, bytes]:
     return out
 
 
-def papers_of(info: RecordingInfo, events: Sequence[Event] = ()) -> tuple[bytes, bytes]:
+def papers_of(info: RecordingInfo, events: Sequence[EventMessage] = ()) -> tuple[bytes, bytes]:
     """What the ground needs to read a recording's counts: identity, and the archive of its attachments."""
     archive = zlib.compress(
         json.dumps({name: data.hex() for name, data in sorted(info.attachments.items())}).encode(), 9
@@ -205,7 +205,7 @@ class _Preparation:
                 self._answers.popitem(last=False)
         return made
 
-    def part(self, part: int, events_so_far: int, events: tuple[Event, ...]) -> _Answer:
+    def part(self, part: int, events_so_far: int, events: tuple[EventMessage, ...]) -> _Answer:
         """A part of the papers: 0 the identity, then the archive."""
         if self._info is None:
             self._info = self._identity()
@@ -225,7 +225,7 @@ class _Preparation:
 
 
 @dataclass(slots=True)
-class _Job:
+class _BackfillJob:
     """A request whose answer is being made."""
 
     future: "Future[_Answer]"
@@ -253,12 +253,12 @@ class BackfillServer:
         self._preparation = _Preparation(papers)
         self._worker = Worker("backfill", room=_MAX_REQUESTS)
         # What is being made or queued is not made or queued again, however often it is asked for.
-        self._jobs: OrderedDict[tuple[int, int], _Job] = OrderedDict()
+        self._jobs: OrderedDict[tuple[int, int], _BackfillJob] = OrderedDict()
         self._queue: OrderedDict[tuple[int, int], _Waiting] = OrderedDict()
-        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self._events: deque[EventMessage] = deque(maxlen=_MAX_EVENTS)
         self._events_so_far = 0
 
-    def event(self, event: Event) -> None:
+    def event(self, event: EventMessage) -> None:
         """Keep an event for the papers."""
         self._events.append(event)
         self._events_so_far += 1
@@ -276,7 +276,7 @@ class BackfillServer:
         future = self._prepare(first, wanted)
         if future is None:
             return False
-        self._jobs[key] = _Job(future, fragments)
+        self._jobs[key] = _BackfillJob(future, fragments)
         return True
 
     def _prepare(self, first: int, wanted: int) -> "Future[_Answer] | None":

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from daq.contract.bmp390 import ZERO_CELSIUS, Bmp390
+from daq.contract.bmp390 import ZERO_CELSIUS, Bmp390Trimming
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import Scan, SensorState
 from daq.telemetry.config import DisplayConfig
@@ -82,7 +82,7 @@ class Display:
         self._config = config
         self._facts = facts
         self._nvm = ""
-        self._chip: Bmp390 | None = None
+        self._chip: Bmp390Trimming | None = None
         self.pitot_zero_count = config.pitot_zero_count
         """Count of the pitot at rest; a pitot zeroed by command replaces the configured one."""
 
@@ -163,9 +163,9 @@ def velocity(scan: Scan) -> Vector | None:
     return north, east, down
 
 
-def _chip(nvm: str) -> Bmp390 | None:
+def _chip(nvm: str) -> Bmp390Trimming | None:
     try:
-        return Bmp390.from_nvm(bytes.fromhex(nvm))
+        return Bmp390Trimming.from_nvm(bytes.fromhex(nvm))
     except ValueError:  # no chip yet, or a damaged one, which the sensor's own state tells
         return None
 

@@ -15,7 +15,7 @@ from daq.clock import NS, Clock
 from daq.contract.channels import Channel
 from daq.contract.link.scan_map import BLOCK, ScanMap
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
-from daq.contract.recordings.messages import Event, SequencerFrame
+from daq.contract.recordings.messages import EventMessage, SequencerFrame
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
 from daq.telemetry.flight_state import flight_evidence
@@ -298,7 +298,7 @@ class Downlink:
             number = self._text_id if len(pieces) > 1 else 0
             self.send_queue.put_urgent(item("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=i))
 
-    def event(self, event: Event) -> None:
+    def event(self, event: EventMessage) -> None:
         """Tell the ground of a recorded event."""
         self.send_queue.put_urgent(
             item(

@@ -32,7 +32,7 @@ Sender = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Aircraft:
+class AircraftStatus:
     """What there is to tell: rate_hz: the present downlink rate; has_voltage: whether a supply voltage is sent."""
 
     rate_hz: float
@@ -45,18 +45,18 @@ class Aircraft:
         return {RATE_PARAMETER: self.rate_hz, **battery}
 
 
-def answers(name: str, fields: Fields, sender: Sender, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+def answers(name: str, fields: Fields, sender: Sender, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
     """The answers to one of REQUESTS from `sender` (system, component)."""
     target = {"target_system": sender[0], "target_component": sender[1]}
     return REQUESTS[name](fields, target, aircraft)
 
 
-def _all_parameters(fields: Fields, target: Fields, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+def _all_parameters(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
     known = aircraft().parameters
     return [_parameter(known, name) for name in known]
 
 
-def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
     known = aircraft().parameters
     index = fields["param_index"]
     name = fields["param_id"] if index < 0 else next((n for i, n in enumerate(known) if i == index), "")
@@ -65,7 +65,7 @@ def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], Aircra
     return [_parameter_error(fields["param_id"], index, _DOES_NOT_EXIST, target)]
 
 
-def _set_parameter(fields: Fields, target: Fields, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+def _set_parameter(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
     known, name = aircraft().parameters, fields["param_id"]
     if name not in known:
         return [_parameter_error(name, -1, _DOES_NOT_EXIST, target)]
@@ -116,7 +116,7 @@ def _no_command_int(fields: Fields, target: Fields, aircraft: object) -> Sequenc
     return [item("COMMAND_ACK", **target, command=command, result=result)]
 
 
-REQUESTS: Mapping[str, Callable[[Fields, Fields, Callable[[], Aircraft]], Sequence[Item]]] = {
+REQUESTS: Mapping[str, Callable[[Fields, Fields, Callable[[], AircraftStatus]], Sequence[Item]]] = {
     "PARAM_REQUEST_LIST": _all_parameters,
     "PARAM_REQUEST_READ": _one_parameter,
     "PARAM_SET": _set_parameter,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from daq.clock import Clock
-from daq.contract.recordings.messages import Event, SequencerFrame, Statistics
+from daq.contract.recordings.messages import EventMessage, SequencerFrame, Statistics
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import Scan
 from daq.telemetry.backfill import BackfillServer, ScanStore
@@ -93,8 +93,8 @@ class _NoLogger:
     def stop_recording(self) -> bool:
         return False
 
-    def mark_event(self, text: str, origin: str) -> Event:
-        return Event(0, 0, 0, origin, text)
+    def mark_event(self, text: str, origin: str) -> EventMessage:
+        return EventMessage(0, 0, 0, origin, text)
 
     def ask_sequencer(self, digest: int | None) -> str:
         return "the logger has ended"
@@ -119,7 +119,7 @@ class RadioLink:
         """Send what is due."""
         self.downlink.service(now_ns)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: EventMessage) -> None:
         """Tell the ground of an event."""
         self.backfill.event(event)
         self.downlink.event(event)

@@ -25,7 +25,7 @@ _PAUSE_EVERY, _PAUSE_S = (
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class LogFileEntry:
     """A recording as LOG_ENTRY tells of it."""
 
     number: int
@@ -43,10 +43,10 @@ class LogFiles:
         self._paths: list[str] = []  # the number of a file is its place, from 1 on, and stays what it was
         self._known: set[str] = set()
 
-    def listing(self) -> tuple[Entry, ...]:
+    def listing(self) -> tuple[LogFileEntry, ...]:
         """All recordings there are now."""
         self._refresh()
-        entries: list[Entry] = []
+        entries: list[LogFileEntry] = []
         folders: dict[str, str] = {}
         for number, path in enumerate(self._paths, 1):
             self._make_way(number)
@@ -54,7 +54,7 @@ class LogFiles:
                 break
             status = self._status(path, folders)
             if status is not None:
-                entries.append(Entry(number, status.st_size, int(status.st_mtime)))
+                entries.append(LogFileEntry(number, status.st_size, int(status.st_mtime)))
         return tuple(entries)
 
     def read(self, number: int, offset: int, size: int) -> bytes:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.clock import NS
-from daq.telemetry.log_files import MAX_FILES, Entry, LogFiles
+from daq.telemetry.log_files import MAX_FILES, LogFileEntry, LogFiles
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.worker import Worker
 
@@ -36,8 +36,8 @@ class LogServer:
         self._closing = False
         self._files = LogFiles(directories, lambda: self._closing)
         self._worker = Worker("log-server")
-        self._listed: tuple[int, tuple[Entry, ...]] | None = None  # when, and what
-        self._listing: Future[tuple[Entry, ...]] | None = None
+        self._listed: tuple[int, tuple[LogFileEntry, ...]] | None = None  # when, and what
+        self._listing: Future[tuple[LogFileEntry, ...]] | None = None
         self._wanted: tuple[int, int] | None = None  # first and last id to be told
         self._telling: Iterator[Item] | None = None
         self._transfer: _Transfer | None = None
@@ -115,7 +115,7 @@ class _Transfer:
     block: "Future[bytes] | None" = None
 
 
-def _log_entries(entries: Sequence[Entry], first: int, last: int) -> Iterator[Item]:
+def _log_entries(entries: Sequence[LogFileEntry], first: int, last: int) -> Iterator[Item]:
     """The messages for the ids from `first` to `last`, each made when its turn has come."""
     if not entries:
         yield item("LOG_ENTRY")

@@ -31,9 +31,9 @@ from daq.telemetry.send_queue import Item, item
 from daq.telemetry.standard_messages import autopilot_version
 from daq.telemetry.uplink_limits import CommandBudget, SenderLimits
 from daq.telemetry.worker import Worker
-from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, MavlinkFrame
 from daq.transport.ports import BytePort
-from daq.transport.signing import Signer, Verdict
+from daq.transport.signing import SignatureVerdict, Signer
 
 _LOG = logging.getLogger("sideslip.uplink")
 
@@ -84,7 +84,7 @@ class Uplink:
         self._logs = logs
         self._servers = deque(server for server in (backfill, logs) if server is not None)
         self._decoder = FrameDecoder()
-        self._frames: deque[Frame] = deque()  # decoded, not taken yet
+        self._frames: deque[MavlinkFrame] = deque()  # decoded, not taken yet
         self._turn_ns = turn_ns
         self._limits = SenderLimits(downlink.config.limits.requests_per_s)
         self._budget = CommandBudget(downlink.config.limits)
@@ -135,7 +135,7 @@ class Uplink:
         if self._signer is not None and self._signer.needs_saving():
             self._save_signing(self._signer)
 
-    def _arriving(self, until_ns: int) -> Iterator[Frame]:
+    def _arriving(self, until_ns: int) -> Iterator[MavlinkFrame]:
         """Frames that were left from the last turn, then those of what is read in this one."""
         left = READ_BYTES
         while True:
@@ -147,7 +147,7 @@ class Uplink:
             if not data:
                 return
             left -= len(data)
-            self._frames.extend(f for f in self._decoder.feed(data) if isinstance(f, Frame) and f.known)
+            self._frames.extend(f for f in self._decoder.feed(data) if isinstance(f, MavlinkFrame) and f.known)
 
     def _note_dropped(self) -> None:
         dropped = self._dropped()
@@ -182,7 +182,7 @@ class Uplink:
                 _LOG.error("signing timestamps not saved: %s", error)
         self._saver = self._worker.submit(signer.save)
 
-    def _take(self, frame: Frame, now_ns: int, control: Control) -> None:
+    def _take(self, frame: MavlinkFrame, now_ns: int, control: Control) -> None:
         ours = self._downlink.config
         if frame.system == ours.system_id and frame.component in (ours.component_id, ours.data_component_id):
             return  # our own words come back: an echoing line
@@ -219,7 +219,7 @@ class Uplink:
         if handler is not None and not handler(fields, now_ns):
             self._refuse(frame, _BUSY)
 
-    def _manoeuvre(self, frame: Frame, fields: Fields, control: Control) -> None:
+    def _manoeuvre(self, frame: MavlinkFrame, fields: Fields, control: Control) -> None:
         """A fragment of a manoeuvre: what moves the controls comes in frames that a key has proven, or not at all."""
         if self._signer is None:
             self._refuse(frame, "this link has no key; set downlink.key_file")
@@ -231,8 +231,10 @@ class Uplink:
     def _answer(self, answer: Item | None) -> bool:
         return answer is None or self._downlink.send_queue.put_asked(answer)
 
-    def _about(self) -> gcs_replies.Aircraft:
-        return gcs_replies.Aircraft(self._downlink.config.rate_hz, self._downlink.messages.supply_voltage is not None)
+    def _about(self) -> gcs_replies.AircraftStatus:
+        return gcs_replies.AircraftStatus(
+            self._downlink.config.rate_hz, self._downlink.messages.supply_voltage is not None
+        )
 
     def _introduce(self, now_ns: int) -> None:
         """Say who is here to a station that asks whoever may hear it: it has not taken us for an aircraft.
@@ -246,13 +248,13 @@ class Uplink:
             if made is not None:
                 self._downlink.send_queue.put_asked(made)
 
-    def _refuse_unproven(self, frame: Frame, verdict: Verdict) -> None:
-        if frame.name in _HARMLESS and verdict is Verdict.UNSIGNED:
+    def _refuse_unproven(self, frame: MavlinkFrame, verdict: SignatureVerdict) -> None:
+        if frame.name in _HARMLESS and verdict is SignatureVerdict.UNSIGNED:
             self._downlink.refusals.rejected_frames += 1
         else:
             self._refuse(frame, verdict.value)
 
-    def _refuse(self, frame: Frame, why: str) -> None:
+    def _refuse(self, frame: MavlinkFrame, why: str) -> None:
         self._downlink.refusals.rejected_frames += 1
         self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {why}")
 
@@ -308,7 +310,7 @@ class Uplink:
 
     # ----------------------------------------------------------------------------------------- commands
 
-    def _command(self, frame: Frame, fields: Fields, now_ns: int, control: Control) -> None:
+    def _command(self, frame: MavlinkFrame, fields: Fields, now_ns: int, control: Control) -> None:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
         if command in gcs_replies.TELLING:
@@ -330,7 +332,7 @@ class Uplink:
                 self._downlink.refusals.rejected_commands += 1
         self._acknowledge(frame, command, result)
 
-    def _acknowledge(self, frame: Frame, command: int, result: int) -> None:
+    def _acknowledge(self, frame: MavlinkFrame, command: int, result: int) -> None:
         ack = item(
             "COMMAND_ACK",
             command=command,
@@ -354,7 +356,9 @@ class Uplink:
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
-    def _obey(self, frame: Frame, command: int, parameters: tuple[float, ...], now_ns: int, control: Control) -> int:
+    def _obey(
+        self, frame: MavlinkFrame, command: int, parameters: tuple[float, ...], now_ns: int, control: Control
+    ) -> int:
         match command:
             case c.LOGGING_START | c.LOGGING_STOP | c.EVENT_MARK:
                 why = self._change_recording(command, parameters, now_ns, control)
@@ -388,7 +392,7 @@ class Uplink:
                 self._budget.started(now_ns)
         return why
 
-    def _sequence(self, frame: Frame, parameters: tuple[float, ...], control: Control) -> int:
+    def _sequence(self, frame: MavlinkFrame, parameters: tuple[float, ...], control: Control) -> int:
         """Start or stop the sequencer. To start moves the controls: only a frame that a key has proven may."""
         if parameters[0] not in (0.0, 1.0) or any(parameters[2:]) or not 0.0 <= parameters[1] < 2**24:
             return c.UNSUPPORTED

@@ -132,7 +132,7 @@ def _checks() -> Mapping[int, tuple[int, int, bool]]:
     return {i: (extra, size, False) for i, (extra, size) in sideslip_dialect.FOREIGN_MESSAGES.items()} | ours
 
 
-class Frame(NamedTuple):
+class MavlinkFrame(NamedTuple):
     """A frame whose checksum holds; `raw` is every byte of it. A tuple, for there are thousands a second."""
 
     raw: bytes
@@ -192,19 +192,19 @@ class FrameDecoder:
         self._damaged = 0
         self.counts = DecoderCounts()
 
-    def feed(self, data: bytes) -> list[Frame | Junk]:
+    def feed(self, data: bytes) -> list[MavlinkFrame | Junk]:
         """Frames and junk completed by `data`, in order of arrival."""
         return self._scan(data, last=False)
 
-    def finish(self) -> list[Frame | Junk]:
+    def finish(self) -> list[MavlinkFrame | Junk]:
         """What remains when nothing more will come: an incomplete frame may still hide complete ones."""
         return self._scan(b"", last=True)
 
-    def _scan(self, data: bytes, *, last: bool) -> list[Frame | Junk]:
+    def _scan(self, data: bytes, *, last: bool) -> list[MavlinkFrame | Junk]:
         counts = self.counts
         counts.received_bytes += len(data)
         buffer = self._rest + data if self._rest else data
-        out: list[Frame | Junk] = []
+        out: list[MavlinkFrame | Junk] = []
         at, size = 0, len(buffer)
         while at < size:
             if _BEGINS.match(buffer, at) is None:
@@ -218,7 +218,7 @@ class FrameDecoder:
             found = examine(buffer, at, size, last)
             if found is None:
                 break
-            if isinstance(found, Frame):
+            if isinstance(found, MavlinkFrame):
                 if self._junk:
                     self._flush_junk(out)
                 out.append(found)
@@ -235,7 +235,7 @@ class FrameDecoder:
             self._flush_junk(out)
         return out
 
-    def _flush_junk(self, out: list[Frame | Junk]) -> None:
+    def _flush_junk(self, out: list[MavlinkFrame | Junk]) -> None:
         if not self._junk:
             return
         damaged = max(1, self._damaged)
@@ -246,16 +246,16 @@ class FrameDecoder:
         self._damaged = 0
 
 
-def frame_at(buffer: bytes, at: int) -> Frame | None:
+def frame_at(buffer: bytes, at: int) -> MavlinkFrame | None:
     """The sound frame that begins at a byte, if one does: work and memory of one frame, whatever the bytes."""
     if at >= len(buffer):
         return None
     find = {MAGIC: _frame_at, MAGIC_V1: _sik_frame_at}.get(buffer[at])
     found = find(buffer, at, len(buffer), True) if find else None
-    return found if isinstance(found, Frame) else None
+    return found if isinstance(found, MavlinkFrame) else None
 
 
-def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int | None:
+def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | int | None:
     """The frame that begins at `at`; None when bytes are wanting; else how many broken frames this looks like (0, 1)."""
     if size - at < HEADER_BYTES:
         return 0 if last else None
@@ -275,11 +275,11 @@ def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int | No
     signature = buffer[end - SIGNATURE_BYTES : end] if flags & SIGNED else None
     payload = buffer[at + HEADER_BYTES : body]
     fields = buffer[at:end], msg_id, buffer[at + 4], buffer[at + 5], buffer[at + 6], payload, signature
-    frame: Frame = _new_tuple(Frame, fields)
+    frame: MavlinkFrame = _new_tuple(MavlinkFrame, fields)
     return frame
 
 
-def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int | None:
+def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | int | None:
     """A MAVLink 1 RADIO_STATUS as SiK radios inject it, payload length, ids and checksum all as they make them."""
     head = buffer[at + 1 : at + 6]
     wanted = (head[0:1] in (b"", bytes([_SIK_PAYLOAD])), head[2:4] in (b"", _SIK_HEADER[: len(head[2:4])], _SIK_HEADER))
@@ -291,7 +291,7 @@ def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int 
     checksum = _mcrf4xx(buffer[at + 1 : at + 6] + body + bytes([_checks()[RADIO_STATUS_ID][0]]))
     if checksum != buffer[at + 15] | buffer[at + 16] << 8:
         return 1
-    return Frame(buffer[at : at + _SIK_FRAME], RADIO_STATUS_ID, head[1], head[2], head[3], body)
+    return MavlinkFrame(buffer[at : at + _SIK_FRAME], RADIO_STATUS_ID, head[1], head[2], head[3], body)
 
 
 class FrameEncoder:
@@ -329,6 +329,6 @@ class FrameEncoder:
         return frame + self._signer.sign(frame) if self._signer else frame
 
 
-def frames_of(items: Iterable[Frame | Junk]) -> list[Frame]:
+def frames_of(items: Iterable[MavlinkFrame | Junk]) -> list[MavlinkFrame]:
     """Only the frames of what a decoder returned."""
-    return [i for i in items if isinstance(i, Frame)]
+    return [i for i in items if isinstance(i, MavlinkFrame)]

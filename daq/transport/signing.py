@@ -46,7 +46,7 @@ class SigningError(UserError):
     """A key or state file that cannot be used."""
 
 
-class Verdict(Enum):
+class SignatureVerdict(Enum):
     """What the signature of a frame is worth."""
 
     GOOD = "good"
@@ -57,7 +57,7 @@ class Verdict(Enum):
     @property
     def accepted(self) -> bool:
         """Whether the frame may be acted on."""
-        return self is Verdict.GOOD
+        return self is SignatureVerdict.GOOD
 
 
 def load_key(path: str | Path) -> bytes:
@@ -238,23 +238,23 @@ class Signer:
         link, stamp = self._link_id, self._last
         return bytes([link]) + stamp.to_bytes(6, "little") + signature_hash(self._key, frame, link, stamp)
 
-    def judge(self, frame: bytes, stream: tuple[int, int], signature: bytes | None) -> Verdict:
+    def judge(self, frame: bytes, stream: tuple[int, int], signature: bytes | None) -> SignatureVerdict:
         """The worth of a received frame (magic to checksum) of `stream` (system, component)."""
         if signature is None:
-            return Verdict.UNSIGNED
+            return SignatureVerdict.UNSIGNED
         link, stamp = signature[0], int.from_bytes(signature[1:7], "little")
         if not hmac.compare_digest(signature_hash(self._key, frame, link, stamp), signature[7:13]):
-            return Verdict.FORGED
+            return SignatureVerdict.FORGED
         key = (*stream, link)
         known = self.state.streams.get(key)
         floor = self.state.heard - NEW_STREAM_MARGIN if known is None else known + 1
         if stamp < floor:
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         if known is None and len(self.state.streams) >= MAX_STREAMS:
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         self.state.streams[key] = stamp
         self.state.heard = max(self.state.heard, stamp)
-        return Verdict.GOOD
+        return SignatureVerdict.GOOD
 
     def needs_saving(self) -> bool:
         """Whether the state on disk is behind: something new was heard, or the reserve of timestamps runs out."""

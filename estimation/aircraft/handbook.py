@@ -39,7 +39,7 @@ CD_0 = 0.03  # clean light aircraft 0.02 to 0.04 (Raymer, table 12.3)
 TAIL_PRESSURE = 0.9  # dynamic pressure at the tail over that of the wing (Etkin and Reid, section 2.3)
 
 
-class Shape(BaseModel):
+class HandbookShape(BaseModel):
     """`[shape]`: what the handbook methods need beyond span, area and chord [m, m2, rad].
 
     wing_ac: aerodynamic centre of the wing from the CG, + forward. Tail and fin arms: CG to their quarter chord, + aft;
@@ -83,7 +83,7 @@ def _surface(area: float, span: float) -> float:
     return lift_slope(span**2 / area if span and area else 3.0)
 
 
-def beliefs(aircraft: "Aircraft", shape: Shape) -> "dict[str, PriorDerivative]":
+def beliefs(aircraft: "Aircraft", shape: HandbookShape) -> "dict[str, PriorDerivative]":
     """Derivatives with standard deviation, source "handbook". Raises AircraftError without span, area, chord and mass.
 
     What no surface makes (an elevator without a tail) is left out.
@@ -103,7 +103,7 @@ def _std(name: str, value: float) -> float:
     return max(abs(value) * (STD_CROSS if name in _CROSS else STD_MAIN), floor)
 
 
-def _longitudinal(aircraft: "Aircraft", s: Shape) -> dict[str, float]:
+def _longitudinal(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     """Wing and tail: Etkin and Reid eqs 2.2,14 (lift), 2.2,15 (stiffness), 2.4,4 (elevator), 3.2 (pitch damping)."""
     aspect = aircraft.span**2 / aircraft.area
     wing, tail = lift_slope(aspect, s.sweep), TAIL_PRESSURE * _surface(s.tail_area, s.tail_span)
@@ -125,7 +125,7 @@ def _longitudinal(aircraft: "Aircraft", s: Shape) -> dict[str, float]:
     return out
 
 
-def _lateral(aircraft: "Aircraft", s: Shape) -> dict[str, float]:
+def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     """Fin: Etkin and Reid sections 3.8 to 3.11. Wing: lifting line, and strips for what depends on lift."""
     aspect = aircraft.span**2 / aircraft.area
     wing, fin = lift_slope(aspect, s.sweep), TAIL_PRESSURE * _surface(s.fin_area, s.fin_span)

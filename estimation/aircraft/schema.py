@@ -9,7 +9,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from daq.contract.input_files import parse_toml
 from estimation.aircraft.aircraft import Aircraft, Engine, PriorDerivative, Servos, SimulatedFlight
-from estimation.aircraft.handbook import Shape, beliefs
+from estimation.aircraft.handbook import HandbookShape, beliefs
 from estimation.errors import AircraftError
 
 
@@ -30,11 +30,11 @@ Place = tuple[Number, Number, Number]
 Throw = Annotated[tuple[Annotated[Number, Field(lt=0.0)], Positive], BeforeValidator(lambda value: _both_ways(value))]
 
 
-class _Table(BaseModel):
+class _AircraftTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Geometry(_Table):
+class Geometry(_AircraftTable):
     """Reference geometry [m, m2]."""
 
     span: Positive | None = None
@@ -45,7 +45,7 @@ class Geometry(_Table):
     cg_from_nose: Number | None = None
 
 
-class Mass(_Table):
+class Mass(_AircraftTable):
     """Mass [kg] and moments of inertia about the CG, body axes [kg m2]."""
 
     mass: Positive | None = None
@@ -61,7 +61,7 @@ class Mass(_Table):
         return self
 
 
-class Derivative(_Table):
+class Derivative(_AircraftTable):
     """One belief."""
 
     value: Number
@@ -69,7 +69,7 @@ class Derivative(_Table):
     source: Literal["wind tunnel", "engineering estimate", "flight", "computed", "handbook"] = "engineering estimate"
 
 
-class ServoTable(_Table):
+class ServoTable(_AircraftTable):
     """[servos] of a simulated aircraft."""
 
     lag: Positive
@@ -78,7 +78,7 @@ class ServoTable(_Table):
     rudder_limit: Positive
 
 
-class EngineTable(_Table):
+class EngineTable(_AircraftTable):
     """[engine] of a simulated aircraft."""
 
     static_thrust: Positive
@@ -94,7 +94,7 @@ def _both_ways(value: object) -> object:
     return (-value, value)
 
 
-class ThrowTable(_Table):
+class ThrowTable(_AircraftTable):
     """[throws]: deflection of a surface at full stick [rad], one number where it is the same both ways."""
 
     delta_e: Throw | None = None
@@ -102,7 +102,7 @@ class ThrowTable(_Table):
     delta_r: Throw | None = None
 
 
-class SimulationTable(_Table):
+class SimulationTable(_AircraftTable):
     """[simulation]: how a simulated aircraft flies."""
 
     speed: Positive
@@ -116,7 +116,7 @@ class SimulationTable(_Table):
         return self
 
 
-class AircraftFile(_Table):
+class AircraftFile(_AircraftTable):
     """The whole file; only what is said is checked here, what is missing where it is needed."""
 
     name: Annotated[str, Field(min_length=1)] | None = None
@@ -124,7 +124,7 @@ class AircraftFile(_Table):
     geometry: Geometry = Geometry()
     mass: Mass = Mass()
     sensors: dict[str, Place] = Field(default_factory=dict)
-    shape: Shape | None = None
+    shape: HandbookShape | None = None
     derivatives: dict[str, Annotated[Derivative, BeforeValidator(_as_table)]] = Field(default_factory=dict)
     servos: ServoTable | None = None
     engine: EngineTable | None = None

@@ -11,7 +11,7 @@ from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
 from groundstation.flight.airborne import airborne
 from groundstation.flight.errors import FlightError
-from groundstation.flight.manoeuvres import CONTROLS, Manoeuvre, cut, find_manoeuvres
+from groundstation.flight.manoeuvres import CONTROLS, ManoeuvreStretch, cut, find_manoeuvres
 from groundstation.flight.marks import marks_of
 
 BY_HAND = ("MANUAL",)
@@ -37,7 +37,7 @@ NEEDS_MOVED = {
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenStretches:
     """flight: its stretches as segments. by: how they were chosen, as `--segments` takes it where it can. notes: what was left
     out; hint: what would be better."""
 
@@ -55,7 +55,7 @@ class Chosen:
         ]
 
 
-def choose_stretches(flight: Flight) -> Chosen:
+def choose_stretches(flight: Flight) -> ChosenStretches:
     """By mode where the pilot flew by hand, else by manoeuvres, else all that was flown."""
     modes = {m.name.upper() for m in marks_of(flight).modes}
     hint = ""
@@ -67,7 +67,7 @@ def choose_stretches(flight: Flight) -> Chosen:
         except FlightError:
             continue  # never in it on the wings, or for a moment only
         if _duration(part) >= ENOUGH and moved(part):
-            return Chosen(part, f"mode:{mode}", _new_notes(flight, part))
+            return ChosenStretches(part, f"mode:{mode}", _new_notes(flight, part))
     if modes:
         known = ", ".join(sorted(modes))
         hint = (
@@ -79,11 +79,11 @@ def choose_stretches(flight: Flight) -> Chosen:
     whole = flight if flown.flying.all() else flight.part(flown.flying)
     found = find_manoeuvres(whole)
     if found and sum(m.stop - m.start for m in found) < MOSTLY * _duration(whole):
-        return Chosen(cut(whole, found, flight.name), _times(found), notes, hint)
-    return Chosen(whole, "all that was flown", notes, hint)
+        return ChosenStretches(cut(whole, found, flight.name), _times(found), notes, hint)
+    return ChosenStretches(whole, "all that was flown", notes, hint)
 
 
-def _times(found: Sequence[Manoeuvre]) -> str:
+def _times(found: Sequence[ManoeuvreStretch]) -> str:
     return "manoeuvres " + ",".join(f"{m.start:.2f}:{m.stop:.2f}" for m in found)[:LONGEST_TEXT]
 
 

@@ -75,7 +75,7 @@ class Analysis(Answer):
     def report(self, folder: str | Path) -> Path:
         """Write the page whose first screen is the answer; gives its path."""
         from estimation.report.markup.html import write_page
-        from estimation.report.tables import Table
+        from estimation.report.tables import ReportTable
 
         head, rows = self.rows()
         c = self.content
@@ -91,14 +91,14 @@ class Analysis(Answer):
             analysis=c,
             passed=self.passed,
             pages=self.pages,
-            estimates=Table("derivatives", "Derivatives", tuple(head), tuple(map(tuple, rows))),
-            stretches=Table(
+            estimates=ReportTable("derivatives", "Derivatives", tuple(head), tuple(map(tuple, rows))),
+            stretches=ReportTable(
                 "stretches", "Stretches used", ("flight", "by", "from [s]", "to [s]"), stretches, symbols=False
             ),
-            modes=Table(
+            modes=ReportTable(
                 "modes", "Flight modes of the log", ("flight", "mode", "from [s]", "to [s]"), modes, symbols=False
             ),
-            channels=Table(
+            channels=ReportTable(
                 "channels",
                 "Where each channel comes from",
                 ("channel", "from", "kind", "rate [Hz]"),

@@ -7,7 +7,7 @@ from typing import Any
 
 from daq.contract.errors import UserError
 from daq.contract.outputs import write_json
-from estimation.analysis.choice import RICHEST, Chosen, choose_stretches, models_to_try, moved
+from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved
 from estimation.analysis.outcome import Analysis, recommended, verdict_of
 from estimation.analysis.stages import Stage, Stages
 from estimation.analysis.unknown_aircraft import without_aircraft
@@ -98,7 +98,7 @@ def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Fli
 
 
 def _estimated(
-    training: Sequence[Chosen],
+    training: Sequence[ChosenStretches],
     found: Recipe,
     aircraft: str | None,
     about: Mapping[str, Any],
@@ -140,8 +140,8 @@ def _kept(answer: Any, folder: Path, tried: Sequence[str]) -> dict[str, Any]:
 
 
 def _gap(
-    training: Sequence[Chosen],
-    held: Sequence[Chosen],
+    training: Sequence[ChosenStretches],
+    held: Sequence[ChosenStretches],
     estimate: Mapping[str, Any] | None,
     aircraft: str | None,
     about: Mapping[str, Any],
@@ -177,7 +177,7 @@ def _pages(folder: Path, estimate: Mapping[str, Any] | None, gap: Stage | None) 
 
 def _content(
     given: Given,
-    training: Sequence[Chosen],
+    training: Sequence[ChosenStretches],
     seen: Sequence[Mapping[str, Any]],
     found: Recipe,
     estimate: Mapping[str, Any] | None,
@@ -222,13 +222,13 @@ def _about(flight: Flight) -> dict[str, Any]:
     }
 
 
-def _where(training: Sequence[Chosen]) -> str:
+def _where(training: Sequence[ChosenStretches]) -> str:
     count = sum(len(c.flight.segments) for c in training)
     by = ", ".join(dict.fromkeys(c.by if c.by.startswith("mode:") else c.by.partition(" ")[0] for c in training))
     return f"over {count} stretch{'es' if count != 1 else ''} by {by}" if by != "all" else "over all that was flown"
 
 
-def _no_model(training: Sequence[Chosen], found: Recipe) -> str:
+def _no_model(training: Sequence[ChosenStretches], found: Recipe) -> str:
     """Why no model can be estimated."""
     able = [m.model for m in found.models if m.able]
     if able:
@@ -241,7 +241,7 @@ def _no_model(training: Sequence[Chosen], found: Recipe) -> str:
 
 
 def _next(
-    training: Sequence[Chosen],
+    training: Sequence[ChosenStretches],
     given: Given,
     seen: Sequence[Mapping[str, Any]],
     found: Recipe,

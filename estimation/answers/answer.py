@@ -59,7 +59,7 @@ class Answer(ABC):
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""
         from estimation.report.markup.html import write_page
-        from estimation.report.tables import Table
+        from estimation.report.tables import ReportTable
 
         head, rows = self.rows()
         shown = tuple(tuple(str(cell) for cell in row) for row in rows)
@@ -71,7 +71,7 @@ class Answer(ABC):
             lead="",
             lines=list(self.lines()),
             figures=list(self.figures().values()),
-            table=Table("answer", "Numbers", tuple(head), shown, symbols=False),
+            table=ReportTable("answer", "Numbers", tuple(head), shown, symbols=False),
         )
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:

@@ -13,7 +13,7 @@ from estimation.threads import single_threaded
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimation.compatibility.result import Compatibility, Factor
+    from estimation.compatibility.result import Compatibility, FactorEstimate
     from estimation.resolve import AnyAircraft, Flights
     from groundstation.flight import Flight
     from groundstation.flight.quality.report import Finding
@@ -223,7 +223,7 @@ class Check(Answer):
         return ("flight", "factor", "estimate", "corrected bound", "unit"), rows
 
 
-def _factor_json(factor: "Factor") -> dict[str, object]:
+def _factor_json(factor: "FactorEstimate") -> dict[str, object]:
     """NaN, where the channel is not measured, is null."""
     numbers = {"estimate": factor.estimate, "std": factor.std, "std_coloured": factor.std_coloured}
     data: dict[str, object] = {

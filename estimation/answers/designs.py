@@ -15,7 +15,7 @@ from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
     from daq.contract.manoeuvre import Manoeuvre
-    from estimation.design.design import Design
+    from estimation.design.design import InputDesign
     from estimation.models import Model
     from estimation.resolve import AnyAircraft, AnyModel, Names
 
@@ -54,7 +54,7 @@ def design(
     parameters and of outputs, in place of beliefs. Raises EstimationError for what cannot be designed, with the way out.
     """
     from estimation.aircraft import GRAVITY
-    from estimation.design.design import Task
+    from estimation.design.design import DesignTask
     from estimation.design.design import design as designed
     from estimation.design.limits import load_limits
     from estimation.errors import EstimationError
@@ -73,7 +73,7 @@ def design(
         )
     problem = resolve([], known.get("model", model), wanted)
     chosen, craft = problem.model, problem.aircraft
-    task = Task(
+    task = DesignTask(
         kind=kind,
         duration=time,
         speed=speed or math.sqrt(2 * craft.mass * GRAVITY / (density * craft.area * CRUISE_LIFT)),
@@ -100,7 +100,7 @@ def design(
 class DesignAnswer(Answer):
     """The designed input. design: the whole of it."""
 
-    design: "Design"
+    design: "InputDesign"
 
     @property
     def relative(self) -> dict[str, float]:
@@ -151,7 +151,7 @@ class DesignAnswer(Answer):
         return ("parameter", "predicted std", "relative"), rows
 
 
-def _lines(found: "Design") -> list[str]:
+def _lines(found: "InputDesign") -> list[str]:
     """What a person reads on the terminal."""
     task = found.task
     out = [
@@ -179,7 +179,7 @@ def _lines(found: "Design") -> list[str]:
     return out
 
 
-def write_manoeuvre(found: "Design", path: Path) -> None:
+def write_manoeuvre(found: "InputDesign", path: Path) -> None:
     """The file that `fly --manoeuvre` and the sequencer on board read."""
     import tomli_w
 

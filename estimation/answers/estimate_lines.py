@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Bootstrap, Result
-    from estimation.session.session import Session
+    from estimation.session.session import EstimationSession
     from estimation.session.verdict import Verdict
 
 
-def session_lines(session: "Session", *, brief: bool = False) -> Iterator[str]:
+def session_lines(session: "EstimationSession", *, brief: bool = False) -> Iterator[str]:
     """The printed answer: a table for each flight and method, mean and scatter, joint."""
     from estimation.report.conventions import conventions_lines
 
@@ -89,7 +89,7 @@ def _bootstrap_lines(b: "Bootstrap") -> Iterator[str]:
         yield f"  {name:<12}{s.std:11.2g}{s.bias:10.1g}  {s.interval[0]:.4g} .. {s.interval[1]:.4g}"
 
 
-def _mean_lines(session: "Session") -> Iterator[str]:
+def _mean_lines(session: "EstimationSession") -> Iterator[str]:
     for method, table in session.mean.items():
         yield ""
         yield f"mean over flights, {method}"

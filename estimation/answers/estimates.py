@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from estimation.estimators.result import Result
     from estimation.models import Model
     from estimation.resolve import AnyAircraft, AnyModel, Flights, Names
-    from estimation.session.session import Session
+    from estimation.session.session import EstimationSession
 
 
 @single_threaded
@@ -53,7 +53,7 @@ def estimate(
     from estimation.estimators.estimator import Extras
     from estimation.resolve import resolve
     from estimation.session import runner
-    from estimation.session.structured import Wish
+    from estimation.session.structured import StructureWish
     from estimation.session.truth import read_truth
     from estimation.simulation.base_model import Free
 
@@ -66,7 +66,7 @@ def estimate(
     extras = Extras(comma_separated(profile), bootstrap, seed, raw_inputs, stepwise, keep_held)
     session = runner.estimate(
         problem.model, problem.flights, problem.aircraft, problem.methods, joint=joint, device=device, progress=progress,
-        extras=extras, structure=Wish.of(structure),
+        extras=extras, structure=StructureWish.of(structure),
     )  # fmt: skip
     return Estimates(replace(session, truth=true), problem.notes)
 
@@ -75,7 +75,7 @@ def estimate(
 class Estimates(Answer):
     """What `estimate` found. session: the whole of it; notes: what of a simulation is held."""
 
-    session: "Session"
+    session: "EstimationSession"
     notes: tuple[str, ...] = ()
 
     @property

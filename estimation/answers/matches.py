@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from estimation.resolve import AnyAircraft, AnyModel, Flights, Names
-    from estimation.session.proof_of_match import Proof
+    from estimation.session.proof_of_match import ProofOfMatch
     from groundstation.flight import Flight
 
 
@@ -48,7 +48,7 @@ def match(
 class Match(Answer):
     """Proofs of match, one for each flight. limit: of Theil's coefficient; notes: what of a simulation is held."""
 
-    proofs: "tuple[Proof, ...]"
+    proofs: "tuple[ProofOfMatch, ...]"
     model: str
     limit: float
     flights: "tuple[Flight, ...]"
@@ -120,7 +120,7 @@ class Match(Answer):
         return ("flight", "channel", "r2", "Theil", "rms"), rows
 
 
-def _proof_lines(proof: "Proof", limit: float) -> list[str]:
+def _proof_lines(proof: "ProofOfMatch", limit: float) -> list[str]:
     """What a person reads on the terminal of one flight predicted."""
     head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}  match"
     lines = [f"{proof.name}: {proof.text}", head]

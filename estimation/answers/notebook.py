@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from estimation.estimators.result import Result
     from estimation.gap.answer.result import GapResult
     from estimation.report.drawing.figures import Picture
-    from estimation.session.proof_of_match import Proof
+    from estimation.session.proof_of_match import ProofOfMatch
     from estimation.watch.over_file import Watched
 
 LEADING = 12  # hypotheses of a gap that a plot shows: the page has them all
@@ -77,7 +77,7 @@ def plot_reconstructed(flight: "ReconstructedFlight", ax: Any) -> Any:
     return _histories(units, flight.time, flight.measured, {"reconstructed": flight.reconstructed}, ax)
 
 
-def plot_proof(proof: "Proof", ax: Any) -> Any:
+def plot_proof(proof: "ProofOfMatch", ax: Any) -> Any:
     """Measured and predicted outputs, one axes a channel; angles in degrees."""
     units = {s.name: s.unit for s in proof.result.model.outputs}
     return _histories(units, proof.time, proof.measured, {"predicted": proof.predicted}, ax)

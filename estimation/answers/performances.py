@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from estimation.aircraft import Aircraft
-    from estimation.performance.polar import Bounded, Point, Polar
+    from estimation.performance.polar import Bounded, Polar, PolarPoint
     from estimation.performance.samples import Usable
     from estimation.resolve import AnyAircraft, Flights
 
@@ -82,7 +82,7 @@ class Performance(Answer):
         return least_sink(self.polar, self.aircraft)
 
     @property
-    def curve(self) -> "tuple[Point, ...]":
+    def curve(self) -> "tuple[PolarPoint, ...]":
         """Drag, sink and power over the speeds whose lift was flown."""
         from estimation.performance.polar import curve
 

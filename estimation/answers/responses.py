@@ -12,7 +12,7 @@ from estimation.threads import single_threaded
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimation.frequency.answer import Answer as Responded
+    from estimation.frequency.answer import FrequencyResult as Responded
     from estimation.frequency.handling import Craft
     from estimation.resolve import AnyAircraft, Flights, Names
     from groundstation.flight import Flight

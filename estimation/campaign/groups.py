@@ -26,7 +26,7 @@ NEIGHBOURS = 5  # flights before and after whose medians an estimate may follow
 
 
 @dataclass(frozen=True)
-class Series:
+class ParameterSeries:
     """One parameter by one method over the flights of a group, in order of date. y, v: (flights,) estimates and variances;
     places: (key, manoeuvre) of each."""
 
@@ -40,10 +40,10 @@ class Series:
     y: Array
     v: Array
 
-    def part(self, keep: NDArray[np.bool_]) -> "Series":
+    def part(self, keep: NDArray[np.bool_]) -> "ParameterSeries":
         """Only some of the flights."""
         chosen = [i for i, k in enumerate(keep) if k]
-        return Series(
+        return ParameterSeries(
             self.group,
             self.label,
             self.method,
@@ -65,7 +65,7 @@ def label_of(group: Mapping[str, str]) -> str:
     return ", ".join(f"{k}={v}" for k, v in group.items() if v) or "all flights"
 
 
-def series_of(results: "pa.Table", keys: Sequence[str]) -> list[Series]:
+def series_of(results: "pa.Table", keys: Sequence[str]) -> list[ParameterSeries]:
     """Every usable estimate of every flight, by group, method and parameter."""
     wanted = (
         "kind",
@@ -100,11 +100,11 @@ def series_of(results: "pa.Table", keys: Sequence[str]) -> list[Series]:
     return [_series(place, rows, keys) for place, rows in sorted(found.items())]
 
 
-def _series(place: tuple[Any, ...], rows: list[_Found], keys: Sequence[str]) -> Series:
+def _series(place: tuple[Any, ...], rows: list[_Found], keys: Sequence[str]) -> ParameterSeries:
     rows = sorted(rows)
     group = dict(zip(keys, place[0], strict=True))
     dates, flights, places, y, v = zip(*rows, strict=True)
-    return Series(group, label_of(group), place[1], place[2], flights, dates, places, np.array(y), np.array(v))
+    return ParameterSeries(group, label_of(group), place[1], place[2], flights, dates, places, np.array(y), np.array(v))
 
 
 def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = MappingProxyType({})) -> list[Row]:
@@ -122,7 +122,7 @@ def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = Mappin
     return rows
 
 
-def _sides(s: Series, starts: Sequence[tuple[str, str]]) -> Iterator[Series]:
+def _sides(s: ParameterSeries, starts: Sequence[tuple[str, str]]) -> Iterator[ParameterSeries]:
     """The flights between steps. starts: date and name of the first flight after each, in order."""
     if not starts:
         yield s
@@ -135,7 +135,7 @@ def _sides(s: Series, starts: Sequence[tuple[str, str]]) -> Iterator[Series]:
 # ------------------------------------------------------------------------------------------- within a group
 
 
-def outlying(s: Series) -> Array:
+def outlying(s: ParameterSeries) -> Array:
     """(flights,) distance from the nearer of the medians of the flights before and after, in widened bounds.
 
     So a step in time makes no outliers. Without dates, and with few flights, all are compared with one median.
@@ -154,11 +154,11 @@ def outlying(s: Series) -> Array:
     return widened
 
 
-def _limit(s: Series) -> float:
+def _limit(s: ParameterSeries) -> float:
     return pooling.outlier_limit(s.y.size)
 
 
-def outlier_rows(s: Series, distance: Array) -> Iterator[Row]:
+def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
     """A sentence on each flight that is far from the others of its group."""
     for i in np.flatnonzero(distance > _limit(s)):
         text = (
@@ -177,7 +177,7 @@ def outlier_rows(s: Series, distance: Array) -> Iterator[Row]:
         }
 
 
-def pooled_rows(s: Series, *, apart: bool = False) -> Iterator[Row]:
+def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
     """The group's estimate, its scatter and what that says of the bounds. apart: these flights are one side of a step."""
     if s.y.size < FEWEST_TO_POOL:
         return
@@ -205,7 +205,7 @@ def pooled_rows(s: Series, *, apart: bool = False) -> Iterator[Row]:
     }
 
 
-def _about(s: Series) -> Row:
+def _about(s: ParameterSeries) -> Row:
     return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **_group(s.group)}
 
 

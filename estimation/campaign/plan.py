@@ -24,7 +24,7 @@ FLIGHT_SUFFIXES = (".mcap", ".csv", ".parquet")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class _Table(BaseModel):
+class _CampaignTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -38,7 +38,7 @@ def _path(value: object) -> str:
 SomePath = Annotated[str, PlainValidator(_path)]
 
 
-class Conditions(_Table):
+class RecordConditions(_CampaignTable):
     """What is known of a record besides its columns. mass [kg] goes before that of the aircraft's file; cg [m] behind the
     nose is kept beside the results. segments: stretches of it, as of `estimate --segments`."""
 
@@ -94,13 +94,13 @@ def _day(text: str) -> str:
     return dt.date.fromisoformat(text).isoformat()
 
 
-class FlightEntry(Conditions):
+class FlightEntry(RecordConditions):
     """One [[flight]]: a path, relative to the plan, a pattern, a folder, or a URL that fsspec reads."""
 
     path: SomePath
 
 
-class SimulateEntry(Conditions):
+class SimulateEntry(RecordConditions):
     """One [[simulate]]: a scenario flown `count` times with seeds of its own. `set`: dotted keys of the scenario and their
     values (tables are taken apart into them); `vary`: dotted keys, each drawn evenly between two ends."""
 
@@ -131,7 +131,7 @@ class SimulateEntry(Conditions):
         return self
 
 
-class Plan(_Table):
+class CampaignPlan(_CampaignTable):
     """What a campaign does. bootstrap: replicates a flight, 0 for none; time_limit [s]: of one piece of work."""
 
     flights: tuple[SomePath, ...] = ()
@@ -170,7 +170,7 @@ class Plan(_Table):
         return names
 
     @model_validator(mode="after")
-    def _replicates_can_be_had(self) -> "Plan":
+    def _replicates_can_be_had(self) -> "CampaignPlan":
         if self.bootstrap:
             from estimation.estimators.bootstrap import check_replicates
 
@@ -180,7 +180,7 @@ class Plan(_Table):
         return self
 
 
-def read_plan(path: Path, *, trust_code: bool = False) -> Plan:
+def read_plan(path: Path, *, trust_code: bool = False) -> CampaignPlan:
     """The plan in a TOML file; CampaignError names file and key.
 
     trust_code: whether programs that it names may run. Without, a plan that names one is refused before anything is imported.
@@ -204,10 +204,10 @@ def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def plan_from(data: Mapping[str, Any], where: str) -> Plan:
+def plan_from(data: Mapping[str, Any], where: str) -> CampaignPlan:
     """A plan from plain data; CampaignError names `where` and the key."""
     try:
-        return Plan.model_validate(dict(data))
+        return CampaignPlan.model_validate(dict(data))
     except ValidationError as error:
         raise CampaignError(f"plan {where}: {said_of(error)}; see docs/campaign.md for the keys") from error
 
@@ -225,4 +225,4 @@ def said_of(error: ValidationError) -> str:
 def _keys_beside(where: tuple[int | str, ...]) -> Iterable[str]:
     """Names of the keys that stand where an unknown one does."""
     tables: dict[str, type[BaseModel]] = {"flight": FlightEntry, "simulate": SimulateEntry}
-    return (tables.get(str(where[0]), Plan) if len(where) > 1 else Plan).model_fields
+    return (tables.get(str(where[0]), CampaignPlan) if len(where) > 1 else CampaignPlan).model_fields

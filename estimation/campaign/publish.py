@@ -9,9 +9,9 @@ from daq.contract.durable import make_directories, whole
 from daq.contract.outputs import write_json
 from daq.contract.plain_words import visible
 from estimation.campaign.keys import key_of, versions
-from estimation.campaign.plan import Plan
+from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import RESULTS, VERSION, table_of
-from estimation.campaign.sources import Entry
+from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Row
 from estimation.campaign.work_list import WorkList
@@ -57,7 +57,7 @@ def _with_conditions(table: "pa.Table", about: Mapping[str, Row]) -> "pa.Table":
     return table
 
 
-def conditions_of(entry: Entry) -> Row:
+def conditions_of(entry: CampaignFlight) -> Row:
     """What the plan says of a flight, by the columns of the results."""
     c = entry.conditions
     return {
@@ -73,7 +73,7 @@ def conditions_of(entry: Entry) -> Row:
     }
 
 
-def unreadable_rows(entries: Sequence[Entry]) -> "pa.Table":
+def unreadable_rows(entries: Sequence[CampaignFlight]) -> "pa.Table":
     """A row for each flight whose bytes could not be had."""
 
     rows = [
@@ -103,7 +103,7 @@ def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:
         write_text(text, folder / f"{name}{ending}")
 
 
-def manifest(plan: Plan, work: WorkList, store: Store, failures: Mapping[str, str]) -> dict[str, Any]:
+def manifest(plan: CampaignPlan, work: WorkList, store: Store, failures: Mapping[str, str]) -> dict[str, Any]:
     """What was put in and what came out, with digests: names of flights to keys, files to SHA-256."""
     flights = [
         {

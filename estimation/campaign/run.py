@@ -10,7 +10,7 @@ from estimation.campaign.aerodynamics.joint_tables import joint_model_rows, join
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.groups import group_rows, label_of
-from estimation.campaign.plan import Plan
+from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.publish import (
     conditions_of,
     manifest,
@@ -22,7 +22,7 @@ from estimation.campaign.publish import (
     write_texts,
 )
 from estimation.campaign.schema import DATABASE, GROUPS
-from estimation.campaign.sources import Entry
+from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
 from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, left_to_do, match_works
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 LEAST_VARIANCE = 1e-300  # an estimate without a bound weighs nothing that can be computed with
 
 
-class Engine(Protocol):
+class CampaignEngine(Protocol):
     """Where work is done: `estimation.campaign.workers.serial` or `estimation.campaign.workers.cluster`."""
 
     workers: int
@@ -48,7 +48,7 @@ class Engine(Protocol):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CampaignOutcome:
     """flights: of the plan; done: with results; failed: location -> sentence; skipped: done before; fitted: pieces of work
     done now; duplicates: (location, location of the same flight); unchanged: all files are as the run before left them."""
 
@@ -84,16 +84,21 @@ class Campaign:
     """One run of a plan into a store. make_engine: called only when there is work. tell: words and the share done."""
 
     def __init__(
-        self, plan: Plan, work: WorkList, store: Store, make_engine: Callable[[int], Engine], tell: Callable[..., None]
+        self,
+        plan: CampaignPlan,
+        work: WorkList,
+        store: Store,
+        make_engine: Callable[[int], CampaignEngine],
+        tell: Callable[..., None],
     ) -> None:
         self._plan, self._work, self._store = plan, work, store
         self._make_engine, self._tell = make_engine, tell
-        self._engine: Engine | None = None
+        self._engine: CampaignEngine | None = None
         self._about: dict[str, Row] = {key: conditions_of(p.entry) for key, p in work.by_key.items()}
         self._fitted = 0
         self._workers = 0
 
-    def run(self, *, retry_failed: bool = False) -> Outcome:
+    def run(self, *, retry_failed: bool = False) -> CampaignOutcome:
         """Do what is left to do and publish. Whatever stops it, what was done is on disk."""
         before = self._store.load()
         if retry_failed:
@@ -163,7 +168,7 @@ class Campaign:
         sha256 = work.subjects[0]
         return next(p.work.identity for p in self._work.planned if p.work.subjects[0] is sha256)
 
-    def _publish(self, skipped: int) -> Outcome:
+    def _publish(self, skipped: int) -> CampaignOutcome:
         import pyarrow as pa
 
         results, superseded = planned_rows(self._store.load(), self._about)
@@ -190,7 +195,7 @@ class Campaign:
         failures = failures_of(results)
         planned = len(self._work.planned) + len(lost)
         unchanged = not write_manifest(manifest(self._plan, self._work, self._store, failures), folder)
-        return Outcome(
+        return CampaignOutcome(
             len(self._work.planned) + len(self._work.unreadable) + len(self._work.duplicates),
             planned - len(failures),
             failures,
@@ -205,7 +210,7 @@ class Campaign:
             unchanged,
         )
 
-    def _failed_twice(self, failures: Mapping[str, str]) -> list[Entry]:
+    def _failed_twice(self, failures: Mapping[str, str]) -> list[CampaignFlight]:
         """Entries whose bytes are those of a flight that failed: several empty files are several bad flights."""
         return [
             replace(entry, why=f"{failures[first.location]} (the same bytes as {first.location})")
@@ -230,7 +235,9 @@ def failures_of(results: "pa.Table") -> dict[str, str]:
     return {source: "; ".join(dict.fromkeys(words)) for source, words in sorted(said.items())}
 
 
-def members_of(results: "pa.Table", work: WorkList, plan: Plan) -> dict[tuple[tuple[str, str], ...], list[Member]]:
+def members_of(
+    results: "pa.Table", work: WorkList, plan: CampaignPlan
+) -> dict[tuple[tuple[str, str], ...], list[Member]]:
     """Flights with a usable estimate, by group."""
     names = ("kind", "status", "identifiable", "key", "method", "parameter", "estimate", "std_coloured", *plan.groups)
     columns = {name: results[name].to_pylist() for name in dict.fromkeys(names)}

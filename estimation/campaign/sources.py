@@ -20,8 +20,15 @@ from daq.contract.input_files import matching, read_bytes
 from daq.contract.plain_words import visible
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import key_of
-from estimation.campaign.plan import FLIGHT_SUFFIXES, Conditions, FlightEntry, Plan, SimulateEntry, said_of
-from estimation.campaign.tasks import Simulator, Source
+from estimation.campaign.plan import (
+    FLIGHT_SUFFIXES,
+    CampaignPlan,
+    FlightEntry,
+    RecordConditions,
+    SimulateEntry,
+    said_of,
+)
+from estimation.campaign.tasks import FlightMaker, FlightSource
 
 CHUNK = 1 << 20  # bytes read at a time: a record of any size is looked at in little memory
 REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError, TypeError, AttributeError, LookupError, AssertionError)
@@ -29,12 +36,12 @@ REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError, TypeError, Attr
 
 
 @dataclass(frozen=True)
-class Entry:
+class CampaignFlight:
     """One flight of the plan. source: None where its bytes cannot be had, and `why` says so."""
 
     location: str
-    conditions: Conditions
-    source: Source | None = None
+    conditions: RecordConditions
+    source: FlightSource | None = None
     why: str = ""
 
     @property
@@ -43,19 +50,21 @@ class Entry:
         return self.source.name if self.source is not None else Path(self.location).stem
 
 
-def entries_of(plan: Plan, folder: Path, simulator: Simulator | None = None, *, send: bool = False) -> list[Entry]:
+def entries_of(
+    plan: CampaignPlan, folder: Path, simulator: FlightMaker | None = None, *, send: bool = False
+) -> list[CampaignFlight]:
     """Every flight of a plan whose relative paths begin at `folder`. send: carry the bytes of local files along.
 
     Raises CampaignError for a pattern without a match, and for a table or scenario that cannot be used.
     """
-    entries = [e for text in plan.flights for e in _located(text, folder, Conditions(), send)]
+    entries = [e for text in plan.flights for e in _located(text, folder, RecordConditions(), send)]
     simulated = sum(scenario.count for scenario in plan.simulate)
     if simulated > limits.FLIGHTS:
         raise CampaignError(
             f"the plan simulates {simulated} flights; at most {limits.FLIGHTS} are made, take several plans"
         )
     for row in (*plan.flight, *(_table(plan.table, folder) if plan.table else ())):
-        entries += _located(row.path, folder, Conditions(**row.model_dump(exclude={"path"})), send)
+        entries += _located(row.path, folder, RecordConditions(**row.model_dump(exclude={"path"})), send)
     for number, scenario in enumerate(plan.simulate):
         entries += _simulated(scenario, number, folder, simulator)
         if len(entries) > limits.FLIGHTS:
@@ -81,7 +90,7 @@ def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
             raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
 
 
-def _located(text: str, folder: Path, conditions: Conditions, send: bool) -> Iterator[Entry]:
+def _located(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:
     if "://" in text:
         for url in _urls(text):
             yield _remote(url, conditions)
@@ -104,8 +113,8 @@ def _paths(path: Path, text: str) -> Sequence[Path]:
     return found
 
 
-def _local(path: Path, conditions: Conditions, send: bool) -> Entry:
-    entry = Entry(str(path), conditions)
+def _local(path: Path, conditions: RecordConditions, send: bool) -> CampaignFlight:
+    entry = CampaignFlight(str(path), conditions)
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):  # a pipe would be waited for, a device read without end
@@ -119,7 +128,9 @@ def _local(path: Path, conditions: Conditions, send: bool) -> Entry:
         return replace(entry, why=f"{path}: no such file")
     except OSError as error:
         return replace(entry, why=f"{path}: cannot be read ({error.strerror or error})")
-    return replace(entry, source=Source(visible(path.stem), path.suffix, digest.hexdigest(), path=str(path), data=data))
+    return replace(
+        entry, source=FlightSource(visible(path.stem), path.suffix, digest.hexdigest(), path=str(path), data=data)
+    )
 
 
 def _urls(text: str) -> list[str]:
@@ -150,13 +161,13 @@ def _filesystem(url: str) -> tuple[Any, str]:
     return files, str(path)
 
 
-def _remote(url: str, conditions: Conditions) -> Entry:
+def _remote(url: str, conditions: RecordConditions) -> CampaignFlight:
     name = Path(url.partition("?")[0])
     try:
         digest = hashlib.sha256(fetched(url)).hexdigest()
     except CampaignError as error:
-        return Entry(url, conditions, None, str(error))
-    return Entry(url, conditions, Source(visible(name.stem), name.suffix, digest, url=url))
+        return CampaignFlight(url, conditions, None, str(error))
+    return CampaignFlight(url, conditions, FlightSource(visible(name.stem), name.suffix, digest, url=url))
 
 
 def fetched(url: str) -> bytes:
@@ -175,10 +186,12 @@ def fetched(url: str) -> bytes:
 # ---------------------------------------------------------------------------------------------- simulated
 
 
-def _simulated(entry: SimulateEntry, number: int, folder: Path, simulator: Simulator | None) -> Iterator[Entry]:
+def _simulated(
+    entry: SimulateEntry, number: int, folder: Path, simulator: FlightMaker | None
+) -> Iterator[CampaignFlight]:
     if simulator is None:
         raise CampaignError("the plan has [[simulate]], but no simulator was handed in; run it with sideslip campaign")
-    conditions = Conditions(**{k: getattr(entry, k) for k in Conditions.model_fields})
+    conditions = RecordConditions(**{k: getattr(entry, k) for k in RecordConditions.model_fields})
     where = folder / entry.scenario
     scenario = str(where) if where.is_file() else entry.scenario
     label = f"{Path(scenario).stem}{number}"
@@ -191,10 +204,12 @@ def _simulated(entry: SimulateEntry, number: int, folder: Path, simulator: Simul
         made = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
         description: Mapping[str, Any] = {"scenario": made, "seed": int(key_of(entry.seed, i)[:8], 16)}
         own = str(made.get("flight", {}).get("aircraft", ""))
-        source = Source(
+        source = FlightSource(
             f"{label}-{i:05d}", ".csv", key_of(description, simulator.digest), made=description, maker=simulator.fly
         )
-        yield Entry(source.location, conditions.model_copy(update={"aircraft": conditions.aircraft or own}), source)
+        yield CampaignFlight(
+            source.location, conditions.model_copy(update={"aircraft": conditions.aircraft or own}), source
+        )
 
 
 def _drawn(entry: SimulateEntry, number: int) -> dict[str, float]:

@@ -12,7 +12,7 @@ Maker = Callable[[Mapping[str, Any]], bytes]
 
 
 @dataclass(frozen=True)
-class Simulator:
+class FlightMaker:
     """What flies the simulated flights of a plan; estimation itself knows no simulator.
 
     describe: scenario and dotted changes -> a description, checked. fly: description -> bytes of a CSV. digest: of its code.
@@ -24,7 +24,7 @@ class Simulator:
 
 
 @dataclass(frozen=True)
-class Source:
+class FlightSource:
     """Where the bytes of a flight come from: `path` (local), `url` (fsspec), or `made` by the maker from a description.
 
     sha256: of the bytes, or of the description. data: the bytes themselves, for workers that do not see our files.
@@ -49,7 +49,7 @@ class Source:
 class Subject:
     """One flight with all that decides how it is read: the model (a name, or TOML text), its aircraft's file and mass."""
 
-    source: Source
+    source: FlightSource
     model: str
     model_text: str = ""
     aircraft: str = ""

@@ -9,9 +9,9 @@ from daq.contract.errors import UserError
 from estimation.aircraft import built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
-from estimation.campaign.plan import Plan
+from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import VERSION
-from estimation.campaign.sources import Entry
+from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.tasks import Subject, Work
 from estimation.campaign.workers.work import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
@@ -26,7 +26,7 @@ LONGEST_CLOCK = 1e9  # s; timers of Python end at 9e9
 class Planned:
     """One flight to be worked on: what the plan says of it, and the work that makes its results."""
 
-    entry: Entry
+    entry: CampaignFlight
     work: Work
 
 
@@ -35,8 +35,8 @@ class WorkList:
     """Flights with their work; entries whose bytes cannot be had; (entry, flight that is the same) twice."""
 
     planned: Sequence[Planned]
-    unreadable: Sequence[Entry]
-    duplicates: Sequence[tuple[Entry, Entry]]
+    unreadable: Sequence[CampaignFlight]
+    duplicates: Sequence[tuple[CampaignFlight, CampaignFlight]]
 
     @property
     def by_key(self) -> Mapping[str, Planned]:
@@ -44,13 +44,13 @@ class WorkList:
         return {key: p for p in self.planned for key in p.work.pieces.values()}
 
 
-def work_list(plan: Plan, entries: Iterable[Entry], folder: Path) -> WorkList:
+def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Path) -> WorkList:
     """Keys for all flights. Raises UserError, before any work, for a model, method or aircraft that cannot be used."""
     subjects = _Subjects(plan, folder)
     planned: list[Planned] = []
-    unreadable: list[Entry] = []
-    twice: list[tuple[Entry, Entry]] = []
-    first: dict[str, Entry] = {}
+    unreadable: list[CampaignFlight] = []
+    twice: list[tuple[CampaignFlight, CampaignFlight]] = []
+    first: dict[str, CampaignFlight] = {}
     for entry in entries:
         if entry.source is None:
             subjects.aircraft_text(entry)  # a wrong name is refused whether or not the flight is there
@@ -68,13 +68,13 @@ def work_list(plan: Plan, entries: Iterable[Entry], folder: Path) -> WorkList:
 class _Subjects:
     """Subjects of a plan; model and aircraft files are read once."""
 
-    def __init__(self, plan: Plan, folder: Path) -> None:
+    def __init__(self, plan: CampaignPlan, folder: Path) -> None:
         self._plan, self._folder = plan, folder
         self._aircraft: dict[str, str] = {}
         self._judged = False
         self._text = self._model_text()
 
-    def of(self, entry: Entry) -> Subject:
+    def of(self, entry: CampaignFlight) -> Subject:
         """The flight with its model and aircraft."""
         if entry.source is None:
             raise ValueError(f"{entry.location} has no source")
@@ -99,10 +99,10 @@ class _Subjects:
             if why := find(method).refuses(model):
                 raise CampaignError(f"plan, methods: {why}")
 
-    def _name_of(self, entry: Entry) -> str:
+    def _name_of(self, entry: CampaignFlight) -> str:
         return entry.conditions.aircraft or self._plan.aircraft
 
-    def aircraft_text(self, entry: Entry) -> str:
+    def aircraft_text(self, entry: CampaignFlight) -> str:
         """TOML of the aircraft that the plan names for a flight, empty for none; UserError where it cannot be had."""
         name = self._name_of(entry)
         if name and name not in self._aircraft:
@@ -130,7 +130,7 @@ class _Subjects:
         return model_text(load_model(which, load_aircraft(where)))
 
 
-def _flight_work(plan: Plan, subject: Subject) -> Work:
+def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     quality = plan.check != "none"
     data = [VERSION, subject.source.sha256, subject.segments, plan.each_segment, quality, dict(versions())]
     pieces, seeds = {}, {}
@@ -178,7 +178,7 @@ class Member:
     estimates: Mapping[str, Mapping[str, tuple[float, float]]]
 
 
-def joint_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None:
+def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Work | None:
     """All flights of a group in one fit by each method that found something in at least two of them."""
     pieces, seeds = {}, {}
     for method in plan.methods:
@@ -209,12 +209,12 @@ def joint_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None
     )
 
 
-def _together(plan: Plan, flights: int) -> float:
+def _together(plan: CampaignPlan, flights: int) -> float:
     """Seconds for work on several flights: as long as for one after the other, as far as clocks count."""
     return min(plan.time_limit * flights, LONGEST_CLOCK)
 
 
-def envelope_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None:
+def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Work | None:
     """All flights of a group, those with a usable estimate, in one model over the envelope; None for too few of them."""
     from estimation.campaign.aerodynamics.joint import FEWEST
 
@@ -237,7 +237,7 @@ def envelope_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | N
     )
 
 
-def match_works(plan: Plan, label: str, members: Sequence[Member]) -> Iterator[Work]:
+def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Iterator[Work]:
     """Each flight predicted by the weighted mean of the others."""
     ordered = sorted(members, key=lambda m: m.planned.work.identity)  # sums do not depend on the order of the plan
     sums = {method: _Sums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods}

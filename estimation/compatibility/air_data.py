@@ -28,7 +28,7 @@ from estimation.compatibility.air_filter import (
 from estimation.compatibility.air_nodes import (
     FIX,
     INERTIAL,
-    Stretch,
+    AirStretch,
     fresh_values,
     measured_noise,
     stretches_of,
@@ -202,7 +202,7 @@ def _noise(flight: Flight, airspeed: Array, assumed: Assumptions) -> Noise:
     )
 
 
-def _first_wind(stretches: Sequence[Stretch]) -> Array:
+def _first_wind(stretches: Sequence[AirStretch]) -> Array:
     """(3,) mean of what is left of the ground velocity when the aircraft flies where it points; no vertical wind."""
     ground = np.concatenate([s.nodes.velocity + np.nan_to_num(s.nodes.fix) for s in stretches])
     nose = np.concatenate([s.nodes.axes[:, :, 0] for s in stretches])
@@ -226,7 +226,7 @@ def _expected_gust(likelihood: Mapping[float, float]) -> float:
 
 
 def _air(
-    flight: Flight, stretches: Sequence[Stretch], found: Smoothed, noise: Noise
+    flight: Flight, stretches: Sequence[AirStretch], found: Smoothed, noise: Noise
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """alpha, beta, V and their uncertainties (N,) from the smoothed states."""
     values = {n: np.full(len(flight), np.nan) for n in AIR}

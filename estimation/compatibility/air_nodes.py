@@ -24,7 +24,7 @@ SMOOTH_S = 1.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class AirStretch:
     """Samples `rows` of a flight without gap: velocity (n, 3) integrated from specific force, NED; axes (n, 3, 3) body axes
     as columns, NED; node (n,): the node each sample belongs to."""
 
@@ -34,7 +34,7 @@ class Stretch:
     nodes: Nodes
 
 
-def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[Stretch], list[str]]:
+def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], list[str]]:
     """Stretches in which the inertial motion is measured and the aircraft flies, and notes. airspeed: (N,) [m/s], true.
 
     Raises DataError when no stretch is long enough or none has a fix and an airspeed.
@@ -109,7 +109,7 @@ def fresh_values(flight: Flight, column: str, values: Array) -> NDArray[np.bool_
 
 def _stretch(
     flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_]
-) -> Stretch:
+) -> AirStretch:
     time = flight.time[rows]
     axes = _axes(*_attitude(flight, rows))
     force = np.einsum("nij,nj->ni", axes, np.column_stack([flight[c][rows] for c in ("ax", "ay", "az")]))
@@ -131,7 +131,7 @@ def _stretch(
         fixes=np.bincount(node, fixes[rows].astype(float)).astype(float),
         airspeed=_mean(airspeed[rows], node, speeds[rows]),
     )
-    return Stretch(rows, velocity, axes, nodes)
+    return AirStretch(rows, velocity, axes, nodes)
 
 
 def _node_of(time: Array) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.compatibility.kalman import Record, rk4
+from estimation.compatibility.kalman import FilterRecord, rk4
 from estimation.engine.chain import CHUNK
 from estimation.engine.trace import Traced, trace
 from estimation.models.base import Model
@@ -23,7 +23,7 @@ _ROUNDS = 4
 _STEP = 1e-4  # of each state, for differences: m/s or rad
 
 
-def integrated(model: Model, record: Record, p: Array, states: Array, spread: Array) -> Array:
+def integrated(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
     """(N, ny) outputs of a record integrated from its inputs.
 
     p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to
@@ -36,7 +36,7 @@ def integrated(model: Model, record: Record, p: Array, states: Array, spread: Ar
     return np.vstack(out)
 
 
-def _piece(model: Model, record: Record, rows: slice, p: Array, start: Array, spread: Array) -> Array:
+def _piece(model: Model, record: FilterRecord, rows: slice, p: Array, start: Array, spread: Array) -> Array:
     z = record.z[rows]
     known = np.isfinite(z)
     x0 = start.copy()
@@ -60,7 +60,7 @@ def _piece(model: Model, record: Record, rows: slice, p: Array, start: Array, sp
     return y
 
 
-def _motion(model: Model, record: Record, rows: slice, p: Array, x0: Array) -> Array:
+def _motion(model: Model, record: FilterRecord, rows: slice, p: Array, x0: Array) -> Array:
     step = _stepper(trace(model.structure))
     u = record.u[rows]
     table = np.hstack([u, np.vstack([u[1:], u[-1:]])]).T

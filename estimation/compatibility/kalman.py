@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from estimation.engine.chain import Chain
 from estimation.engine.trace import trace
 from estimation.models.base import Model
-from estimation.models.parts import Structure
+from estimation.models.parts import ModelStructure
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ LONGEST_DELAY = 0.3
 
 
 @dataclass(frozen=True)
-class Record:
+class FilterRecord:
     """One gap-free stretch. time: (N,); u: (N, nu) inputs; z: (N, ny) outputs, NaN where not measured."""
 
     first: int
@@ -76,7 +76,7 @@ class KalmanFilter:
         self._constants = np.array([model.constants[n] for n in model.structure.constants_kept])
         self._chain = _chain(model)
 
-    def run(self, record: Record, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:
+    def run(self, record: FilterRecord, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:
         """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
         model, count = self.model, len(record.time)
         nx, ny = len(model.states), len(model.outputs)
@@ -94,7 +94,7 @@ class KalmanFilter:
         log_variance = float(np.sum(log_s[known[: len(out)]])) if finite else np.inf
         return Run(normalised, known, log_variance, out[:, 2 * ny : 2 * ny + nx], out[:, 2 * ny + nx :])
 
-    def _usable(self, record: Record) -> NDArray[np.bool_]:
+    def _usable(self, record: FilterRecord) -> NDArray[np.bool_]:
         """(N, ny) which samples count: of a channel that may be late none within LONGEST_DELAY of the ends, so that the
         same samples count whatever the delay."""
         known = np.isfinite(record.z)
@@ -103,7 +103,7 @@ class KalmanFilter:
             known[:edge, output] = known[len(known) - edge :, output] = False
         return known
 
-    def _at_their_instants(self, record: Record, p: Array) -> tuple[Array, Array]:
+    def _at_their_instants(self, record: FilterRecord, p: Array) -> tuple[Array, Array]:
         """(N, ny) outputs, those that are late moved to the last sample before what they show; and how far into the
         sample interval after it that lies, as a fraction."""
         z, fractions = np.where(self._usable(record), record.z, np.nan), []
@@ -114,7 +114,7 @@ class KalmanFilter:
             fractions.append(rows - late)
         return z, np.array(fractions)
 
-    def _in_rows_of_the_record(self, out: Array, record: Record, p: Array) -> Array:
+    def _in_rows_of_the_record(self, out: Array, record: FilterRecord, p: Array) -> Array:
         """What the filter shows of a late channel, back in the rows in which it was measured."""
         ny = len(self.model.outputs)
         for output, parameter in self.delayed:
@@ -134,7 +134,7 @@ def _moved(values: Array, rows: int, empty: float) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _chain_of(structure: Structure, delayed: tuple[tuple[int, int], ...]) -> Chain:
+def _chain_of(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> Chain:
     return Chain(_build(structure, delayed))
 
 
@@ -157,7 +157,7 @@ def rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def _build(structure: Structure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
+def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
     traced = trace(structure)
     nx, nu, np_, ny = traced.sizes

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.compatibility.kalman import KalmanFilter, NoiseLevels, Record, Run, delayed_outputs
+from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLevels, Run, delayed_outputs
 from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
 from estimation.models.base import Model
 from estimation.models.kinematic import FILTER_ERRORS
@@ -24,7 +24,7 @@ SMALLEST = 1e-6
 """Noise [output's unit] below which no channel is believed to be."""
 
 
-class Problem:
+class CompatibilityProblem:
     """All records of all flights, with starts and noise levels."""
 
     def __init__(self, model: Model, flights: Sequence[Flight]) -> None:
@@ -40,7 +40,7 @@ class Problem:
         self.outputs = [self._output_noise(rs) for rs in self.records]
         self.turbulence = 0.05
 
-    def _output_noise(self, records: list[Record]) -> Array:
+    def _output_noise(self, records: list[FilterRecord]) -> Array:
         levels = []
         for j in range(records[0].z.shape[1]):
             column = joined(np.concatenate([r.z[:, j] for r in records]))
@@ -69,7 +69,7 @@ class Problem:
             for i, records in enumerate(self.records)
         ]
 
-    def _start(self, record: Record, flight: int) -> tuple[Array, Array]:
+    def _start(self, record: FilterRecord, flight: int) -> tuple[Array, Array]:
         """First state from the first tenth of a second of measurements, held loosely: the filter finds it."""
         first = {}
         for j, name in enumerate(self.model.output_names):

@@ -15,9 +15,9 @@ from estimation.compatibility.bounds import USEFUL, autocorrelation, coloured, n
 from estimation.compatibility.integrate import integrated
 from estimation.compatibility.kalman import Run
 from estimation.compatibility.left_out import measurements
-from estimation.compatibility.problem import Problem
+from estimation.compatibility.problem import CompatibilityProblem
 from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, shows_motion
-from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
+from estimation.compatibility.result import Compatibility, FactorEstimate, ReconstructedFlight
 from estimation.errors import DataError
 from estimation.models.base import Model
 from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
@@ -48,7 +48,7 @@ def compatibility(
     filtered = any(max(attitude_errors(f).values()) > 0 for f in many)
     present = tuple(f for f in asked.parameter_names if f not in absent)
     model = compatibility_model(present, tuple(MEASUREMENTS), known, filtered_attitude=filtered)
-    problem = Problem(model, many)
+    problem = CompatibilityProblem(model, many)
     p, runs, converged, used = _estimate(problem, iterations)
     slopes = problem.slopes(p, _steps(model))
     described = _describe(problem, many, absent, asked, p, runs, slopes, converged, used)
@@ -74,7 +74,7 @@ def _steps(model: Model) -> Array:
     return np.array([1e-3 * USEFUL[q.unit] for q in model.parameters])
 
 
-def _estimate(problem: Problem, iterations: int) -> tuple[Array, list[list[Run]], bool, int]:
+def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, list[list[Run]], bool, int]:
     """Factors, the filter's runs with them, whether converged, and iterations used."""
     p = np.array([q.start for q in problem.model.parameters])
     problem.settle_turbulence(p)
@@ -97,7 +97,9 @@ def _estimate(problem: Problem, iterations: int) -> tuple[Array, list[list[Run]]
     return p, runs, False, iterations
 
 
-def _step(problem: Problem, p: Array, change: Array, runs: list[list[Run]]) -> tuple[Array, list[list[Run]], Array]:
+def _step(
+    problem: CompatibilityProblem, p: Array, change: Array, runs: list[list[Run]]
+) -> tuple[Array, list[list[Run]], Array]:
     """The largest of the step, its half, quarter, ... that lowers the cost."""
     before = problem.cost(runs)
     for scale in 0.5 ** np.arange(8):
@@ -108,7 +110,7 @@ def _step(problem: Problem, p: Array, change: Array, runs: list[list[Run]]) -> t
 
 
 def _describe(
-    problem: Problem,
+    problem: CompatibilityProblem,
     flights: Sequence[Flight],
     absent: Mapping[str, str],
     asked: Model,
@@ -124,7 +126,7 @@ def _describe(
     told = _factors(problem.model, p, plain, full)
     nothing = float("nan")
     factors = {
-        q.name: told.get(q.name) or Factor(q.name, q.unit, nothing, nothing, nothing, False, absent[q.name])
+        q.name: told.get(q.name) or FactorEstimate(q.name, q.unit, nothing, nothing, nothing, False, absent[q.name])
         for q in asked.parameters
     }
     reconstructed = tuple(_reconstructed(problem, i, flight, p, runs[i]) for i, flight in enumerate(flights))
@@ -137,7 +139,7 @@ def _describe(
     return Compatibility(factors, correlation, reconstructed, converged, text, used, problem.turbulence)
 
 
-def _factors(model: Model, p: Array, plain: Array, full: Array) -> dict[str, Factor]:
+def _factors(model: Model, p: Array, plain: Array, full: Array) -> dict[str, FactorEstimate]:
     """Estimates with both bounds, and whether they are of use. plain, full: (n, n) covariances."""
     std, wider = np.sqrt(np.diag(plain)), np.sqrt(np.diag(full))
     correlation = full / wider[:, None] / wider[None, :]
@@ -150,11 +152,13 @@ def _factors(model: Model, p: Array, plain: Array, full: Array) -> dict[str, Fac
             partner = int(np.argmax(np.abs(correlation[k]) - 2.0 * (np.arange(p.size) == k)))
             if abs(correlation[k, partner]) > 0.9 and partner != k:
                 why += f" it from {model.parameter_names[partner]} (correlation {correlation[k, partner]:+.2f})"
-        factors[q.name] = Factor(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, why)
+        factors[q.name] = FactorEstimate(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, why)
     return factors
 
 
-def _reconstructed(problem: Problem, index: int, flight: Flight, p: Array, runs: list[Run]) -> ReconstructedFlight:
+def _reconstructed(
+    problem: CompatibilityProblem, index: int, flight: Flight, p: Array, runs: list[Run]
+) -> ReconstructedFlight:
     names = problem.model.output_names
     measured = np.full((len(flight), len(names)), np.nan)
     motion = np.full_like(measured, np.nan)
@@ -173,7 +177,7 @@ def _reconstructed(problem: Problem, index: int, flight: Flight, p: Array, runs:
     )
 
 
-def _expected_difference(problem: Problem, index: int) -> Array:
+def _expected_difference(problem: CompatibilityProblem, index: int) -> Array:
     """(ny,) by how much measured and integrated motion differ in good data: noise, and slow errors of either."""
     # turbulence and drift of the integration amount to some 0.2 m/s over half a minute, 0.01 rad of flow angle
     slow = {"V": 0.2, "alpha": 0.01, "beta": 0.01}

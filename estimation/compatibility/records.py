@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from daq.contract.channels import COLUMN_BY_NAME
-from estimation.compatibility.kalman import Record
+from estimation.compatibility.kalman import FilterRecord
 from estimation.errors import DataError
 from estimation.models.base import Model
 from estimation.models.kinematic import ATTITUDE
@@ -33,7 +33,7 @@ WRONG_UNIT = 0.2
 _FEWEST_CHANNELS = 3
 
 
-def records_of(model: Model, flight: Flight) -> tuple[list[Record], list[str]]:
+def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[str]]:
     """Stretches of a flight without gap in which it flies and all accelerations and rates are measured, and notes.
 
     Raises MissingColumnError, or DataError when no stretch is long enough.
@@ -71,7 +71,7 @@ def records_of(model: Model, flight: Flight) -> tuple[list[Record], list[str]]:
                     )
                 begin = _begin(model, flight, z, slice(first, last), notes)
                 if last - begin >= SHORTEST:
-                    found.append(Record(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
+                    found.append(FilterRecord(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
                 else:
                     notes.append(
                         f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch"

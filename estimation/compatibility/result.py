@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Factor:
+class FactorEstimate:
     """One instrument factor. std: bound from the information of the innovations; std_coloured: corrected for the colour
     left in them. Where the channel it belongs to is not measured, all three are NaN and `why` says so."""
 
@@ -43,7 +43,7 @@ class ReconstructedFlight:
 class Compatibility:
     """Factors of one flight, or shared by several."""
 
-    factors: Mapping[str, Factor]
+    factors: Mapping[str, FactorEstimate]
     correlation: Array
     flights: tuple[ReconstructedFlight, ...]
     converged: bool

@@ -26,7 +26,7 @@ from estimation.design.optimal import (
     optimal,
     worst_of,
 )
-from estimation.design.predict import INTEGRATION_STEP, Bench, told, with_values
+from estimation.design.predict import INTEGRATION_STEP, DesignSetting, told, with_values
 from estimation.design.shapes import PATTERNS, chirp, pattern, relative_peak_factor
 from estimation.errors import EstimationError
 from estimation.models.base import Model
@@ -46,7 +46,7 @@ UNTOLD = 0.3
 
 
 @dataclass(frozen=True)
-class Task:
+class DesignTask:
     """What to design. controls: empty for all of the model. criterion: one of CRITERIA or a parameter's name.
 
     separate: parameters to be told apart, in place of the criterion. values, noise: from an estimate where there is one, then
@@ -72,11 +72,11 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Design:
+class InputDesign:
     """The designed input, doublets of equal length under the same limits, and the sizes that errors are measured by."""
 
-    task: Task
-    bench: Bench
+    task: DesignTask
+    bench: DesignSetting
     limits: Limits
     best: Designed
     doublets: Designed
@@ -176,7 +176,7 @@ def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str,
     return relative(designed.information.std, sizes)
 
 
-def design(model: Model, aircraft: Aircraft, task: Task, limits: Limits | None = None) -> Design:
+def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | None = None) -> InputDesign:
     """Design an input. Raises EstimationError for what cannot be designed, with the way out."""
     if task.kind not in KINDS:
         raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{meant(task.kind, KINDS)}")
@@ -198,16 +198,18 @@ def design(model: Model, aircraft: Aircraft, task: Task, limits: Limits | None =
         best = chirp_set(bench, allowed, task.duration, task.band)
     else:
         best = _sines(bench, allowed, task, sizes, rng, doublets)
-    return Design(task, bench, allowed, best, doublets, sizes, aircraft.name, condition.notes)
+    return InputDesign(task, bench, allowed, best, doublets, sizes, aircraft.name, condition.notes)
 
 
-def _bench(model: Model, condition: Condition, task: Task) -> Bench:
+def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
     controls = task.controls or tuple(s.name for s in model.inputs if s.control)
     values = {p.name: p.start for p in model.parameters}
-    return Bench(model, condition, controls, values, task.noise, task.rate_hz, task.held, task.noise_of_residuals)
+    return DesignSetting(
+        model, condition, controls, values, task.noise, task.rate_hz, task.held, task.noise_of_residuals
+    )
 
 
-def _sizes(model: Model, task: Task) -> dict[str, float]:
+def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
     sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in told(model.parameters)}
     sizes |= {n: s for n, s in task.sizes.items() if n in model.parameter_names}
@@ -220,7 +222,7 @@ def _sizes(model: Model, task: Task) -> dict[str, float]:
     return {n: sizes[n] for n in task.separate} if task.separate else sizes
 
 
-def _refuse_untold(bench: Bench, doublets: Designed, task: Task) -> None:
+def _refuse_untold(bench: DesignSetting, doublets: Designed, task: DesignTask) -> None:
     """What doublets on every control leave exactly tied, no other motion of these controls unties."""
     std = doublets.information.std
     tied = [n for n in task.separate if math.isinf(std[n])]
@@ -231,7 +233,9 @@ def _refuse_untold(bench: Bench, doublets: Designed, task: Task) -> None:
         )
 
 
-def pattern_set(bench: Bench, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]) -> Designed:
+def pattern_set(
+    bench: DesignSetting, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]
+) -> Designed:
     """A pattern twice on each control, one after the other, of the width that tells most under the limits."""
     time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
     slots = REPEATS * len(bench.controls)
@@ -250,7 +254,7 @@ def pattern_set(bench: Bench, limits: Limits, name: str, duration: float, sizes:
     return min(map(flown, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
 
 
-def chirp_set(bench: Bench, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
+def chirp_set(bench: DesignSetting, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
     """A sweep on each control, one after the other."""
     time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
     room = (duration - FIRST) / len(bench.controls)
@@ -262,9 +266,9 @@ def chirp_set(bench: Bench, limits: Limits, duration: float, band: tuple[float, 
 
 
 def _sines(
-    bench: Bench,
+    bench: DesignSetting,
     limits: Limits,
-    task: Task,
+    task: DesignTask,
     sizes: Mapping[str, float],
     rng: np.random.Generator,
     doublets: Designed,
@@ -281,7 +285,7 @@ def _sines(
         raise EstimationError(f"--time {task.duration:g}: {error}; give more time or a wider --band") from error
 
 
-def _bands(bench: Bench, task: Task) -> list[tuple[float, float]]:
+def _bands(bench: DesignSetting, task: DesignTask) -> list[tuple[float, float]]:
     """Bands that are tried of an optimal input: the one given, and lower ones that hold two harmonics for each
     control. Where a limited signal answers low frequencies most, power spread up to the top of the band is wasted."""
     low, high = task.band
@@ -290,7 +294,7 @@ def _bands(bench: Bench, task: Task) -> list[tuple[float, float]]:
 
 
 def _criterion(
-    task: Task, sizes: Mapping[str, float]
+    task: DesignTask, sizes: Mapping[str, float]
 ) -> tuple[Callable[[tuple[str, ...]], Criterion], Callable[[Designed], float]]:
     """(criterion for the allocation, judge of what was flown)."""
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.design.design import UNTOLD, Design
+from estimation.design.design import UNTOLD, InputDesign
 from estimation.design.predict import INTEGRATION_STEP
 from estimation.report.drawing.figures import save_figure, styled
 from estimation.report.names import tex
@@ -16,7 +16,7 @@ _DEG = math.degrees(1.0)
 _HIGHEST_HZ = 3.0  # of the spectra shown
 
 
-def write_figure(found: Design, path: Path) -> None:
+def write_figure(found: InputDesign, path: Path) -> None:
     """Write the picture; its ending chooses the format."""
     from matplotlib.figure import Figure
 
@@ -26,7 +26,7 @@ def write_figure(found: Design, path: Path) -> None:
         save_figure(page, path, dpi=150)
 
 
-def _draw(page: Any, found: Design) -> None:
+def _draw(page: Any, found: InputDesign) -> None:
     controls, motion = found.bench.controls, found.best.motion
     limited = [u for u in found.best.used if u.name in motion.signals and u.name not in controls]
     rows = len(controls) + len(limited)
@@ -58,7 +58,7 @@ def _spectrum(axes: Any, command: np.ndarray, last: bool) -> None:  # type: igno
         axes.set_xlabel("frequency [Hz]")
 
 
-def _response(axes: Any, found: Design, name: str, allowed: float) -> None:
+def _response(axes: Any, found: InputDesign, name: str, allowed: float) -> None:
     motion, limit = found.best.motion, found.limits.response[name]
     factor = 1.0 if name in ("V", "ax", "ay", "az") else _DEG
     values = factor * motion.signals[name]
@@ -69,7 +69,7 @@ def _response(axes: Any, found: Design, name: str, allowed: float) -> None:
     axes.set_ylabel(f"${tex(name)}$" + (" [deg]" if factor != 1.0 else ""))
 
 
-def _bounds(axes: Any, found: Design) -> None:
+def _bounds(axes: Any, found: InputDesign) -> None:
     names = list(found.relative)
     at = np.arange(len(names))
     plain = found.expected_of_doublets

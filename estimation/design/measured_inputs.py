@@ -18,7 +18,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.design.predict import NOISE, Bench, Motion, output_noise, sampled
+from estimation.design.predict import NOISE, DesignSetting, PredictedMotion, output_noise, sampled
 from estimation.engine.data import FlightData
 from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
@@ -43,7 +43,7 @@ SURFACE_NOISE = math.radians(0.07)
 
 
 def expected(
-    bench: Bench, motion: Motion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
+    bench: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
 ) -> dict[str, float]:
     """Standard deviation that estimates from this motion will have with all sensors noisy, by parameter.
 
@@ -71,7 +71,7 @@ def expected(
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 
-def _own(bench: Bench, y: Array, shown: Array) -> Array:
+def _own(bench: DesignSetting, y: Array, shown: Array) -> Array:
     """(ny, ny) noise of the sensors themselves. shown (ny,): variance that noisy inputs add."""
     variance = np.array([output_noise(bench, s, y[:, i]) ** 2 for i, s in enumerate(bench.model.outputs)])
     return np.diag(np.maximum(variance - shown, LEAST_OWN * variance) if bench.noise_of_residuals else variance)
@@ -91,7 +91,7 @@ def _scatter(sensitivities: Array, own: Array, within: Array, shown: list[Array]
     return np.sqrt(np.diag(inverse @ middle @ inverse)) / scale
 
 
-def _flight(bench: Bench, motion: Motion, rng: np.random.Generator | None) -> FlightData:
+def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Generator | None) -> FlightData:
     """The motion prepared for the model as a recorded flight would be; rng: noise on the inputs, or None for exact ones."""
     keep = sampled(bench, motion)
     columns = {}
@@ -106,7 +106,7 @@ def _flight(bench: Bench, motion: Motion, rng: np.random.Generator | None) -> Fl
     return prepared(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
 
 
-def input_noise(bench: Bench, signal: Signal) -> float:
+def input_noise(bench: DesignSetting, signal: Signal) -> float:
     """Noise of one input's instrument, 1 sigma; 0 where nothing is known of it."""
     if signal.control:
         return bench.noise.get(signal.name, SURFACE_NOISE)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from estimation.design.limits import Limits
 from estimation.design.predict import (
     INTEGRATION_STEP,
-    Bench,
-    Information,
+    DesignInformation,
+    DesignSetting,
     LimitUse,
-    Motion,
+    PredictedMotion,
     fly,
     information,
     limits_used,
@@ -50,13 +50,15 @@ class Designed:
 
     kind: str
     commands: Array
-    motion: Motion
-    information: Information
+    motion: PredictedMotion
+    information: DesignInformation
     used: tuple[LimitUse, ...]
     waves: tuple[Multisine, ...] = ()
 
 
-def measure(bench: Bench, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()) -> Designed:
+def measure(
+    bench: DesignSetting, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()
+) -> Designed:
     """Fly commands and weigh them."""
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     if not motion.reached:
@@ -65,7 +67,7 @@ def measure(bench: Bench, limits: Limits, kind: str, commands: Array, waves: Seq
     return Designed(kind, commands, motion, information(bench, motion), used, tuple(waves))
 
 
-def fitted_size(bench: Bench, limits: Limits, commands: Array) -> float:
+def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
     """Largest factor, at most 1e3, at which commands keep inside every limit; by halving, because motion is not linear."""
 
     def inside(factor: float) -> bool:
@@ -83,7 +85,7 @@ def fitted_size(bench: Bench, limits: Limits, commands: Array) -> float:
     return low
 
 
-def each_fitted(bench: Bench, limits: Limits, commands: Array) -> Array:
+def each_fitted(bench: DesignSetting, limits: Limits, commands: Array) -> Array:
     """(nu,) factors that bring commands to the limits: all controls together first, then each further by itself."""
     factors = np.full(len(bench.controls), fitted_size(bench, limits, commands))
     for i in range(len(bench.controls)):
@@ -100,7 +102,7 @@ def _peak(values: Array) -> float:
     return max(float(np.abs(values).max()), 1e-12)
 
 
-def _inside(bench: Bench, limits: Limits, commands: Array) -> bool:
+def _inside(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     # a rounding above 1 where a control stands at its own limit
     return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
@@ -119,7 +121,7 @@ class Harmonics:
     names: tuple[str, ...]
 
 
-def look_at_harmonics(bench: Bench, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
+def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
     """Fly every harmonic alone and small."""
     time = np.arange(0.0, period, INTEGRATION_STEP)
     controls, matrices, power = [], [], []
@@ -197,7 +199,7 @@ def one_of(index: int) -> Criterion:
 
 
 def multisine(
-    bench: Bench,
+    bench: DesignSetting,
     limits: Limits,
     period: float,
     band: tuple[float, float],
@@ -227,7 +229,7 @@ def multisine(
     return measure(bench, limits, "multisine", factors * commands, waves)
 
 
-def calm(bench: Bench, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
+def calm(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
     """The waves, each but the first shifted to the zero crossing at which the motion keeps furthest from its limits."""
 
     def pressed(tried: Sequence[Multisine]) -> float:
@@ -247,7 +249,7 @@ def calm(bench: Bench, limits: Limits, waves: Sequence[Multisine], time: Array) 
 
 
 def optimal(
-    bench: Bench,
+    bench: DesignSetting,
     limits: Limits,
     period: float,
     band: tuple[float, float],

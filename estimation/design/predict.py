@@ -37,7 +37,7 @@ OTHER_NOISE_SHARE = 0.02  # of an output's own range in the manoeuvre, where not
 
 
 @dataclass(frozen=True)
-class Bench:
+class DesignSetting:
     """All that stays the same while inputs are tried. controls: inputs that the design moves, in this order.
 
     values: parameters. noise: output -> sigma. rate_hz: of the samples. held: whether a pilot holds bank and pitch.
@@ -63,7 +63,7 @@ class Bench:
 
 
 @dataclass(frozen=True)
-class Motion:
+class PredictedMotion:
     """time (N,); surfaces control -> (N,) as moved [rad], trim included; signals: name -> (N,) states and outputs."""
 
     time: Array
@@ -86,7 +86,7 @@ class LimitUse:
 
 
 @dataclass(frozen=True)
-class Information:
+class DesignInformation:
     """names (n,); matrix (n, n): information on the parameters, initial states projected out."""
 
     names: tuple[str, ...]
@@ -110,7 +110,7 @@ class Information:
         return dict(zip(self.names, bound.tolist(), strict=True))
 
 
-def driven_model(bench: Bench) -> Model:
+def driven_model(bench: DesignSetting) -> Model:
     """The model with a servo before each control: control becomes a state, its command `<control>_command` an input."""
     model = bench.model
     inputs = tuple(s for s in model.inputs if s.name not in bench.controls)
@@ -131,7 +131,7 @@ def driven_model(bench: Bench) -> Model:
     )
 
 
-def _holding(bench: Bench, control: str) -> str:
+def _holding(bench: DesignSetting, control: str) -> str:
     held = HOLD_GAIN.get(control)
     if not bench.held or held is None or held[0] not in bench.model.state_names:
         return ""
@@ -139,7 +139,7 @@ def _holding(bench: Bench, control: str) -> str:
     return f" + {gain}*({signal} - ({bench.condition.of(signal)!r}))"
 
 
-def fly(bench: Bench, commands: Array, duration: float) -> Motion:
+def fly(bench: DesignSetting, commands: Array, duration: float) -> PredictedMotion:
     """The motion that commands (N, nu) [rad], increments at INTEGRATION_STEP over `duration` [s], would cause."""
     model = driven_model(bench)
     time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
@@ -154,15 +154,15 @@ def fly(bench: Bench, commands: Array, duration: float) -> Motion:
     surfaces = {c: motion.x[:, len(bench.model.states) + i] for i, c in enumerate(bench.controls)}
     signals = {s.name: motion.x[:, i] for i, s in enumerate(bench.model.states)}
     signals |= {s.name: motion.y[:, i] for i, s in enumerate(bench.model.outputs)}
-    return Motion(time, surfaces, signals, motion.reached == len(time))
+    return PredictedMotion(time, surfaces, signals, motion.reached == len(time))
 
 
-def sampled(bench: Bench, motion: Motion) -> NDArray[np.intp]:
+def sampled(bench: DesignSetting, motion: PredictedMotion) -> NDArray[np.intp]:
     """Indices of the motion's steps at which the bench takes samples."""
     return np.arange(0, len(motion.time), max(1, round(1.0 / (bench.rate_hz * INTEGRATION_STEP))))
 
 
-def information(bench: Bench, motion: Motion) -> Information:
+def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformation:
     """What samples of this motion at the bench's rate would tell of the free parameters."""
     keep = sampled(bench, motion)
     model = bench.model
@@ -184,16 +184,16 @@ def information(bench: Bench, motion: Motion) -> Information:
     n = len(simulator.free)
     by_state = full[n:, n:]
     kept = full[:n, :n] - full[:n, n:] @ np.linalg.pinv(by_state, rcond=1e-12, hermitian=True) @ full[n:, :n]
-    return Information(simulator.free, 0.5 * (kept + kept.T))
+    return DesignInformation(simulator.free, 0.5 * (kept + kept.T))
 
 
-def output_noise(bench: Bench, signal: Signal, values: Array) -> float:
+def output_noise(bench: DesignSetting, signal: Signal, values: Array) -> float:
     """Noise of one output's instrument, 1 sigma."""
     known = bench.noise.get(signal.name, NOISE.get(signal.name))
     return known if known else max(OTHER_NOISE_SHARE * float(np.ptp(values)), 1e-9)
 
 
-def limits_used(bench: Bench, limits: Limits, commands: Array, motion: Motion) -> list[LimitUse]:
+def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: PredictedMotion) -> list[LimitUse]:
     """How much of every limit a manoeuvre uses; limits on signals that the model does not have are left out."""
     used = [
         LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(bench.controls)

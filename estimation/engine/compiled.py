@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.engine.kernel import Array, Columns, Drive, Motion
+from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, SensitivityColumns
 from estimation.engine.trace import Traced, hoisted, trace
 from estimation.models import expressions
-from estimation.models.parts import Structure
+from estimation.models.parts import ModelStructure
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
 LOOP = Path(__file__).with_name("loop.c")
@@ -37,13 +37,13 @@ class CompiledKernel:
 
     def run(
         self,
-        drive: Drive,
+        drive: SegmentInputs,
         p: Array,
         x0: Array,
         substeps: int,
-        columns: Columns | None = None,
+        columns: SensitivityColumns | None = None,
         gain: Array | None = None,
-    ) -> Motion:
+    ) -> SegmentMotion:
         nx, _, _, ny = self.sizes
         count = drive.dt.size
         x, y = np.empty((count, nx)), np.empty((count, ny))
@@ -62,7 +62,7 @@ class CompiledKernel:
             _pointer(gain_rows) if gain_rows is not None else None, _pointer(drive.z),
             _pointer(x), _pointer(y), _pointer(dy) if dy is not None else _pointer(empty),
         )  # fmt: skip
-        return Motion(x, y, dy, int(reached))
+        return SegmentMotion(x, y, dy, int(reached))
 
     def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
         nx, _, np_, ny = self.sizes
@@ -84,7 +84,7 @@ def compiler() -> str | None:
     return None if wanted == "none" else shutil.which(wanted)
 
 
-def compile_kernel(structure: Structure) -> CompiledKernel | None:
+def compile_kernel(structure: ModelStructure) -> CompiledKernel | None:
     """The compiled back end, compiling now if needed; None where there is no working compiler."""
     path = _library_path(structure)
     if not path.is_file() and not _build(trace(structure), path):
@@ -98,7 +98,7 @@ def cache_folder() -> Path:
     return Path(base) / "sideslip" / "compiled"
 
 
-def _library_path(structure: Structure) -> Path:
+def _library_path(structure: ModelStructure) -> Path:
     seed = "\n".join((structure.digest, _generator_digest(), *FLAGS, _processor()))
     return cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
 

@@ -13,7 +13,7 @@ from estimation.engine.kernel import Array
 from estimation.engine.plausible import refuse_other_time_unit, wild
 from groundstation.flight import Flight
 from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.quality.repeats import Repeats, repeats
+from groundstation.flight.quality.repeats import RepeatedValues, repeats
 
 KEEP = "--keep-held keeps them"
 
@@ -25,7 +25,7 @@ class Conditioned:
     of a slower sensor."""
 
     flight: Flight
-    found: Mapping[str, Repeats]
+    found: Mapping[str, RepeatedValues]
     notes: tuple[Note, ...]
     between: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from estimation.engine.conditioned import Conditioned
 from estimation.engine.kernel import Array
 from estimation.models.base import Model
-from estimation.signals.feedback import STEP, Piece, following, gains
+from estimation.signals.feedback import STEP, ControlStretch, following, gains
 from estimation.signals.preprocess import QUIET
 from estimation.signals.raw_steps import around, near_steps
 
@@ -52,7 +52,9 @@ def keep_what_follows(
         if not whole:
             continue
         known = [j for j in range(states.shape[1]) if all(np.isfinite(states[a:b, j]).all() for a, b in whole)]
-        parts = [Piece(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, known]) for a, b in whole]
+        parts = [
+            ControlStretch(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, known]) for a, b in whole
+        ]
         found = gains(parts, level) if known else None
         rng = np.random.default_rng([SEED, i])
         draws, reach = errors.shape[2], around(told.flight.sample_interval)

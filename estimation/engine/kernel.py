@@ -19,7 +19,7 @@ Integers = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
-class Drive:
+class SegmentInputs:
     """One segment as the integrator sees it.
 
     dt: (N,) s, time to the next sample (last entry unused). u: (N, nu) inputs at the samples, u_mid, u_end: (N, nu)
@@ -38,7 +38,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Columns:
+class SensitivityColumns:
     """What the sensitivity columns belong to.
 
     count: number n of columns. parameter: (np,) column of each entry of p, -1 where it is held. state: (nx,) column of
@@ -54,7 +54,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Motion:
+class SegmentMotion:
     """x: (N, nx), y: (N, ny), dy: (N, ny, n) or None. `reached` < N where the motion left the finite numbers."""
 
     x: Array
@@ -74,13 +74,13 @@ class Kernel(Protocol):
 
     def run(
         self,
-        drive: Drive,
+        drive: SegmentInputs,
         p: Array,
         x0: Array,
         substeps: int,
-        columns: Columns | None = None,
+        columns: SensitivityColumns | None = None,
         gain: Array | None = None,
-    ) -> Motion:
+    ) -> SegmentMotion:
         """Integrate one segment; sensitivities where `columns` is given."""
         ...
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from estimation.engine.compiled import compile_kernel
 from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, prepare
-from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
+from estimation.engine.kernel import Array, Kernel, SegmentInputs, SegmentMotion, SensitivityColumns
 from estimation.engine.transforms import acting_on, apply_transforms, transform_derivatives
 from estimation.models.base import Model
-from estimation.models.parts import Structure
+from estimation.models.parts import ModelStructure
 from estimation.signals.monotone_cubic import half_way, inner_slopes
 from groundstation.flight import Flight
 
@@ -35,7 +35,7 @@ def usual_hold(model: Model) -> Hold:
 
 
 @lru_cache(maxsize=128)
-def _kernel(structure: Structure, compile_: Compile) -> Kernel:
+def _kernel(structure: ModelStructure, compile_: Compile) -> Kernel:
     found = None if compile_ == "never" else compile_kernel(structure)
     if found is not None:
         return found
@@ -80,7 +80,7 @@ class Simulator:
             [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in constants], float
         )
 
-    def columns(self, gain_free: Array | None = None, moved: int = 0) -> Columns:
+    def columns(self, gain_free: Array | None = None, moved: int = 0) -> SensitivityColumns:
         """Sensitivity columns: free parameters, then the initial states, then free entries of the gain, then `moved` changes of
         the inputs."""
         nx, ny = len(self.model.states), len(self.model.outputs)
@@ -96,18 +96,18 @@ class Simulator:
             gain[where[:, 0], where[:, 1]] = np.arange(count, count + len(where))
             count += len(where)
         transform = np.concatenate([transform, np.arange(count, count + moved, dtype=np.int32)])
-        return Columns(count + moved, parameter, state, transform, gain)
+        return SensitivityColumns(count + moved, parameter, state, transform, gain)
 
     def _transform_names(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free))
 
     def drive(
         self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
-    ) -> Drive:
+    ) -> SegmentInputs:
         """Inputs of one segment as the integrator sees them, transforms applied. moved: as of `run_by_middles`."""
         u, du = self._transformed(segment, values, sensitivities, moved)
         step = np.diff(segment.time)
-        return Drive(
+        return SegmentInputs(
             np.append(step, 0.0),
             u,
             self._middle(u, step) + self._bends(u, step, values),
@@ -217,7 +217,7 @@ class Simulator:
         gain: Array | None = None,
         gain_free: Array | None = None,
         moved: Array | None = None,
-    ) -> Motion:
+    ) -> SegmentMotion:
         """Motion of one segment from x0 (nx,); dy columns as `columns()` says where sensitivities are asked for."""
         drive = self.drive(segment, values, sensitivities, moved)
         columns = self.columns(gain_free, 0 if moved is None else moved.shape[2]) if sensitivities else None
@@ -235,7 +235,7 @@ class Simulator:
         *,
         sensitivities: bool = False,
         moved: Array | None = None,
-    ) -> Motion:
+    ) -> SegmentMotion:
         """Motion at every other sample, x, y and dy of those only, of a segment whose samples between them are the middles of the
         intervals. The steps and the inputs are those of `run` on straight lines.
 
@@ -244,9 +244,9 @@ class Simulator:
         if self.model.output_delays:  # interpolated between all samples
             motion = self.run(segment, values, x0, sensitivities=sensitivities, moved=moved)
             dy = None if motion.dy is None else motion.dy[::2]
-            return Motion(motion.x[::2], motion.y[::2], dy, (motion.reached + 1) // 2)
+            return SegmentMotion(motion.x[::2], motion.y[::2], dy, (motion.reached + 1) // 2)
         u, du = self._transformed(segment, values, sensitivities, moved)
-        drive = Drive(
+        drive = SegmentInputs(
             np.append(segment.time[2::2] - segment.time[:-2:2], 0.0), *_by_middles(u), segment.z[::2], *_by_middles(du)
         )
         columns = self.columns(moved=0 if moved is None else moved.shape[2]) if sensitivities else None
@@ -269,7 +269,7 @@ class Simulator:
         k, nx, ny = du.shape[2], len(self.model.states), len(self.model.outputs)
         p = self.vector(values)
         held, kept = np.full(p.size, -1, np.int32), np.full(nx, -1, np.int32)
-        columns = Columns(k, held, kept, np.arange(k, dtype=np.int32), np.full((nx, ny), -1, np.int32))
+        columns = SensitivityColumns(k, held, kept, np.arange(k, dtype=np.int32), np.full((nx, ny), -1, np.int32))
         du, du_mid = np.ascontiguousarray(du), np.ascontiguousarray(du_mid)
         drive = replace(self.drive(segment, values, False), du=du, du_mid=du_mid, du_end=self._end(du))
         motion = self.kernel.run(drive, p, np.ascontiguousarray(x0, float), self.substeps, columns, gain)
@@ -282,7 +282,7 @@ class Simulator:
             dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[at, c])
         return dy
 
-    def _delayed(self, motion: Motion, time: Array, values: Mapping[str, float]) -> Motion:
+    def _delayed(self, motion: SegmentMotion, time: Array, values: Mapping[str, float]) -> SegmentMotion:
         """Outputs shown later than they happen: cubic interpolation between samples, values before the record held."""
         y = motion.y.copy()
         dy = None if motion.dy is None else motion.dy.copy()
@@ -294,7 +294,7 @@ class Simulator:
                 dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[at, c])
                 if name in self.free:
                     dy[:, c, self.free.index(name)] -= np.einsum("ij,ij->i", slope, motion.y[at, c])
-        return Motion(motion.x, y, dy, motion.reached)
+        return SegmentMotion(motion.x, y, dy, motion.reached)
 
 
 def _by_middles(values: Array) -> tuple[Array, Array, Array]:

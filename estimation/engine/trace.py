@@ -14,7 +14,7 @@ import casadi as ca
 
 from estimation.errors import ModelError
 from estimation.models.expressions import evaluate, names_in
-from estimation.models.parts import Structure
+from estimation.models.parts import ModelStructure
 
 Pattern = tuple[tuple[int, ...], tuple[int, ...]]  # rows, columns of the non-zeros
 
@@ -54,7 +54,7 @@ class Traced:
 
 
 @lru_cache(maxsize=256)
-def trace(structure: Structure) -> Traced:
+def trace(structure: ModelStructure) -> Traced:
     """CasADi functions of a model; the same object for every model of equal structure."""
     kinds = (structure.states, structure.inputs, structure.parameters, structure.constants_kept)
     x, u, t, c = (ca.SX.sym(k, len(v)) for k, v in zip("xutc", kinds, strict=True))

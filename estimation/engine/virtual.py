@@ -13,9 +13,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from estimation.engine.kernel import Array, Columns, Drive, Motion
+from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, SensitivityColumns
 from estimation.engine.trace import Pattern, Traced, trace
-from estimation.models.parts import Structure
+from estimation.models.parts import ModelStructure
 
 BLOCKS = (128, 16)
 LIMIT = 1e12
@@ -26,19 +26,19 @@ class VirtualKernel:
 
     label = "virtual machine"
 
-    def __init__(self, structure: Structure) -> None:
+    def __init__(self, structure: ModelStructure) -> None:
         self._traced = trace(structure)
         self.sizes = structure.sizes
 
     def run(
         self,
-        drive: Drive,
+        drive: SegmentInputs,
         p: Array,
         x0: Array,
         substeps: int,
-        columns: Columns | None = None,
+        columns: SensitivityColumns | None = None,
         gain: Array | None = None,
-    ) -> Motion:
+    ) -> SegmentMotion:
         nx, _, _, ny = self.sizes
         count = drive.dt.size
         n = columns.count if columns is not None else 0
@@ -53,8 +53,8 @@ class VirtualKernel:
             if bad.any():
                 reached = part.start + int(np.argmax(bad))
                 x[reached:], y[reached:], dy[reached:] = 0.0, 0.0, 0.0
-                return Motion(x, y, dy if columns is not None else None, reached)
-        return Motion(x, y, dy if columns is not None else None, count)
+                return SegmentMotion(x, y, dy if columns is not None else None, reached)
+        return SegmentMotion(x, y, dy if columns is not None else None, count)
 
     def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
         nx, _, np_, ny = self.sizes
@@ -78,7 +78,7 @@ def _spread(nonzeros: Array, pattern: Pattern, shape: tuple[int, int, int]) -> A
     return full
 
 
-def _key(columns: Columns | None) -> tuple[Any, ...]:
+def _key(columns: SensitivityColumns | None) -> tuple[Any, ...]:
     """The sensitivity columns as a key of built functions."""
     if columns is None:
         return ()
@@ -90,7 +90,7 @@ def _key(columns: Columns | None) -> tuple[Any, ...]:
     )
 
 
-def _samples(drive: Drive, p: Array, transforms: int, gain: Array | None) -> list[Array]:
+def _samples(drive: SegmentInputs, p: Array, transforms: int, gain: Array | None) -> list[Array]:
     """Arguments of the step function sample by sample, (N, width) or (width,), in its order after the state."""
     samples = [drive.u, drive.u_mid, drive.u_end]
     if transforms:
@@ -115,7 +115,7 @@ def _parts(count: int) -> Iterator[tuple[slice, int]]:
         first += block
 
 
-def _initial(nx: int, columns: Columns | None) -> Array:
+def _initial(nx: int, columns: SensitivityColumns | None) -> Array:
     if columns is None:
         return np.zeros((nx, 0))
     s = np.zeros((nx, columns.count))

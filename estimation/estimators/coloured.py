@@ -27,7 +27,7 @@ LARGEST_RAISE = 4.0  # of the spectrum, so that a direction fitted away entirely
 
 
 @dataclass(frozen=True)
-class Piece:
+class ResidualSegment:
     """One segment. residual: (N, ny) and jacobian: (N ny, n) in units of the noise, unknown samples zero;
     nuisance: (N ny, k) columns of initial states; known: (N, ny)."""
 
@@ -37,7 +37,7 @@ class Piece:
     known: NDArray[np.bool_]
 
 
-def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list[Array]) -> Array:
+def score_covariance(pieces: list[ResidualSegment], inverse: Array, nuisance_inverse: list[Array]) -> Array:
     """B (n, n) of one flight in the coordinates of `jacobian` with the nuisance projected out.
 
     inverse: (n, n) covariance of the parameters; nuisance_inverse: inverse information of each piece's initial states.
@@ -48,10 +48,10 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
     return filtered_covariance(pieces, projected, spectrum)
 
 
-def without_empty_rows(piece: Piece) -> Piece:
+def without_empty_rows(piece: ResidualSegment) -> ResidualSegment:
     """The piece without samples at which nothing is known, as between those of a log that was brought to a faster grid: colour is
     then seen over as long a time as on the log's own."""
-    return Piece(
+    return ResidualSegment(
         piece.residual[piece.known.any(axis=1)],
         without_empty(piece, piece.jacobian),
         without_empty(piece, piece.nuisance),
@@ -59,14 +59,14 @@ def without_empty_rows(piece: Piece) -> Piece:
     )
 
 
-def without_empty(piece: Piece, columns: Array) -> Array:
+def without_empty(piece: ResidualSegment, columns: Array) -> Array:
     """Columns (N ny, m) of a piece without those samples."""
     rows = piece.known.any(axis=1)
     count, ny = piece.residual.shape
     return columns.reshape(count, ny, columns.shape[1])[rows].reshape(int(rows.sum()) * ny, columns.shape[1])
 
 
-def filtered_covariance(pieces: list[Piece], projected: list[Array], spectrum: Spectrum) -> Array:
+def filtered_covariance(pieces: list[ResidualSegment], projected: list[Array], spectrum: Spectrum) -> Array:
     """(n, n) covariance of the products of columns (N ny, n) with noise of a spectrum."""
     n = projected[0].shape[1]
     total = np.zeros((n, n))
@@ -77,14 +77,14 @@ def filtered_covariance(pieces: list[Piece], projected: list[Array], spectrum: S
     return total
 
 
-def white_products(piece: Piece, columns: Array, inverse_spectrum: Spectrum) -> Array:
+def white_products(piece: ResidualSegment, columns: Array, inverse_spectrum: Spectrum) -> Array:
     """(m, m) inner products of columns (N ny, m) in the metric in which noise of the spectrum is white, with what the piece's
     initial states and sensitivities can make of them: order nuisance, jacobian, columns, residual."""
     every = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
     return _quadratic(every.reshape(piece.residual.shape[0], -1, every.shape[1]), inverse_spectrum)
 
 
-def without_nuisance(pieces: list[Piece], nuisance_inverse: list[Array]) -> list[Array]:
+def without_nuisance(pieces: list[ResidualSegment], nuisance_inverse: list[Array]) -> list[Array]:
     """Jacobian (N ny, n) of each piece with the columns of its initial states projected out."""
     projected = []
     for piece, own in zip(pieces, nuisance_inverse, strict=True):
@@ -96,7 +96,7 @@ def without_nuisance(pieces: list[Piece], nuisance_inverse: list[Array]) -> list
 
 
 def noise_spectrum(
-    pieces: list[Piece],
+    pieces: list[ResidualSegment],
     projected: list[Array],
     inverse: Array,
     nuisance_inverse: list[Array],
@@ -198,7 +198,7 @@ def autoregressive_spectrum(lags: Array, order: int, size: int) -> Spectrum:
 
 def _after_fit(
     spectrum: Spectrum,
-    pieces: list[Piece],
+    pieces: list[ResidualSegment],
     projected: list[Array],
     inverse: Array,
     nuisance_inverse: list[Array],

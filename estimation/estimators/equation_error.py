@@ -21,7 +21,7 @@ from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator, simulate
 from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.coloured import Piece, score_covariance
+from estimation.estimators.coloured import ResidualSegment, score_covariance
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import FlightFit, Result
 from estimation.estimators.uncertainty import TIED, estimates
@@ -109,7 +109,7 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
         _apply(simulator, values, change)
     regressions = _regressions(simulator, flights, values)
     n = len(simulator.free)
-    parts: list[list[Piece]] = []
+    parts: list[list[ResidualSegment]] = []
     index = 0
     for flight in flights:
         of_flight = regressions[index : index + len(flight.segments)]
@@ -132,12 +132,12 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
 
 
-def _piece(regression: Regression, weights: Array) -> Piece:
+def _piece(regression: Regression, weights: Array) -> ResidualSegment:
     known = np.isfinite(regression.e)
     count, equations, n = regression.A.shape
     J = np.where(known[:, :, None], regression.A, 0.0) * weights[None, :, None]
     e = np.where(known, regression.e, 0.0) * weights
-    return Piece(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), known)
+    return ResidualSegment(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), known)
 
 
 def stepwise_choice(regressions: list[Regression]) -> Index:

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.engine.data import FlightData
-from estimation.engine.kernel import Array, Motion
+from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
@@ -67,7 +67,7 @@ class _Filtered(OutputErrorProblem, ABC):
             gain=self._gain(values),
         )
 
-    def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
+    def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> SegmentMotion:
         values = self.values(unknowns, flight)
         try:
             gain = self._gain(values)
@@ -88,10 +88,10 @@ class _Filtered(OutputErrorProblem, ABC):
             return self._no_motion(flight, segment)
         return replace(motion, dy=dy) if np.isfinite(dy).all() else replace(motion, dy=None, reached=0)
 
-    def _no_motion(self, flight: int, segment: int) -> Motion:
+    def _no_motion(self, flight: int, segment: int) -> SegmentMotion:
         """A motion that left the finite numbers at once."""
         count = len(self.flights[flight].segments[segment])
-        return Motion(np.full((count, self.nx), np.nan), np.full((count, self.ny), np.nan), None, 0)
+        return SegmentMotion(np.full((count, self.nx), np.nan), np.full((count, self.ny), np.nan), None, 0)
 
     @abstractmethod
     def _free_entries(self) -> Array:

@@ -33,18 +33,18 @@ class Status(Enum):
         return self in (Status.CONVERGED, Status.NOT_IDENTIFIABLE, Status.CUT)
 
 
-class Point(Protocol):
+class EvaluatedPoint(Protocol):
     """A place at which a problem has been evaluated; `cost` is inf where the simulation left the finite numbers."""
 
     @property
     def cost(self) -> float: ...
 
 
-P = TypeVar("P", bound=Point)
+P = TypeVar("P", bound=EvaluatedPoint)
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SolverStep:
     """A proposed change of the unknowns; decrement: the cost reduction it predicts, in log-likelihood units.
 
     weight: scale of each unknown (square root of the information's diagonal), or None where steps are not to be
@@ -56,14 +56,14 @@ class Step:
     weight: Array | None = None
 
 
-class Problem(Protocol[P]):
+class SolverProblem(Protocol[P]):
     """What the loop needs of a problem."""
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> P:
         """Cost, and derivatives if asked for."""
         ...
 
-    def step(self, unknowns: Array, point: P, damping: float) -> Step:
+    def step(self, unknowns: Array, point: P, damping: float) -> SolverStep:
         """Gauss-Newton step from a point evaluated with derivatives; damping as in Marquardt's scaled diagonal."""
         ...
 
@@ -105,7 +105,7 @@ AS_USUAL_LOOP = LoopOptions()
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[P]):
+class SolverOutcome(Generic[P]):
     """Where the loop ended. point: evaluated there, with derivatives."""
 
     status: Status
@@ -116,44 +116,44 @@ class Outcome(Generic[P]):
     history: tuple[float, ...]
 
 
-def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_LOOP) -> Outcome[P]:
+def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_USUAL_LOOP) -> SolverOutcome[P]:
     """Lower the cost from `start` until the predicted reduction is negligible."""
     unknowns = problem.clip(start)
     point = problem.evaluate(unknowns, True)
     count = 1
     history = [point.cost]
     if not math.isfinite(point.cost):
-        return Outcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
+        return SolverOutcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
     damping = 0.0
     last = math.inf
     past = _Past(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.settled(point.cost):
-            return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
+            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
         if point.cost - HOPED * step.decrement > options.beyond:
-            return Outcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
+            return SolverOutcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
         combined = past.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
         moved, moved_point, used = _search(problem, unknowns, point, step, combined, options)
         count += used
         if moved is None or moved_point is None:
             if step.decrement < options.flat * options.tolerance:  # the cost is flat to rounding here
-                return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
+                return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
             damping = max(10.0 * damping, options.first_damping)
             if damping > options.most_damping:
-                return Outcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
+                return SolverOutcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
             continue
         damping = damping / 10.0 if damping > options.first_damping else 0.0
         gained, promised = point.cost - moved_point.cost, step.decrement
         unknowns, point = moved, moved_point
         history.append(point.cost)
         if options.gain and gained < options.settled(point.cost):
-            return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
         settled = options.settled(point.cost)
         if promised < options.kept and abs(gained - promised) < 0.5 * settled and promised * promised < settled * last:
-            return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+            return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
         last = promised
-    return Outcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
+    return SolverOutcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
 
 
 class _Past:
@@ -164,7 +164,7 @@ class _Past:
         self.places: list[Array] = []
         self.directions: list[Array] = []
 
-    def combined(self, unknowns: Array, step: Step) -> Array | None:
+    def combined(self, unknowns: Array, step: SolverStep) -> Array | None:
         """The step to where a straight-line law through the last steps would vanish; None while there is only one."""
         if step.weight is None:
             return None
@@ -179,7 +179,7 @@ class _Past:
 
 
 def _search(
-    problem: Problem[P], unknowns: Array, point: P, step: Step, combined: Array | None, options: LoopOptions
+    problem: SolverProblem[P], unknowns: Array, point: P, step: SolverStep, combined: Array | None, options: LoopOptions
 ) -> tuple[Array | None, P | None, int]:
     """First of the combined and the halved steps that lowers the cost, evaluated with derivatives."""
     count = 0

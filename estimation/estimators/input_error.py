@@ -23,7 +23,7 @@ import numpy as np
 from estimation.engine.data import Segment, draws_for
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.coloured import Piece, Spectrum, white_products
+from estimation.estimators.coloured import ResidualSegment, Spectrum, white_products
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.models.base import Model
 
@@ -48,7 +48,7 @@ class Disturbed:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class InputErrorEvidence:
     """Inner products of the responses of one flight, from which the sizes of errors are found: rest (columns, columns) of
     noise, edges, common and, last, the residual, in the metric in which the outputs' noise is white, less what any change of
     parameters and initial states can make of them. The residual's products then scatter as `rest` itself says."""
@@ -77,7 +77,9 @@ class Evidence:
         return information, self.rest[here, -1], chance
 
 
-def evidence(pieces: list[Piece], responses: list[Array], spectrum: Spectrum, kinds: Disturbed) -> Evidence:
+def evidence(
+    pieces: list[ResidualSegment], responses: list[Array], spectrum: Spectrum, kinds: Disturbed
+) -> InputErrorEvidence:
     """Evidence of one flight. responses: (N ny, columns) of each piece in units of the noise."""
     floor = LEAST_NOISE * np.eye(spectrum.shape[1])
     inverse: Spectrum = np.asarray(np.linalg.inv(spectrum + floor), np.complex128)
@@ -86,7 +88,7 @@ def evidence(pieces: list[Piece], responses: list[Array], spectrum: Spectrum, ki
         gram = _without(white_products(piece, columns, inverse), piece.nuisance.shape[1])
         total = gram if total is None else total + gram
     assert total is not None
-    return Evidence(_without(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
+    return InputErrorEvidence(_without(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
 
 
 def _without(gram: Array, count: int) -> Array:
@@ -154,13 +156,13 @@ def _common(model: Model, segment: Segment) -> tuple[Array, Array]:
     return at, middle
 
 
-def edge_size(told: Sequence[Evidence]) -> float:
+def edge_size(told: Sequence[InputErrorEvidence]) -> float:
     """Factor on the variance of edges, from all flights of a fit; 0 where residuals show nothing of them."""
     excess, scale = np.sum([t.edge_excess() for t in told], axis=0)
     return float(np.clip(excess / scale, 0.0, MOST_EDGE)) if scale > 0.0 else 0.0
 
 
-def common_error(told: Sequence[Evidence], edges: float) -> Array:
+def common_error(told: Sequence[InputErrorEvidence], edges: float) -> Array:
     """(common, common) second moment of the common errors, given that they are of size one and what the flights show."""
     each = [t.common(edges) for t in told]
     information, product, chance = (np.sum([e[i] for e in each], axis=0) for i in range(3))

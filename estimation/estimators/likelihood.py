@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
-from estimation.engine.kernel import Array, Motion
+from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import FlightBlocks, SegmentBlocks, pseudo_inverse
-from estimation.estimators.gauss_newton import Step
+from estimation.estimators.gauss_newton import SolverStep
 from estimation.models.base import Model
 
 Noise = Literal["diagonal", "full"]
@@ -30,7 +30,7 @@ class LikelihoodPoint:
 
     cost: float
     residuals: list[list[Array]]
-    motions: list[list[Motion]]
+    motions: list[list[SegmentMotion]]
     R: Array
     blocks: list[list[SegmentBlocks]] = field(default_factory=list)
 
@@ -122,7 +122,7 @@ class OutputErrorProblem:
         return u
 
     # -------------------------------------------------------------------------------------------- cost
-    def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
+    def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> SegmentMotion:
         return self.simulator.run(
             self.flights[flight].segments[segment],
             self.values(unknowns, flight),
@@ -142,7 +142,7 @@ class OutputErrorProblem:
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> LikelihoodPoint:
         residuals: list[list[Array]] = []
-        motions: list[list[Motion]] = []
+        motions: list[list[SegmentMotion]] = []
         for i, flight in enumerate(self.flights):
             residuals.append([])
             motions.append([])
@@ -245,7 +245,7 @@ class OutputErrorProblem:
             gradient = gradient + gs
         return information, gradient
 
-    def step(self, unknowns: Array, point: LikelihoodPoint, damping: float) -> Step:
+    def step(self, unknowns: Array, point: LikelihoodPoint, damping: float) -> SolverStep:
         blocks = [self.flight_blocks(unknowns, point, i, damping) for i in range(len(self.flights))]
         information, gradient = self.shared_information(unknowns, blocks)
         information = information + damping * np.diag(np.diag(information))
@@ -268,7 +268,7 @@ class OutputErrorProblem:
                 direction[self._state_slice(i, j)] = block.states(full)
                 weight[self._state_slice(i, j)] = np.diag(block.xx)
                 decrement += 0.5 * float(block.gx @ block.xx_inverse @ block.gx)
-        return Step(direction, decrement, np.sqrt(np.maximum(weight, 0.0)))
+        return SolverStep(direction, decrement, np.sqrt(np.maximum(weight, 0.0)))
 
     def _bounded_solution(self, information: Array, gradient: Array, now: Array) -> Array:
         """Solution of the reduced normal equations with parameters that press against a limit held there."""
@@ -281,7 +281,7 @@ class OutputErrorProblem:
         return change
 
 
-def _runaway(motion: Motion) -> bool:
+def _runaway(motion: SegmentMotion) -> bool:
     """Whether sensitivities have grown beyond what normal equations can hold."""
     return motion.dy is not None and not float(np.abs(motion.dy).max(initial=0.0)) < LARGEST_SLOPE
 

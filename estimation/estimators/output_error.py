@@ -18,11 +18,11 @@ from estimation.engine.prepared import PIECES, compared, cut, prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import start_values
-from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, P, Status, minimise
+from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, P, SolverOutcome, Status, minimise
 from estimation.estimators.input_path import in_own_terms, path_values, with_paths
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
 from estimation.estimators.result import Estimate, FlightFit, Result
-from estimation.estimators.uncertainty import Effect, effects_of, estimates, uncertainty
+from estimation.estimators.uncertainty import ParameterEffect, effects_of, estimates, uncertainty
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.signals.goodness_of_fit import fits
@@ -55,7 +55,7 @@ class OutputErrorOptions:
 
 
 STANDARD = OutputErrorOptions()
-Fit = Outcome[LikelihoodPoint]
+Fit = SolverOutcome[LikelihoodPoint]
 HOPELESS = 0.2  # median r2 below which a fit is tried again from pieces
 GROWTH = 1e4  # of a disturbance over a record: from here the end of it says nothing about its beginning
 NEARBY = 1.0  # predicted reduction of the log likelihood from which all integration steps are taken
@@ -295,7 +295,7 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     )  # fmt: skip
 
 
-def failed(problem: OutputErrorProblem, outcome: Outcome[P], method: str) -> Result:
+def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) -> Result:
     """The result of a fit that found no usable simulation."""
     names = tuple(problem.free[i] for i in problem.shared)
     nothing = np.full((len(names), len(names)), np.nan)
@@ -332,7 +332,7 @@ def _flight_fit(
     point: LikelihoodPoint,
     index: int,
     covariances: tuple[Array, Array],
-    effects: Mapping[str, Effect],
+    effects: Mapping[str, ParameterEffect],
 ) -> FlightFit:
     flight = problem.flights[index]
     time, measured = _histories(flight, problem.ny)

@@ -49,7 +49,7 @@ def profile_likelihood(
         everything = (-math.inf, math.inf)
         return Profile(parameter, estimate.estimate, np.zeros(0), np.zeros(0), everything, everything, why)
     problem, best = reopened(model, flights, result, options)
-    line = _Line(problem, best, parameter, replace(options, substeps=problem.simulator.substeps))
+    line = _ProfileLine(problem, best, parameter, replace(options, substeps=problem.simulator.substeps))
     ratio = estimate.std_coloured / estimate.std
     reach = BEYOND * ROOT_95 * ratio * estimate.std
     below, above = (line.side(s * reach / (points // 2), points // 2, ROOT_95 * ratio) for s in (-1.0, 1.0))
@@ -74,7 +74,7 @@ def _no_curve(result: Result, parameter: str) -> str:
     return "" if math.isfinite(estimate.std) else estimate.why
 
 
-class _Line:
+class _ProfileLine:
     """Refits along one parameter, each started from its neighbour. center: value at the optimum."""
 
     def __init__(self, problem: OutputErrorProblem, best: Fit, name: str, options: OutputErrorOptions) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe, Belief, Sample
 from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
-from daq.identification.solve import Solution
+from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
 from estimation.engine.data import FOR_REGRESSION, FlightData
 from estimation.engine.derived import with_derived
@@ -20,7 +20,7 @@ from estimation.engine.prepared import compared, prepared
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.result import Estimate, FlightFit, History, Result, correlation
+from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
 from groundstation.flight import GAP_FACTOR, Flight
@@ -32,12 +32,12 @@ DOUBTED = 0.5  # of a believed value: its standard deviation where the aircraft 
 
 
 @dataclass(frozen=True)
-class _Run:
+class _RecursiveRun:
     """What came of feeding flights one after the other. ends: stretch of the estimator at which each flight ends."""
 
     estimator: LiveEstimator
     ends: tuple[int, ...]
-    history: History
+    history: EstimateHistory
 
 
 def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
@@ -101,7 +101,7 @@ def samples_of(flight: Flight, part: slice) -> Iterator[Sample]:
         yield Sample(*row)
 
 
-def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _Run:
+def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _RecursiveRun:
     estimator, ends, seen = LiveEstimator(airframe), [], list[LiveEstimates]()
     for flight in flights:
         due = -math.inf
@@ -116,7 +116,7 @@ def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _Run:
         if len(flights) == 1:
             seen.append(replace(estimator.estimates(), time=float(flight.time[-1])))
         ends.append(estimator.stretches + 1)
-    return _Run(estimator, tuple(ends), _history(seen))
+    return _RecursiveRun(estimator, tuple(ends), _history(seen))
 
 
 def _leads_over(flight: Flight, at: int) -> bool:
@@ -127,19 +127,19 @@ def _leads_over(flight: Flight, at: int) -> bool:
     return GAP_FACTOR * flight.sample_interval < step <= GAP
 
 
-def _history(seen: Sequence[LiveEstimates]) -> History:
+def _history(seen: Sequence[LiveEstimates]) -> EstimateHistory:
     def series(name: str, field: str) -> Array:
         known = (e.derivatives[name] for e in seen)
         return np.array([getattr(d, field) if d.told else np.nan for d in known])
 
-    return History(
+    return EstimateHistory(
         np.array([e.time for e in seen]),
         {n: series(n, "estimate") for n in DERIVATIVES},
         {n: series(n, "std") for n in DERIVATIVES},
     )
 
 
-def _result(model: Model, data: list[FlightData], run: _Run) -> Result:
+def _result(model: Model, data: list[FlightData], run: _RecursiveRun) -> Result:
     final = run.estimator.estimates()
     names = tuple(n for n in model.parameter_names if not model.parameter(n).local)
     found = {n: _estimate(model.parameter(n), final.derivatives[n]) for n in names}
@@ -155,7 +155,7 @@ def _result(model: Model, data: list[FlightData], run: _Run) -> Result:
     )  # fmt: skip
 
 
-def _locals(model: Model, run: _Run) -> Iterator[dict[str, Estimate]]:
+def _locals(model: Model, run: _RecursiveRun) -> Iterator[dict[str, Estimate]]:
     """Each flight's own constants, where the model says that they are."""
     begin = 0
     for end in run.ends:
@@ -182,7 +182,7 @@ def _status(final: LiveEstimates, found: Mapping[str, Estimate]) -> tuple[Status
     return (Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED), text
 
 
-def _matrix(names: tuple[str, ...], solutions: Mapping[str, Solution | None], kind: str) -> Array:
+def _matrix(names: tuple[str, ...], solutions: Mapping[str, RegressionSolution | None], kind: str) -> Array:
     """(n, n) covariance in the order of the names; zero where there is none, constants by themselves."""
     result = np.zeros((len(names), len(names)))
     for coefficient, solution in solutions.items():

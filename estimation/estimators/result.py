@@ -124,7 +124,7 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class History:
+class EstimateHistory:
     """How estimates came about during the flight. time: (n,) s; estimate, std: name -> (n,), NaN before it could be told."""
 
     time: Array
@@ -162,7 +162,7 @@ class Result:
     extra: Mapping[str, Any] = field(default_factory=dict)
     profile: Mapping[str, Profile] = field(default_factory=dict)
     bootstrap: Bootstrap | None = None
-    history: History | None = None
+    history: EstimateHistory | None = None
 
     @property
     def converged(self) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimation.engine.data import FlightData
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.coloured import (
-    Piece,
+    ResidualSegment,
     Spectrum,
     autocovariance,
     filtered_covariance,
@@ -24,7 +24,14 @@ from estimation.estimators.coloured import (
     without_empty_rows,
     without_nuisance,
 )
-from estimation.estimators.input_error import Disturbed, Evidence, common_error, disturbed, edge_size, evidence
+from estimation.estimators.input_error import (
+    Disturbed,
+    InputErrorEvidence,
+    common_error,
+    disturbed,
+    edge_size,
+    evidence,
+)
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
 from estimation.estimators.together import moving_together, text_of
@@ -54,7 +61,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class ParameterEffect:
     """What one unit of a parameter does to the output that it moves most. share: of the rms motion of that output about its
     mean [1/unit of the parameter]."""
 
@@ -62,7 +69,7 @@ class Effect:
     share: float
 
 
-def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str, Effect]:
+def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str, ParameterEffect]:
     """Effect of each free parameter at a point evaluated with derivatives."""
     n = len(problem.free)
     moved, motion = np.zeros((problem.ny, n)), np.zeros(problem.ny)
@@ -77,7 +84,7 @@ def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str,
     share = np.sqrt(np.divide(moved, motion[:, None], out=np.zeros_like(moved), where=motion[:, None] > 0.0))
     most = np.argmax(share, axis=0)
     names = problem.model.output_names
-    return {name: Effect(names[most[k]], float(share[most[k], k])) for k, name in enumerate(problem.free)}
+    return {name: ParameterEffect(names[most[k]], float(share[most[k], k])) for k, name in enumerate(problem.free)}
 
 
 def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
@@ -131,7 +138,7 @@ class FlightScore:
     inputs: Array
     edges: Array
     common: Array
-    evidence: Evidence
+    evidence: InputErrorEvidence
 
     def covariance(self, edges: float) -> Array:
         """(n, n), of all that is independent from flight to flight. edges: factor on their variance."""
@@ -169,7 +176,7 @@ def flight_score(
 
 
 def white_responses(
-    pieces: list[Piece], nuisance_inverse: list[Array], responses: list[Disturbed], point: LikelihoodPoint
+    pieces: list[ResidualSegment], nuisance_inverse: list[Array], responses: list[Disturbed], point: LikelihoodPoint
 ) -> list[Array]:
     """Responses (N ny, columns) of each piece in units of the noise, initial states projected out."""
     white = []
@@ -179,7 +186,9 @@ def white_responses(
     return white
 
 
-def input_lags(pieces: list[Piece], projected: list[Array], white: list[Array], change: Array) -> Array | None:
+def input_lags(
+    pieces: list[ResidualSegment], projected: list[Array], white: list[Array], change: Array
+) -> Array | None:
     """Autocovariance that the noise of the inputs gives the residuals of a fit. change: (n, draws) of the parameters."""
     if not change.shape[1]:
         return None
@@ -207,7 +216,7 @@ def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: Likelihoo
 
 def _pieces(
     problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
-) -> tuple[list[Piece], Array, list[Array]]:
+) -> tuple[list[ResidualSegment], Array, list[Array]]:
     """Segments of one flight, covariance of its free parameters, and of the initial states of each segment."""
     n = len(problem.free)
     keep = np.concatenate([np.arange(n), n + problem.free_states])
@@ -218,7 +227,7 @@ def _pieces(
     for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
         assert motion.dy is not None
         J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
-        pieces.append(Piece(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
+        pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
     return pieces, inverse, [b.xx_inverse for b in point.blocks[index]]
 
 
@@ -233,7 +242,7 @@ def estimates(
     coloured: Array,
     undetermined: NDArray[np.bool_],
     flights: list[FlightData],
-    effects: Mapping[str, Effect] = MappingProxyType({}),
+    effects: Mapping[str, ParameterEffect] = MappingProxyType({}),
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
     """Estimates with bounds and a verdict on each, and the list of strongly correlated pairs.
 
@@ -279,7 +288,7 @@ def _why_not(
     names: tuple[str, ...],
     index: int,
     movement: dict[str, tuple[float, float]],
-    effect: Effect | None,
+    effect: ParameterEffect | None,
 ) -> str:
     for name in sorted(companions(model, parameter.name)):
         if name in movement:

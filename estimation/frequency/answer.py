@@ -14,7 +14,7 @@ LINES = 16  # frequencies that the terminal shows
 
 
 @dataclass(frozen=True)
-class Answer:
+class FrequencyResult:
     """fit: None where none was asked for. numbers: of handling qualities."""
 
     response: FrequencyResponse
@@ -37,12 +37,12 @@ class Answer:
         }
 
 
-def answer(response: FrequencyResponse, form: str | None, craft: Craft) -> Answer:
+def answer(response: FrequencyResponse, form: str | None, craft: Craft) -> FrequencyResult:
     """The response, with a fit of `form` where one is given."""
     if form is None:
-        return Answer(response, craft=craft)
+        return FrequencyResult(response, craft=craft)
     fit = fit_transfer(response, form)
-    return Answer(response, fit, handling(response, fit, craft), craft)
+    return FrequencyResult(response, fit, handling(response, fit, craft), craft)
 
 
 def judged(fit: TransferFunction) -> str:
@@ -55,7 +55,7 @@ def judged(fit: TransferFunction) -> str:
     return f"the form describes the data (cost {fit.cost:.1f}, acceptable up to {ACCEPTABLE:g})"
 
 
-def lines(found: Answer) -> Iterator[str]:
+def lines(found: FrequencyResult) -> Iterator[str]:
     """What a person reads on the terminal."""
     r = found.response
     beside = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
@@ -77,7 +77,7 @@ def lines(found: Answer) -> Iterator[str]:
         yield from _fit_lines(found, found.fit)
 
 
-def _fit_lines(found: Answer, fit: TransferFunction) -> Iterator[str]:
+def _fit_lines(found: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
     yield ""
     yield f"fit {fit.form.name}, {fit.points} frequencies from {fit.omega[0]:.3g} to {fit.omega[1]:.3g} rad/s: {judged(fit)}"
     yield f"  H = {fit.form.equation}"

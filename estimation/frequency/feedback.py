@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from estimation.frequency.records import Signals, Stretch
+from estimation.frequency.records import DetrendedStretch, Signals
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def feedback_note(signals: Signals) -> str:
     )
 
 
-def _moments(stretch: Stretch, lags: int) -> tuple[Array, float, float, int] | None:
+def _moments(stretch: DetrendedStretch, lags: int) -> tuple[Array, float, float, int] | None:
     """(sums of residual times later innovation of the control (lags,), both their powers, samples)."""
     u, y = stretch.x, stretch.y
     count = len(y) - 2 * lags

@@ -19,7 +19,7 @@ SURFACE_OF = {"cmd_a": "delta_a", "cmd_e": "delta_e", "cmd_r": "delta_r"}
 
 
 @dataclass(frozen=True)
-class Form:
+class TransferForm:
     """orders: of numerator and denominator. mode: of a first-order ("roll") or second-order ("dutch-roll", "short-period")
     denominator whose time constant or damping and frequency are the unknowns; else coefficients are. equation: as it
     is written."""
@@ -116,11 +116,11 @@ def _polynomial(order: int, names: tuple[str, ...]) -> str:
     return " + ".join(terms)
 
 
-ROLL = Form("roll", (0, 1), "roll")
+ROLL = TransferForm("roll", (0, 1), "roll")
 NAMED = {"roll": "roll", "dutch-roll": "dutch-roll", "short-period": "short-period"}
 
 
-def form_for(control: str, output: str, wanted: str = "auto") -> Form | None:
+def form_for(control: str, output: str, wanted: str = "auto") -> TransferForm | None:
     """The form of that name, or orders M/N; of `auto` the classic one of a control and an output, None where there is none.
 
     Side and normal acceleration answer a surface at once, and roll rate the rudder by way of sideslip: their numerators
@@ -133,7 +133,7 @@ def form_for(control: str, output: str, wanted: str = "auto") -> Form | None:
     if wanted == "roll":
         return ROLL
     if wanted in NAMED:
-        return Form(wanted, (2 if output in ("ay", "az", "p") else 1, 2), wanted)
+        return TransferForm(wanted, (2 if output in ("ay", "az", "p") else 1, 2), wanted)
     top, slash, bottom = wanted.partition("/")
     if not (slash and top.isdecimal() and bottom.isdecimal() and len(wanted) < 8):
         raise EstimationError(f"form {wanted!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
@@ -142,12 +142,12 @@ def form_for(control: str, output: str, wanted: str = "auto") -> Form | None:
         raise EstimationError(
             f"form {wanted}: the numerator's order may not be above the denominator's, which is 1 to {HIGHEST}"
         )
-    return Form(f"{m}/{n}", (m, n))
+    return TransferForm(f"{m}/{n}", (m, n))
 
 
-def general_forms() -> tuple[Form, ...]:
+def general_forms() -> tuple[TransferForm, ...]:
     """What auto tries where no classic form is known."""
-    return tuple(Form(f"{m}/{n}", (m, n)) for m, n in ((0, 1), (0, 2), (1, 2), (2, 2), (2, 3)))
+    return tuple(TransferForm(f"{m}/{n}", (m, n)) for m, n in ((0, 1), (0, 2), (1, 2), (2, 2), (2, 3)))
 
 
 def _classic(surface: str, output: str) -> str:

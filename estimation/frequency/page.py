@@ -4,18 +4,18 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from estimation.frequency.answer import Answer, judged
+from estimation.frequency.answer import FrequencyResult, judged
 from estimation.frequency.figure import response_picture
 from estimation.report.markup.html import write_page
 from estimation.report.provenance import provenance_table
-from estimation.report.tables import Table, number, pair, significant, write_all
+from estimation.report.tables import ReportTable, number, pair, significant, write_all
 from groundstation.flight import Flight
 
 HERE = Path(__file__).parent
 DEGREES = 57.29577951308232
 
 
-def write_frequency_report(found: Answer, flights: Sequence[Flight], folder: Path) -> Path:
+def write_frequency_report(found: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
     """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page."""
     r = found.response
     tables = {
@@ -42,7 +42,7 @@ def write_frequency_report(found: Answer, flights: Sequence[Flight], folder: Pat
     )
 
 
-def response_table(found: Answer) -> Table:
+def response_table(found: FrequencyResult) -> ReportTable:
     """Every frequency kept."""
     r = found.response
     rows = tuple(
@@ -54,7 +54,7 @@ def response_table(found: Answer) -> Table:
         )
         for k in range(r.omega.size)
     )
-    return Table(
+    return ReportTable(
         "frequency_response",
         "Frequency response with its random error, one standard deviation",
         ("frequency [rad/s]", "magnitude", "error", "phase [deg]", "error", "coherence"),
@@ -63,12 +63,12 @@ def response_table(found: Answer) -> Table:
     )
 
 
-def _fit_table(found: Answer) -> Table | None:
+def _fit_table(found: FrequencyResult) -> ReportTable | None:
     fit = found.fit
     if fit is None:
         return None
     rows = tuple((n, *pair(p.estimate, p.std), significant(fit.cifer[n], 4), p.unit) for n, p in fit.parameters.items())
-    return Table(
+    return ReportTable(
         "transfer_function",
         f"Transfer function, form {fit.form.name}: H = {fit.form.equation}",
         ("parameter", "estimate", "bound", "at the least CIFER cost", "unit"),
@@ -79,7 +79,7 @@ def _fit_table(found: Answer) -> Table | None:
     )
 
 
-def _handling_table(found: Answer) -> Table | None:
+def _handling_table(found: FrequencyResult) -> ReportTable | None:
     if not found.numbers:
         return None
     rows = tuple(
@@ -95,4 +95,6 @@ def _handling_table(found: Answer) -> Table | None:
     )
     head = ("number", "value", "bound", "unit", "level", "definition", "source")
     note = "Of the response to the measured surface: the servo before it is not in them."
-    return Table("handling_qualities", "Handling-quality numbers", head, rows, symbols=False, texts=(5, 6), note=note)
+    return ReportTable(
+        "handling_qualities", "Handling-quality numbers", head, rows, symbols=False, texts=(5, 6), note=note
+    )

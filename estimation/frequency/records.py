@@ -30,7 +30,7 @@ OTHER_SPEED = 0.1  # of airspeed between flights: from here they are not of one 
 
 
 @dataclass(frozen=True)
-class Stretch:
+class DetrendedStretch:
     """step: s. x: (N, inputs), the one asked for first; y: (N,); both detrended."""
 
     step: float
@@ -48,7 +48,7 @@ class Signals:
 
     names: tuple[str, ...]
     output: str
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[DetrendedStretch, ...]
     noise: float
     speed: float
     notes: tuple[str, ...]
@@ -138,7 +138,7 @@ def _refuse_endless(flight: Flight, names: Sequence[str]) -> None:
             )
 
 
-def _refuse_flat(stretches: Sequence[Stretch], output: str) -> None:
+def _refuse_flat(stretches: Sequence[DetrendedStretch], output: str) -> None:
     if all(float(np.ptp(s.y)) <= 0.0 for s in stretches):
         raise DataError(f"output {output} stands still: a dead channel has no frequency response; name another output")
 
@@ -148,7 +148,7 @@ def _moved(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]
     return tuple(c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _moves(flights, c))
 
 
-def _stretches(flight: Flight, inputs: tuple[str, ...], output: str) -> list[Stretch]:
+def _stretches(flight: Flight, inputs: tuple[str, ...], output: str) -> list[DetrendedStretch]:
     columns = np.stack([flight[c] for c in (*inputs, output)], axis=1)
     found = []
     for part in flight.segments:
@@ -169,7 +169,7 @@ def _whole(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(at[a]), int(at[b]) + 1) for a, b in zip(begins, ends, strict=True)]
 
 
-def _even(time: Array, columns: Array) -> Stretch:
+def _even(time: Array, columns: Array) -> DetrendedStretch:
     """A stretch on an even grid, by a cubic where samples are missing or unevenly spaced; trends taken off."""
     step = float(time[-1] - time[0]) / (time.size - 1)
     grid = time[0] + step * np.arange(time.size)
@@ -178,7 +178,7 @@ def _even(time: Array, columns: Array) -> Stretch:
         columns = np.stack([curve(time, c, grid) for c in columns.T], axis=1)
     rise = np.stack([np.ones(time.size), np.linspace(-1.0, 1.0, time.size)], axis=1)
     flat = columns - rise @ np.linalg.lstsq(rise, columns, rcond=None)[0]
-    return Stretch(step, flat[:, :-1], flat[:, -1])
+    return DetrendedStretch(step, flat[:, :-1], flat[:, -1])
 
 
 def _speed(flights: Sequence[Flight]) -> float:
@@ -186,7 +186,7 @@ def _speed(flights: Sequence[Flight]) -> float:
     return float(np.mean(speeds)) if speeds else float("nan")
 
 
-def _notes(flights: Sequence[Flight], stretches: Sequence[Stretch]) -> list[str]:
+def _notes(flights: Sequence[Flight], stretches: Sequence[DetrendedStretch]) -> list[str]:
     notes = []
     if len(stretches) > len(flights):
         notes.append(f"{len(stretches)} stretches without a gap; no window crosses from one to the next")

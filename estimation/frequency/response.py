@@ -17,7 +17,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from estimation.errors import DataError
 from estimation.frequency.feedback import feedback_note
 from estimation.frequency.records import Signals, collect
-from estimation.frequency.spectra import Grid, WindowResponse, respond
+from estimation.frequency.spectra import FrequencyGrid, WindowResponse, respond
 from estimation.signals.fourier import Complex
 from groundstation.flight import Flight
 
@@ -175,21 +175,21 @@ def _band(signals: Signals, options: ResponseOptions, longest: float) -> tuple[f
     return low, high
 
 
-def _grid(low: float, high: float, points: int) -> Grid:
+def _grid(low: float, high: float, points: int) -> FrequencyGrid:
     if not 2 <= points <= 2000:
         raise DataError(f"{points} points: give 2 to 2000")
     spacing = low / max(STEPS, 2.0 * points * low / (high - low) if high / low < 2 else STEPS)
     wanted = np.geomspace(low, high, points)
     chosen = np.unique(np.round((wanted - low) / spacing).astype(np.intp))
     chosen = chosen[low + spacing * chosen <= high * (1.0 + 1e-9)]
-    return Grid(2 * np.pi * low, 2 * np.pi * spacing, chosen)
+    return FrequencyGrid(2 * np.pi * low, 2 * np.pi * spacing, chosen)
 
 
 # ------------------------------------------------------------------------------------------------------- composite
 
 
 def _composed(
-    signals: Signals, found: Sequence[WindowResponse], grid: Grid, names: tuple[str, ...]
+    signals: Signals, found: Sequence[WindowResponse], grid: FrequencyGrid, names: tuple[str, ...]
 ) -> FrequencyResponse:
     omega = grid.omega
     holds = np.stack([omega >= (1.0 - 1e-9) * 2 * np.pi * PERIODS / r.length for r in found])

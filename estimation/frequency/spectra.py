@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.signal import czt
 from scipy.stats import t as student
 
-from estimation.frequency.records import Stretch
+from estimation.frequency.records import DetrendedStretch
 from estimation.signals.fourier import Complex
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ NORMAL = 1.96  # of a normal distribution's 95 %
 
 
 @dataclass(frozen=True)
-class Grid:
+class FrequencyGrid:
     """Frequencies first + k spacing [rad/s]; chosen: indices k of those wanted, spaced evenly in their logarithm."""
 
     first: float
@@ -78,7 +78,7 @@ class _Transforms:
     R: Array
 
 
-def respond(stretches: Sequence[Stretch], length: float, grid: Grid) -> WindowResponse | None:
+def respond(stretches: Sequence[DetrendedStretch], length: float, grid: FrequencyGrid) -> WindowResponse | None:
     """The response by windows of `length` [s]; None where they are too few to tell an error."""
     long = [s for s in stretches if s.duration >= length]
     parts = [_transforms(s, length, grid, max(MOST_WINDOWS // len(long), 1)) for s in long]
@@ -93,7 +93,7 @@ def respond(stretches: Sequence[Stretch], length: float, grid: Grid) -> WindowRe
     return replace(corrected, shift=np.abs(1.0 - plain.H / corrected.H))
 
 
-def windows(stretch: Stretch, length: float, most: int = MOST_WINDOWS) -> tuple[int, NDArray[np.intp]]:
+def windows(stretch: DetrendedStretch, length: float, most: int = MOST_WINDOWS) -> tuple[int, NDArray[np.intp]]:
     """(samples of a window, first samples of all windows) of a stretch."""
     size = min(round(length / stretch.step) + 1, len(stretch.y))
     last = len(stretch.y) - size
@@ -107,7 +107,7 @@ def tapers(size: int) -> Array:
     return np.stack([0.5 * (1 - np.cos(at)), np.pi * np.sin(at), 2 * np.pi**2 * np.cos(at)])
 
 
-def _transforms(stretch: Stretch, length: float, grid: Grid, most: int) -> _Transforms:
+def _transforms(stretch: DetrendedStretch, length: float, grid: FrequencyGrid, most: int) -> _Transforms:
     size, starts = windows(stretch, length, most)
     shapes = tapers(size)
     cut = np.stack([np.concatenate([stretch.x, stretch.y[:, None]], axis=1)[s : s + size] for s in starts])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from estimation.errors import DataError, EstimationError
-from estimation.frequency.forms import Form, form_for, general_forms
+from estimation.frequency.forms import TransferForm, form_for, general_forms
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.spectra import tapers
 from estimation.signals.fourier import Complex
@@ -34,7 +34,7 @@ SMALLEST_STEP = 1e-8
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedNumber:
     """An estimate and its bound (one standard deviation)."""
 
     estimate: float
@@ -48,8 +48,8 @@ class TransferFunction:
     optimum, whose values are `cifer`; misfit: rms of differences over their random errors at `parameters`. points:
     fitted. covariance: in their order. omega: (2,) the band [rad/s]."""
 
-    form: Form
-    parameters: Mapping[str, Fitted]
+    form: TransferForm
+    parameters: Mapping[str, FittedNumber]
     cifer: Mapping[str, float]
     cost: float
     misfit: float
@@ -85,7 +85,7 @@ class TransferFunction:
         }
 
 
-def fit_transfer(response: FrequencyResponse, form: str | Form = "auto") -> TransferFunction:
+def fit_transfer(response: FrequencyResponse, form: str | TransferForm = "auto") -> TransferFunction:
     """The transfer function of a form: roll, dutch-roll, short-period, orders M/N, or auto, which knows them from
     input and output.
 
@@ -94,7 +94,7 @@ def fit_transfer(response: FrequencyResponse, form: str | Form = "auto") -> Tran
     good = response.coherence >= GOOD
     if form == "auto" and form_for(response.input, response.output) is None:
         return min((_fitted(response, good, f) for f in general_forms()), key=_information)
-    chosen = form if isinstance(form, Form) else form_for(response.input, response.output, form)
+    chosen = form if isinstance(form, TransferForm) else form_for(response.input, response.output, form)
     if chosen is None:
         raise EstimationError(f"form {form!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
     return _fitted(response, good, chosen)
@@ -105,7 +105,7 @@ def _information(found: TransferFunction) -> float:
     return 2.0 * found.points * found.misfit**2 + len(found.parameters) * math.log(2.0 * found.points)
 
 
-def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Form) -> TransferFunction:
+def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: TransferForm) -> TransferFunction:
     names = form.names
     if 2 * int(good.sum()) < len(names) + SPARE:
         raise DataError(
@@ -120,7 +120,9 @@ def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Form) ->
     covariance, misfit = _covariance(likely.jac, likely.fun, omega, response.length[good])
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     units = form.units
-    parameters = {n: Fitted(float(v), float(s), u) for n, v, s, u in zip(names, likely.x, spread, units, strict=True)}
+    parameters = {
+        n: FittedNumber(float(v), float(s), u) for n, v, s, u in zip(names, likely.x, spread, units, strict=True)
+    }
     return TransferFunction(
         form,
         parameters,
@@ -137,7 +139,7 @@ def _scale(x: Array) -> Array:
     return np.maximum(np.abs(x), 1e-3)
 
 
-def _best(form: Form, omega: Array, H: Complex, residuals: Any) -> Any:
+def _best(form: TransferForm, omega: Array, H: Complex, residuals: Any) -> Any:
     """The best of searches from several delays."""
     begun = []
     for delay in DELAYS:
@@ -151,7 +153,7 @@ def _best(form: Form, omega: Array, H: Complex, residuals: Any) -> Any:
     return min(found, key=lambda f: float(f.cost))
 
 
-def _levy(form: Form, omega: Array, H: Complex) -> tuple[Array, Array]:
+def _levy(form: TransferForm, omega: Array, H: Complex) -> tuple[Array, Array]:
     """Numerator and monic denominator by linear least squares, reweighted by the last denominator (Levy 1959; Sanathanan and
     Koerner 1963)."""
     m, n = form.orders
@@ -176,7 +178,7 @@ def _levy(form: Form, omega: Array, H: Complex) -> tuple[Array, Array]:
     return x[: m + 1] * powers_m, np.concatenate([[1.0], x[m + 1 :]]) * powers_n
 
 
-def _navfit(form: Form, x: Array, omega: Array, H: Complex, coherence: Array) -> Array:
+def _navfit(form: TransferForm, x: Array, omega: Array, H: Complex, coherence: Array) -> Array:
     """Residuals whose sum of squares is CIFER's cost J."""
     ratio = form.response(x, omega) / H
     trust = np.sqrt(20.0 / omega.size) * 1.58 * (1.0 - np.exp(-coherence))
@@ -185,7 +187,7 @@ def _navfit(form: Form, x: Array, omega: Array, H: Complex, coherence: Array) ->
     return np.concatenate([trust * decibels, math.sqrt(PHASE_WEIGHT) * trust * degrees])
 
 
-def _errors(form: Form, x: Array, omega: Array, H: Complex, std: Array) -> Array:
+def _errors(form: TransferForm, x: Array, omega: Array, H: Complex, std: Array) -> Array:
     off = (form.response(x, omega) - H) / std
     return np.concatenate([off.real, off.imag])
 

@@ -24,7 +24,7 @@ AIR = ("V", "alpha", "beta")
 
 
 @dataclass(frozen=True)
-class Factor:
+class InstrumentFactor:
     """An instrument factor. channels: measured ones, of which one is needed for it to show; none for a bias of an input.
 
     late: the output that the factor delays, else empty.
@@ -35,13 +35,17 @@ class Factor:
     late: str = ""
 
 
-def _factor(name: str, unit: str, description: str, *channels: str, start: float = 0.0) -> Factor:
-    return Factor(Parameter(name, unit, start, description=description, role=ParameterRole.INSTRUMENT), channels)
+def _factor(name: str, unit: str, description: str, *channels: str, start: float = 0.0) -> InstrumentFactor:
+    return InstrumentFactor(
+        Parameter(name, unit, start, description=description, role=ParameterRole.INSTRUMENT), channels
+    )
 
 
-def _delay(channel: str) -> Factor:
+def _delay(channel: str) -> InstrumentFactor:
     name = f"tau_{channel}"
-    return Factor(Parameter(name, "s", lower=-0.3, upper=0.3, role=ParameterRole.INSTRUMENT), (channel,), channel)
+    return InstrumentFactor(
+        Parameter(name, "s", lower=-0.3, upper=0.3, role=ParameterRole.INSTRUMENT), (channel,), channel
+    )
 
 
 _FACTORS = (
@@ -63,7 +67,7 @@ _FACTORS = (
     _factor("z_vane", "m", "beta vane below the centre of gravity", "alpha", "beta"),
     *(_delay(c) for c in ("alpha", "beta", "V", "phi", "theta", "psi")),
 )
-FACTORS: Mapping[str, Factor] = {f.parameter.name: f for f in _FACTORS}
+FACTORS: Mapping[str, InstrumentFactor] = {f.parameter.name: f for f in _FACTORS}
 
 ATTITUDE = ("phi", "theta", "psi")
 

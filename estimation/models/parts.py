@@ -110,7 +110,7 @@ class InputTransform:
 
 
 @dataclass(frozen=True)
-class Structure:
+class ModelStructure:
     """What decides the traced functions of a model: names and equations, not values. constants: sorted."""
 
     states: tuple[str, ...]
@@ -196,9 +196,9 @@ class ModelParts:
         return dict(split_line(line) for line in self.equations)
 
     @cached_property
-    def structure(self) -> Structure:
+    def structure(self) -> ModelStructure:
         """Equal for models that differ in values only."""
-        return Structure(
+        return ModelStructure(
             self.state_names,
             self.input_names,
             self.output_names,

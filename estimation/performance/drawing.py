@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimation.performance.polar import BOUNDS, Bounded, Point, Polar
+from estimation.performance.polar import BOUNDS, Bounded, Polar, PolarPoint
 from estimation.performance.samples import Usable
 from estimation.report.drawing.figures import MEASURED, Picture, picture, save_figure, styled
 
@@ -19,7 +19,7 @@ SIZE = (6.4, 7.6)  # inches
 DPI = 150
 
 
-def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[Point], axes: Any) -> None:
+def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint], axes: Any) -> None:
     """Draw on three axes."""
     stretches = [s for f in flights for s in f.stretches]
     CL, CD = (np.concatenate([getattr(s, n) for s in stretches]) for n in ("smooth_CL", "CD"))
@@ -46,7 +46,7 @@ def _banded(ax: Any, speed: Sequence[float], values: Sequence[Bounded]) -> None:
     ax.plot(speed, middle, color=COLOUR)
 
 
-def _figure(flights: Sequence[Usable], polar: Polar, curve: Sequence[Point]) -> "Figure":
+def _figure(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint]) -> "Figure":
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE, layout="constrained")
@@ -54,7 +54,7 @@ def _figure(flights: Sequence[Usable], polar: Polar, curve: Sequence[Point]) -> 
     return figure
 
 
-def performance_picture(flights: Sequence[Usable], polar: Polar, curve: Sequence[Point]) -> Picture:
+def performance_picture(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint]) -> Picture:
     """The figure for a page."""
     with styled():
         figure = _figure(flights, polar, curve)
@@ -62,7 +62,7 @@ def performance_picture(flights: Sequence[Usable], polar: Polar, curve: Sequence
     return picture(figure, "performance", caption, points=SHOWN)
 
 
-def write_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[Point], path: Path) -> None:
+def write_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint], path: Path) -> None:
     """The figure as a file."""
     with styled():
         save_figure(_figure(flights, polar, curve), path, DPI)

@@ -13,8 +13,8 @@ import numpy as np
 from estimation.aircraft import GRAVITY, Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
-from estimation.estimators.coloured import Piece, score_covariance
-from estimation.performance.samples import Stretch
+from estimation.estimators.coloured import ResidualSegment, score_covariance
+from estimation.performance.samples import PolarSamples
 
 OFFSET = math.radians(0.3)  # standard deviation of what an aligned vane and accelerometer are off by together
 SURE = 2.0  # bounds from zero below which a coefficient is not known
@@ -61,7 +61,7 @@ class Polar:
 
 
 @dataclass(frozen=True)
-class Point:
+class PolarPoint:
     """Level flight or a shallow glide at one speed. V [m/s], drag [N], sink [m/s] with the motor off, power required [W]."""
 
     V: float
@@ -71,7 +71,7 @@ class Point:
     power: Bounded
 
 
-def fitted(stretches: Sequence[Stretch]) -> Polar:
+def fitted(stretches: Sequence[PolarSamples]) -> Polar:
     """The polar of all stretches by weighted least squares. Raises DataError for too few of them."""
     if not stretches:
         raise DataError(
@@ -88,7 +88,7 @@ def fitted(stretches: Sequence[Stretch]) -> Polar:
         scale = max(math.sqrt(float(np.mean(np.concatenate(left) ** 2))), 1e-9)
     inverse = _inverse(rows, scale)
     pieces = [
-        Piece((e / scale)[:, None], J / scale, np.zeros((e.size, 0)), np.ones((e.size, 1), bool))
+        ResidualSegment((e / scale)[:, None], J / scale, np.zeros((e.size, 0)), np.ones((e.size, 1), bool))
         for e, J in zip(left, rows, strict=True)
     ]
     products = score_covariance(pieces, inverse, [np.zeros((0, 0))] * len(pieces))
@@ -142,7 +142,7 @@ def _speed(polar: Polar, aircraft: Aircraft, CL: float) -> float:
     return math.sqrt(2.0 * aircraft.mass * GRAVITY / (polar.density * aircraft.area * CL))
 
 
-def curve(polar: Polar, aircraft: Aircraft) -> tuple[Point, ...]:
+def curve(polar: Polar, aircraft: Aircraft) -> tuple[PolarPoint, ...]:
     """Drag, sink and power over the speeds whose lift was flown, lift being weight; drag is linear in both coefficients."""
     weight = aircraft.mass * GRAVITY
     low, high = max(polar.lift[0], 1e-3), max(polar.lift[1], 2e-3)
@@ -153,5 +153,5 @@ def curve(polar: Polar, aircraft: Aircraft) -> tuple[Point, ...]:
         slopes = area * np.array([1.0, CL**2])
         drag = Bounded(float(slopes @ polar.values[:2]), math.sqrt(float(slopes @ polar.covariance[:2, :2] @ slopes)))
         sink, power = (Bounded(drag.estimate * f, drag.std * f) for f in (float(V) / weight, float(V)))
-        points.append(Point(float(V), float(CL), drag, sink, power))
+        points.append(PolarPoint(float(V), float(CL), drag, sink, power))
     return tuple(points)

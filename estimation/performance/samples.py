@@ -25,7 +25,7 @@ LEAST_NOISE = (1e-4, 1e-6)  # m/s2, rad: of recordings without noise
 
 
 @dataclass(frozen=True)
-class Stretch:
+class PolarSamples:
     """Consecutive samples, (N,) each. CL, CD: lift and drag coefficient; smooth_CL: de-noised, for a regressor; scatter: standard
     deviation of CD by noise; V [m/s]; rho [kg/m3]."""
 
@@ -43,7 +43,7 @@ class Usable:
 
     name: str
     samples: int
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[PolarSamples, ...]
     thrust: str
 
     @property
@@ -119,7 +119,9 @@ def _runs(told: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
     return [slice(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]
 
 
-def _stretch(flight: Flight, piece: slice, thrust: Array, aircraft: Aircraft, noise: tuple[float, float]) -> Stretch:
+def _stretch(
+    flight: Flight, piece: slice, thrust: Array, aircraft: Aircraft, noise: tuple[float, float]
+) -> PolarSamples:
     V = denoise(flight["V"][piece]).values
     rho, alpha = flight["rho"][piece], flight["alpha"][piece]
     pressure = 0.5 * rho * V**2 * aircraft.area / aircraft.mass
@@ -127,7 +129,7 @@ def _stretch(flight: Flight, piece: slice, thrust: Array, aircraft: Aircraft, no
     CL, CD = _turned(ax, az, alpha, pressure)
     smooth, _ = _turned(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
     scatter = np.hypot(noise[0], az * noise[1]) / pressure
-    return Stretch(CL, CD, smooth, scatter, V, np.asarray(rho, float))
+    return PolarSamples(CL, CD, smooth, scatter, V, np.asarray(rho, float))
 
 
 def _turned(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
@@ -135,6 +137,6 @@ def _turned(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array,
     return (ax * sine - az * cosine) / pressure, (-ax * cosine - az * sine) / pressure
 
 
-def together(flights: Sequence[Usable]) -> tuple[Stretch, ...]:
+def together(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
     """All stretches of all flights."""
     return tuple(s for f in flights for s in f.stretches)

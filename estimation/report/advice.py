@@ -9,7 +9,7 @@ from estimation.estimators.uncertainty import companions
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
-    from estimation.session.session import Session
+    from estimation.session.session import EstimationSession
 
 CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
 MOTION_ADVICE = {
@@ -33,7 +33,7 @@ class Untold:
     told: tuple[str, ...]
 
 
-def untold(session: "Session") -> list[Untold]:
+def untold(session: "EstimationSession") -> list[Untold]:
     """One entry a parameter, method and reason."""
     found: dict[tuple[str, str, str], list[str]] = {}
     sources = [(f.flight.name, m, r) for f in session.flights for m, r in f.results.items()]
@@ -55,7 +55,7 @@ def untold(session: "Session") -> list[Untold]:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class AdviceGroup:
     """Parameters that one manoeuvre would tell. methods, where: estimates and flights that could not; whys: the different
     reasons; told: those that all flights together could tell."""
 
@@ -67,13 +67,13 @@ class Group:
     told: tuple[str, ...]
 
 
-def grouped(entries: Sequence[Untold]) -> list[Group]:
+def grouped(entries: Sequence[Untold]) -> list[AdviceGroup]:
     """One entry a manoeuvre: what to fly next, and all that it would tell."""
     by: dict[str, list[Untold]] = {}
     for entry in entries:
         by.setdefault(entry.manoeuvre, []).append(entry)
     return [
-        Group(
+        AdviceGroup(
             _once(u.parameter for u in found),
             _once(u.method for u in found),
             _once(w for u in found for w in u.where),

@@ -15,7 +15,7 @@ from estimation.report.markup.html import write_page
 from estimation.report.names import face, literal, tex
 from estimation.report.notes import collected, notes_table
 from estimation.report.provenance import provenance_table
-from estimation.report.tables import CANNOT_TELL, Table, number, rounded, significant, write_all
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant, write_all
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
@@ -64,7 +64,7 @@ def write_check_report(
     )
 
 
-def _unclear(results: Sequence[tuple[str, Compatibility]]) -> Table | None:
+def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None:
     """What these flights cannot tell of the factors, each reason once."""
     found = collected(
         (f"{f.name}: {f.why}", flight) for flight, r in results for f in r.factors.values() if not f.identifiable
@@ -72,10 +72,10 @@ def _unclear(results: Sequence[tuple[str, Compatibility]]) -> Table | None:
     if not found:
         return None
     rows = tuple((*what.split(": ", 1), ", ".join(flights)) for what, flights in found.items())
-    return Table("unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2))
+    return ReportTable("unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2))
 
 
-def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> Table:
+def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> ReportTable:
     """Table 2: factor, estimate and bound a flight; the published columns where all flights are of the CDFP."""
     ours = all(published.is_of(f.provenance.aircraft) for f in flights)
     others = published.published_flights() if ours else ()
@@ -92,7 +92,7 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
     groups = [("", 2), ("estimate (bound)", len(results))] + (
         [("published, estimate (bound)", len(others))] if others else []
     )
-    return Table(
+    return ReportTable(
         "table2_compatibility",
         "Instrument factors found by flight-path reconstruction, with one-sigma bounds",
         ("factor", "unit", *(n for n, _ in results), *others),
@@ -109,7 +109,7 @@ def _with_bound(value: float, bound: float) -> str:
     return f"{shown} ({said})" if said else shown
 
 
-def _fit_table(results: Sequence[Compatibility]) -> Table:
+def _fit_table(results: Sequence[Compatibility]) -> ReportTable:
     rows = []
     for r in results:
         flight = r.flights[0]
@@ -117,7 +117,7 @@ def _fit_table(results: Sequence[Compatibility]) -> Table:
             factor, unit = face(name, UNITS.get(name, "rad"))
             rows.append((flight.name, name, unit, significant(factor * fit["rms"]), significant(factor * fit["noise"]),
                          number(fit["r2"], 3), number(fit["whiteness"], 2)))  # fmt: skip
-    return Table(
+    return ReportTable(
         "compatibility_fit",
         "Measured against reconstructed",
         ("flight", "channel", "unit", "rms difference", "sensor noise", "r²", "innovation autocorrelation, lag 1"),

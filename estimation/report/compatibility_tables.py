@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
+from estimation.compatibility.result import Compatibility, FactorEstimate, ReconstructedFlight
 from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
 from estimation.report.drawing.figures import save_figure
@@ -53,7 +53,7 @@ def _published(said: tuple[float, float] | None) -> str:
     return "" if said is None else f"{said[0]:+.4f} ({said[1]:.4f})"
 
 
-def _cell(factor: Factor) -> str:
+def _cell(factor: FactorEstimate) -> str:
     if not np.isfinite(factor.estimate):
         return "not measured"
     if not factor.identifiable:

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from estimation.models.library import BUILDERS
-from estimation.report.tables import Table
+from estimation.report.tables import ReportTable
 
 if TYPE_CHECKING:
-    from estimation.session.session import Session
+    from estimation.session.session import EstimationSession
 
 AXES = "body axes through the CG: x forward, y right, z down; moments about the CG"
 UNITS = (
@@ -33,7 +33,7 @@ CONSTANTS = {
 }
 
 
-def conventions(session: "Session") -> Iterator[tuple[str, str]]:
+def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
     """(what, how) of everything one has to know to use the numbers elsewhere."""
     built_in = session.model.name in BUILDERS
     yield "axes", AXES if built_in else OWN
@@ -47,14 +47,14 @@ def conventions(session: "Session") -> Iterator[tuple[str, str]]:
     yield "beliefs before", _sources(session)
 
 
-def _centre(session: "Session") -> str:
+def _centre(session: "EstimationSession") -> str:
     place = session.aircraft.cg_from_nose
     return (
         "not stated in the aircraft file" if place is None else f"{place:g} m aft of the nose, as in the aircraft file"
     )
 
 
-def _sources(session: "Session") -> str:
+def _sources(session: "EstimationSession") -> str:
     """Whose values stand in the column before flying, and which of them enter the fit."""
     parameters = session.model.parameters
     sources = dict.fromkeys(p.reference_source for p in parameters if p.reference is not None and p.reference_source)
@@ -63,9 +63,9 @@ def _sources(session: "Session") -> str:
     return beside + (f"; entering the fit as priors: {', '.join(priors)}" if priors else "")
 
 
-def conventions_table(session: "Session") -> Table:
+def conventions_table(session: "EstimationSession") -> ReportTable:
     """The same as a table of the page, and for a thesis."""
-    return Table(
+    return ReportTable(
         "conventions",
         "Conventions and constants of the estimates",
         ("what", "how"),
@@ -75,7 +75,7 @@ def conventions_table(session: "Session") -> Table:
     )
 
 
-def conventions_lines(session: "Session") -> Iterator[str]:
+def conventions_lines(session: "EstimationSession") -> Iterator[str]:
     """The same in print."""
     for what, how in conventions(session):
         if how != OWN or what == "units":

@@ -3,12 +3,12 @@
 from typing import TYPE_CHECKING
 
 from estimation.report import published
-from estimation.report.tables import CANNOT_TELL, Table, number, rounded, significant
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Estimate
-    from estimation.session.session import FlightEstimates, Session
+    from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
 
 BOUNDS = (
@@ -17,24 +17,26 @@ BOUNDS = (
 )
 
 
-def is_published(session: "Session") -> bool:
+def is_published(session: "EstimationSession") -> bool:
     """Whether the published columns are of this aircraft and model."""
     return published.is_of(session.aircraft.name) and "CY_beta" in session.model.free_names
 
 
-def _believed(session: "Session") -> bool:
+def _believed(session: "EstimationSession") -> bool:
     """Whether anything is believed of the parameters before flying."""
     return any(p.reference is not None for p in session.model.parameters)
 
 
-def _head(session: "Session", methods: list[str], columns: tuple[str, ...]) -> tuple[list[tuple[str, int]], list[str]]:
+def _head(
+    session: "EstimationSession", methods: list[str], columns: tuple[str, ...]
+) -> tuple[list[tuple[str, int]], list[str]]:
     """Groups and head of a table of parameters by methods."""
     before, value = ([("before flying", 2)], ["value", "source"]) if _believed(session) else ([], [])
     groups = [("", 1), *before, *((m, len(columns)) for m in methods)]
     return groups, ["", *value, *(c for _ in methods for c in columns)]
 
 
-def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
+def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> ReportTable:
     """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
     beside = published.counterpart(flight.flight.name) if is_published(session) else None
     methods = list(flight.results)
@@ -53,10 +55,12 @@ def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
         head += ["estimate", "bound"] * 2
     note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if beside else "")
     caption = f"Estimates of {flight.flight.name}{_best(flight.verdict)}"
-    return Table(f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows), tuple(groups), note=note)
+    return ReportTable(
+        f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows), tuple(groups), note=note
+    )
 
 
-def joint_table(session: "Session") -> Table | None:
+def joint_table(session: "EstimationSession") -> ReportTable | None:
     """The joint estimate over all flights."""
     if not session.joint:
         return None
@@ -73,7 +77,7 @@ def joint_table(session: "Session") -> Table | None:
     if session.truth:
         groups.append(("simulated", 1))
         head.append("truth")
-    return Table(
+    return ReportTable(
         "estimates_joint",
         f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
         tuple(head),
@@ -95,7 +99,7 @@ def _recommended(verdict: "Verdict | None") -> str:
     return "" if verdict is None else f"Recommended: {verdict.recommended.text}. "
 
 
-def mean_table(session: "Session") -> Table | None:
+def mean_table(session: "EstimationSession") -> ReportTable | None:
     """Table 5: mean and scatter over the flights that can tell, against their bounds."""
     if len(session.flights) < 2:
         return None
@@ -121,7 +125,7 @@ def mean_table(session: "Session") -> Table | None:
     if session.truth:
         groups.append(("simulated", 1))
         head.append("truth")
-    return Table(
+    return ReportTable(
         "table5_means",
         "Mean and scatter over the flights that can tell",
         tuple(head),
@@ -132,7 +136,7 @@ def mean_table(session: "Session") -> Table | None:
     )
 
 
-def fit_table(session: "Session") -> Table:
+def fit_table(session: "EstimationSession") -> ReportTable:
     """r2 and Theil's coefficient per flight, method and output."""
     outputs = session.model.output_names
     rows: list[tuple[str, ...]] = []
@@ -144,7 +148,7 @@ def fit_table(session: "Session") -> Table:
                 (len(rows), 3 + 3 * k) for k, fit in enumerate(fits) if fit is not None and fit.theil > THEIL_LIMIT
             }
             rows.append((f.flight.name, method, *(c for fit in fits for c in _fit_cells(fit))))
-    return Table(
+    return ReportTable(
         "fit",
         "Goodness of fit and residual whiteness",
         ("flight", "method", *(h for _ in outputs for h in ("r²", "Theil", "white"))),
@@ -165,7 +169,7 @@ def _fit_cells(fit: object) -> list[str]:
     )
 
 
-def _before(session: "Session", name: str) -> list[str]:
+def _before(session: "EstimationSession", name: str) -> list[str]:
     if not _believed(session):
         return []
     parameter = session.model.parameter(name)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimation.aircraft.of_flight import aircraft_of
 from estimation.errors import AircraftError
-from estimation.report.tables import Table, number
+from estimation.report.tables import ReportTable, number
 
 if TYPE_CHECKING:
     from estimation.aircraft import Aircraft
@@ -38,9 +38,9 @@ HEAD = (
 )
 
 
-def flight_card(flights: Sequence["Flight"], aircraft: "Aircraft | None" = None) -> Table:
+def flight_card(flights: Sequence["Flight"], aircraft: "Aircraft | None" = None) -> ReportTable:
     """One row a flight. aircraft: of all of them; None takes the one each flight carries or names, where there is one."""
-    return Table(
+    return ReportTable(
         "flight_card",
         "Aircraft, speeds, height, weather and configuration",
         HEAD,

@@ -7,7 +7,7 @@ from typing import Any
 from estimation.report import published
 from estimation.report.drawing.figures import Picture, file_picture
 from estimation.report.markup.html import MARK, link_back, write_page
-from estimation.report.tables import CANNOT_TELL, Table, number, pair, rounded, significant
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, pair, rounded, significant
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 PAGES = (
@@ -107,7 +107,7 @@ def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]
     return keys
 
 
-def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Table | None:
+def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> ReportTable | None:
     """The joint estimates, or the means over flights, beside the truth of simulated flights, the wind tunnel and the published
     means."""
     if not data:
@@ -158,7 +158,7 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Table 
         if source
         else "Means over the flights"
     )
-    return Table("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes))
+    return ReportTable("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes))
 
 
 def _off(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
@@ -181,7 +181,7 @@ def _mean_pair(entry: dict[str, Any] | None) -> list[str]:
     return ["", ""] if entry is None else pair(entry["mean"], entry["std"])
 
 
-def _match(data: dict[str, Any] | None) -> Table | None:
+def _match(data: dict[str, Any] | None) -> ReportTable | None:
     if not data or not data["flights"]:
         return None
     channels, limit = list(data["flights"][0]["fit"]), _limit(data)
@@ -193,7 +193,7 @@ def _match(data: dict[str, Any] | None) -> Table | None:
         failed |= {(len(rows), 2 + 2 * k) for k in beyond} | ({(len(rows), 1 + 2 * len(channels))} if beyond else set())
         cells = [c for fit in fits for c in (number(fit.get("r2"), 3), number(fit.get("theil"), 3))]
         rows.append((flight["name"], *cells, "FAIL" if beyond else "pass"))
-    return Table(
+    return ReportTable(
         "match",
         "Proof of match: flights predicted with parameters frozen",
         ("flight", *(h for _ in channels for h in ("r²", "Theil")), "match"),
@@ -205,7 +205,7 @@ def _match(data: dict[str, Any] | None) -> Table | None:
     )
 
 
-def _gap_table(data: dict[str, Any] | None) -> Table | None:
+def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
     """Each effect with its gap before and after, on the training flights and on those held out."""
     if not data or not data["steps"]:
         return None
@@ -219,7 +219,7 @@ def _gap_table(data: dict[str, Any] | None) -> Table | None:
             for n, e in step["parameters"].items()
         )
         rows.append((step["effect"], step["title"], size, number(step["confidence"], 2), *cells))
-    return Table(
+    return ReportTable(
         "gap",
         "Effects, with the disagreement in units of the measurement noise σ",
         ("effect", "what it is", "estimate", "weight", *HEAD, *HEAD[:2]),
@@ -240,7 +240,7 @@ def _unit(entry: dict[str, Any]) -> str:
     return "" if unit == "1" else unit
 
 
-def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Table | None:
+def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> ReportTable | None:
     """What was hidden in the simulated aircraft beside what the workflow says of it; None where it is not known."""
     if not gap or not hidden:
         return None
@@ -261,7 +261,7 @@ def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Table 
             else f"among those that {step['effect']} stands for"
         )
         rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", said))
-    return Table(
+    return ReportTable(
         "hidden",
         "The hidden effect",
         ("effect", "parameter", "truth", "estimate", "bound", "unit", "answer"),

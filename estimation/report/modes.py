@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
-from estimation.report.tables import Table, rounded, significant
+from estimation.report.tables import ReportTable, rounded, significant
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ AT_REST = ("beta", "p", "q", "r", "phi", "delta_a", "delta_r", "V_dot", "alpha_d
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class EigenMode:
     """damping: NaN for an aperiodic mode; speed: natural frequency [rad/s], or -eigenvalue [1/s] of an aperiodic one."""
 
     name: str
@@ -54,14 +54,14 @@ def trim(model: Model, flight: Flight) -> tuple[Array, Array]:
     return state, inputs
 
 
-def modes(A: Array, states: tuple[str, ...]) -> list[Mode]:
+def modes(A: Array, states: tuple[str, ...]) -> list[EigenMode]:
     """Modes of a state matrix by their usual names for the lateral and the longitudinal set of states."""
     roots = np.linalg.eigvals(A)
     pairs = sorted((z for z in roots if z.imag > 1e-9), key=lambda z: -abs(z))
     real = sorted((float(z.real) for z in roots if abs(z.imag) <= 1e-9), key=lambda x: -abs(x))
     pair_names, real_names = _names(states, len(pairs), len(real))
-    found = [Mode(n, float(abs(z)), float(-z.real / abs(z))) for n, z in zip(pair_names, pairs, strict=True)]
-    return found + [Mode(n, -x, math.nan) for n, x in zip(real_names, real, strict=True)]
+    found = [EigenMode(n, float(abs(z)), float(-z.real / abs(z))) for n, z in zip(pair_names, pairs, strict=True)]
+    return found + [EigenMode(n, -x, math.nan) for n, x in zip(real_names, real, strict=True)]
 
 
 def _names(states: tuple[str, ...], pairs: int, real: int) -> tuple[list[str], list[str]]:
@@ -76,7 +76,7 @@ def _names(states: tuple[str, ...], pairs: int, real: int) -> tuple[list[str], l
 class SpreadMode:
     """A mode with half the width of the middle 68 % of draws, and the share of draws that are unstable."""
 
-    mode: Mode
+    mode: EigenMode
     speed_spread: float
     damping_spread: float
     unstable: float
@@ -87,7 +87,7 @@ def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) 
     model = result.model
     state, inputs = trim(model, flight)
     best = modes(state_matrix(model, result.values, state, inputs), model.state_names)
-    draws: dict[str, list[Mode]] = {m.name: [] for m in best}
+    draws: dict[str, list[EigenMode]] = {m.name: [] for m in best}
     bound = np.array([result.parameters[n].std_coloured for n in result.names])
     root = _square_root(result.covariance_coloured, np.isfinite(bound))
     for _ in range(DRAWS):
@@ -106,7 +106,7 @@ def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) 
     ]
 
 
-def _unstable(drawn: list[Mode]) -> float:
+def _unstable(drawn: list[EigenMode]) -> float:
     """Share of draws that diverge."""
     bad = sum((d.speed if math.isnan(d.damping) else d.damping) < 0 for d in drawn)
     return bad / len(drawn) if drawn else math.nan
@@ -125,7 +125,7 @@ def _half_width(values: list[float]) -> float:
     return float(high - low) / 2
 
 
-def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> Table:
+def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> ReportTable:
     """entries: (whose estimates, method, modes)."""
     rows = []
     for who, method, found in entries:
@@ -139,7 +139,7 @@ def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> Table:
             rows.append((who, method, m.mode.name, "" if aperiodic else _pm(m.mode.speed, m.speed_spread),
                          "" if aperiodic else _pm(m.mode.damping, m.damping_spread), period,
                          _pm(-m.mode.speed, m.speed_spread) if aperiodic else "", _percent(m.unstable)))  # fmt: skip
-    return Table(
+    return ReportTable(
         "modes", "Natural modes at the flights' median speed and incidence",
         ("estimates of", "method", "mode", "natural frequency [rad/s]", "damping ratio", "period [s]", "eigenvalue [1/s]",
          "draws unstable"), tuple(rows), symbols=False,

@@ -2,16 +2,16 @@
 
 from collections.abc import Iterable
 
-from estimation.report.tables import Table
+from estimation.report.tables import ReportTable
 
 
-def notes_table(notes: Iterable[tuple[str, str]]) -> Table | None:
+def notes_table(notes: Iterable[tuple[str, str]]) -> ReportTable | None:
     """Notes as (flight, sentence) as a table of sentences; None where there are none."""
     by = collected((text, flight) for flight, text in notes)
     if not by:
         return None
     rows = tuple((text, ", ".join(flights)) for text, flights in by.items())
-    return Table("notes", "Notes on the flights", ("note", "flights"), rows, symbols=False, texts=(0, 1))
+    return ReportTable("notes", "Notes on the flights", ("note", "flights"), rows, symbols=False, texts=(0, 1))
 
 
 def collected(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:

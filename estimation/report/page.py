@@ -29,13 +29,13 @@ from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
 from estimation.report.notes import notes_table
 from estimation.report.provenance import provenance_table, simulated
-from estimation.report.tables import Table, number, write_all
+from estimation.report.tables import ReportTable, number, write_all
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
-    from estimation.session.proof_of_match import Proof
-    from estimation.session.session import FlightEstimates, Session
+    from estimation.session.proof_of_match import ProofOfMatch
+    from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
 
 SHOWN = 8  # flights with figures of their own; tables hold all
@@ -43,12 +43,12 @@ SEED = 1
 UNNAMED = "not stated"  # aircraft of a model of one's own on a flight that does not name one
 
 
-def write_estimate_report(session: "Session", folder: Path) -> Path:
+def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
     """Write folder/index.html with everything inside, and its tables as CSV and LaTeX in folder/tables; returns the page."""
     flights = [f.flight for f in session.flights]
     used = [f for f in session.flights if f.results]
     proofs = _proofs(session)
-    tables: dict[str, Table | None] = {
+    tables: dict[str, ReportTable | None] = {
         "joint": joint_table(session),
         "mean": mean_table(session),
         "fit": fit_table(session),
@@ -94,7 +94,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
     )
 
 
-def estimate_figures(session: "Session") -> dict[str, Callable[[], Picture | None]]:
+def estimate_figures(session: "EstimationSession") -> dict[str, Callable[[], Picture | None]]:
     """What draws each figure of the page, by the figure's name, in the order of the page."""
     used = [f for f in session.flights if f.results][:SHOWN]
     best, whose = _shown_as_map(session)
@@ -117,7 +117,7 @@ def estimate_figures(session: "Session") -> dict[str, Callable[[], Picture | Non
     return drawn
 
 
-def _shown_as_map(session: "Session") -> "tuple[Result | None, str]":
+def _shown_as_map(session: "EstimationSession") -> "tuple[Result | None, str]":
     """Whose correlations are drawn: the joint estimate's, else the first flight's; and whose that is in words."""
     best = session.leading
     if best is not None:
@@ -128,13 +128,13 @@ def _shown_as_map(session: "Session") -> "tuple[Result | None, str]":
     return None, ""
 
 
-def _verdicts(session: "Session") -> list[tuple[str, "Verdict"]]:
+def _verdicts(session: "EstimationSession") -> list[tuple[str, "Verdict"]]:
     """Whose verdict, and the verdict: joint first."""
     found = [("all together", session.verdict), *((f.flight.name, f.verdict) for f in session.flights)]
     return [(who, v) for who, v in found if v is not None]
 
 
-def _lead(session: "Session") -> str:
+def _lead(session: "EstimationSession") -> str:
     names = [f.flight.name for f in session.flights]
     title = f" ({session.model.title})" if session.model.title else ""
     return (
@@ -143,7 +143,7 @@ def _lead(session: "Session") -> str:
     )
 
 
-def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
+def _proofs(session: "EstimationSession") -> list[tuple[str, "ProofOfMatch"]]:
     """Each flight predicted by each method's estimates of the flight before it, the first by the last.
 
     Constant coefficients are refitted: trim and sensor offsets of a day say nothing of the derivatives.
@@ -152,7 +152,7 @@ def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
 
     trims = session.model.free_of(ParameterRole.CONSTANT)
 
-    proofs: list[tuple[str, Proof]] = []
+    proofs: list[tuple[str, ProofOfMatch]] = []
     for method in session.methods:
         usable = [(f, r) for f in session.flights for m, r in f.results.items() if m == method and r.converged]
         if len(usable) < 2:
@@ -166,7 +166,7 @@ def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
     return proofs
 
 
-def refitted(session: "Session") -> str:
+def refitted(session: "EstimationSession") -> str:
     """What the proof of match does not freeze."""
     return (
         "initial states and constant coefficients (trim)"
@@ -175,7 +175,7 @@ def refitted(session: "Session") -> str:
     )
 
 
-def _verdict_table(session: "Session") -> Table:
+def _verdict_table(session: "EstimationSession") -> ReportTable:
     """Which estimate is recommended, for each flight and all together, why, and what is doubtful about it."""
     verdicts = _verdicts(session)
     rows = tuple(
@@ -184,7 +184,7 @@ def _verdict_table(session: "Session") -> Table:
     )
     failed = frozenset((i, 1) for i, (_, v) in enumerate(verdicts) if v.recommended.method == "none")
     head = ("estimate", "recommended", "why", "doubts")
-    return Table(
+    return ReportTable(
         "verdict",
         "The method recommended, why, and what is doubted",
         head,
@@ -195,7 +195,7 @@ def _verdict_table(session: "Session") -> Table:
     )
 
 
-def _runs(session: "Session") -> Table:
+def _runs(session: "EstimationSession") -> ReportTable:
     """How each fit ended, failures among them."""
     ended = [
         (f.flight.name, m, r.text, r.iterations, r.converged) for f in session.flights for m, r in f.results.items()
@@ -207,17 +207,17 @@ def _runs(session: "Session") -> Table:
     failed = frozenset((i, 2) for i, (*_, good) in enumerate(ended) if not good)
     head = ("flight", "method", "end", "iterations")
     what = "Each flight and method, and all flights together"
-    return Table("runs", what, head, rows, symbols=False, texts=(1, 2), failed=failed)
+    return ReportTable("runs", what, head, rows, symbols=False, texts=(1, 2), failed=failed)
 
 
-def _untold(session: "Session") -> Table:
+def _untold(session: "EstimationSession") -> ReportTable:
     """Every parameter, method and reason, for the file beside the page."""
     head = ("parameter", "method", "flights", "why", "fly next", "joint")
     rows = tuple(
         (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "told" if u.told else "")
         for u in untold(session)
     )
-    return Table("untold", "What could not be told", head, rows, texts=(2, 3, 4))
+    return ReportTable("untold", "What could not be told", head, rows, texts=(2, 3, 4))
 
 
 def _residual_figures(f: "FlightEstimates") -> list[Picture]:
@@ -227,7 +227,7 @@ def _residual_figures(f: "FlightEstimates") -> list[Picture]:
     return [p for p in figures if p is not None]
 
 
-def _ellipses(session: "Session", first: "Sequence[FlightEstimates]", whose: str) -> Picture | None:
+def _ellipses(session: "EstimationSession", first: "Sequence[FlightEstimates]", whose: str) -> Picture | None:
     """Ellipses of the joint estimates of all methods, the leading one first; without these, of the first flight's."""
     leading = session.leading
     if leading is not None:
@@ -236,7 +236,7 @@ def _ellipses(session: "Session", first: "Sequence[FlightEstimates]", whose: str
     return ellipse_figure([r for f in first for r in f.results.values()], whose.partition(",")[0], session.truth)
 
 
-def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table | None:
+def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfMatch"]]) -> ReportTable | None:
     if not proofs:
         return None
     outputs = session.model.output_names
@@ -248,7 +248,7 @@ def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table
         failed |= {(len(rows), 3 + 2 * k) for k in beyond} | ({(len(rows), 2 + 2 * len(outputs))} if beyond else set())
         cells = [c for fit in fits for c in (("", "") if fit is None else (number(fit.r2, 3), number(fit.theil, 3)))]
         rows.append((p.name, whose, *cells, "FAIL" if beyond else "pass"))
-    return Table(
+    return ReportTable(
         "figure10_match",
         "Proof of match over flights",
         ("flight", "predicted by", *(h for _ in outputs for h in ("r²", "Theil")), "match"),
@@ -262,7 +262,7 @@ def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table
     )
 
 
-def _modes(session: "Session") -> Table | None:
+def _modes(session: "EstimationSession") -> ReportTable | None:
     rng = np.random.default_rng(SEED)
     entries: list[tuple[str, str, list[SpreadMode]]] = []
     for method, result in session.joint.items():

@@ -5,13 +5,13 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from estimation.report.tables import Table
+from estimation.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
 
 
-def provenance_table(flights: Sequence["Flight"]) -> Table:
+def provenance_table(flights: Sequence["Flight"]) -> ReportTable:
     """One row a flight: file and its hash, the raw recording it was calibrated from, the calibration, the program."""
     rows = []
     for flight in flights:
@@ -20,7 +20,7 @@ def provenance_table(flights: Sequence["Flight"]) -> Table:
         raw_hash = str(raw.get("sha256", "")) if isinstance(raw, dict) else ""
         rows.append((flight.name, p.source, p.path or "in memory", p.sha256[:16], raw_hash[:16], calibration_digest(flight),
                      p.software, str(len(flight)), f"{flight.time[-1] - flight.time[0]:.1f}"))  # fmt: skip
-    return Table(
+    return ReportTable(
         "provenance", "Where the flights come from",
         ("flight", "source", "file", "sha-256 of file", "of raw recording", "of calibration", "calibrated by", "samples",
          "duration [s]"), tuple(rows), symbols=False, texts=(2,),

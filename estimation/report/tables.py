@@ -14,7 +14,7 @@ CANNOT_TELL = "cannot tell"
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """name: of its files. groups: (label, columns spanned) over `head`, or empty. The first cell of a row is a parameter
     or signal name where `symbols`. note: what the reader must know of the columns. texts: columns of sentences, which may
     break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone."""
@@ -117,7 +117,7 @@ def pair(value: float | None, bound: float | None) -> list[str]:
     return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
 
 
-def write_all(tables: Sequence[Table], folder: Path) -> None:
+def write_all(tables: Sequence[ReportTable], folder: Path) -> None:
     """Every table as CSV and LaTeX."""
     for table in tables:
         table.write(folder)

@@ -29,7 +29,7 @@ FILLED = (0.6, 1.02)
 
 
 @dataclass(frozen=True, slots=True)
-class Note:
+class ReviewNote:
     """One line of the review. about: constants of equations that it doubts."""
 
     check: str
@@ -42,20 +42,20 @@ class Note:
         return {"check": self.check, "verdict": self.verdict, "text": self.text}
 
 
-def review(aircraft: Aircraft) -> tuple[Note, ...]:
+def review(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
     """Notes on geometry, inertia, beliefs and each method. A "fail" is what no aircraft can be, or no method can do with."""
     return (*_geometry(aircraft), *_inertia(aircraft), *_signs(aircraft), *_places(aircraft), *_methods(aircraft))
 
 
-def _geometry(a: Aircraft) -> Iterator[Note]:
+def _geometry(a: Aircraft) -> Iterator[ReviewNote]:
     filled = a.area / (a.span * a.chord)
     if math.isfinite(filled) and not FILLED[0] <= filled <= FILLED[1]:
         told = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
         about = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
-        yield Note("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?", about)
+        yield ReviewNote("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?", about)
     loading = a.mass / a.area
     if math.isfinite(loading) and not 0.5 <= loading <= 1000.0:
-        yield Note(
+        yield ReviewNote(
             "mass",
             "warn",
             f"{loading:.3g} kg/m2 of wing; aircraft have 1 to 800: is one of them in other units?",
@@ -63,62 +63,64 @@ def _geometry(a: Aircraft) -> Iterator[Note]:
         )
 
 
-def _inertia(a: Aircraft) -> Iterator[Note]:
+def _inertia(a: Aircraft) -> Iterator[ReviewNote]:
     for i, j, k in (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy")):
         if getattr(a, i) + getattr(a, j) < getattr(a, k):
-            yield Note("inertia", "fail", f"{i} + {j} is less than {k}, which no body can have", (i, j, k))
+            yield ReviewNote("inertia", "fail", f"{i} + {j} is less than {k}, which no body can have", (i, j, k))
     for name, (length, low, high) in GYRATION.items():
         reach = getattr(a, length) * (0.5 if length == "span" else 1.0)
         ratio = math.sqrt(getattr(a, name) / a.mass) / reach
         if math.isfinite(ratio) and not low <= ratio <= high:
             of = "half span" if length == "span" else length
             told = f"{name}: radius of gyration is {ratio:.2g} of the {of}, usual are {low} to {high}"
-            yield Note("inertia", "warn", told, (name,))
+            yield ReviewNote("inertia", "warn", told, (name,))
 
 
-def _signs(a: Aircraft) -> Iterator[Note]:
+def _signs(a: Aircraft) -> Iterator[ReviewNote]:
     for name, sign in SIGNS.items():
         prior = a.prior(name)
         if prior is not None and prior.value * sign < 0:
-            yield Note(
+            yield ReviewNote(
                 "beliefs",
                 "warn",
                 f"{name} = {prior.value:g} has an unusual sign; check the sign conventions in docs/aircraft.md",
             )
     wide = [n for n, p in a.derivatives.items() if p.std is None]
     if wide:
-        yield Note("beliefs", "warn", f"no standard deviation stated for {', '.join(wide)}")
+        yield ReviewNote("beliefs", "warn", f"no standard deviation stated for {', '.join(wide)}")
 
 
-def _places(a: Aircraft) -> Iterator[Note]:
+def _places(a: Aircraft) -> Iterator[ReviewNote]:
     for name, place in a.sensors.items():
         if math.isfinite(a.span) and math.dist((0, 0, 0), place) > 2.0 * a.span:
-            yield Note(
+            yield ReviewNote(
                 "sensors", "warn", f"{name} is {math.dist((0, 0, 0), place):.3g} m from the CG, more than two spans"
             )
     if not a.sensors:
-        yield Note("sensors", "ok", "no positions stated: calibration files and `check` factors place the instruments")
+        yield ReviewNote(
+            "sensors", "ok", "no positions stated: calibration files and `check` factors place the instruments"
+        )
 
 
-def _methods(a: Aircraft) -> Iterator[Note]:
+def _methods(a: Aircraft) -> Iterator[ReviewNote]:
     from estimation.models.library import BUILDERS
     from estimation.models.load import load_model
 
-    yield Note("method check", "ok", "data compatibility needs no aircraft")
+    yield ReviewNote("method check", "ok", "data compatibility needs no aircraft")
     for name in BUILDERS:
         try:
             model = load_model(name, a)
         except AircraftError as error:
-            yield Note(f"model {name}", "fail", str(error))
+            yield ReviewNote(f"model {name}", "fail", str(error))
             continue
         blind = [n for n in model.free_names if a.prior(n) is None]
         text = "enough" if not blind else f"enough; nothing believed of {', '.join(blind)}: they start from zero"
-        yield Note(f"model {name}", "ok", text)
+        yield ReviewNote(f"model {name}", "ok", text)
     yield _simulation(a)
 
 
-def _simulation(a: Aircraft) -> Note:
+def _simulation(a: Aircraft) -> ReviewNote:
     missing = [f"[{n}]" for n in ("servos", "engine", "simulation") if getattr(a, n) is None]
     if missing:
-        return Note("sideslip fly", "ok", f"not for simulation: no {', '.join(missing)}")
-    return Note("sideslip fly", "ok", "servos, engine and speeds are there")
+        return ReviewNote("sideslip fly", "ok", f"not for simulation: no {', '.join(missing)}")
+    return ReviewNote("sideslip fly", "ok", "servos, engine and speeds are there")

@@ -25,7 +25,7 @@ class ProcessNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class Gain:
+class FilterErrorGain:
     """What a filter error gains over output error. gain: twice the log likelihood; chance: what as many gains of the filter
     would reach by chance in one of a thousand records without process noise; size: mean log ratio of the variances."""
 
@@ -39,7 +39,7 @@ class Gain:
         return self.gain > self.chance
 
 
-def gain_of_filter(ml: Result, fem: Result) -> Gain:
+def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
     """Likelihood ratio of a filter error against the output error that it contains (all gains zero).
 
     Residuals are compared channel by channel, as for the diagonal R of either; the channels' correlation, which the filter
@@ -56,7 +56,7 @@ def gain_of_filter(ml: Result, fem: Result) -> Gain:
             total += count * float(np.log(max(ratio, 1e-300)))
             values += count
     gains = sum(len(row) for row in fem.extra.get("gain", {}).values())
-    return Gain(total, float(chi2.ppf(CHANCE, max(gains, 1))), total / max(values, 1))
+    return FilterErrorGain(total, float(chi2.ppf(CHANCE, max(gains, 1))), total / max(values, 1))
 
 
 def driven(model: Model) -> frozenset[str]:

@@ -7,7 +7,7 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
 from estimation.models.library import BUILDERS, not_in_model
-from estimation.session.aircraft_review import Note, review
+from estimation.session.aircraft_review import ReviewNote, review
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def of_aircraft(aircraft: Aircraft, model: Model) -> OfAircraft:
     return OfAircraft(beyond, dropped, aircraft.span**2 / aircraft.area)
 
 
-def _concerns(note: Note, used: frozenset[str]) -> bool:
+def _concerns(note: ReviewNote, used: frozenset[str]) -> bool:
     """Whether a note doubts what a model takes; that three moments do not go together, only where it takes all of them."""
     if len(note.about) == 3 and note.check == "inertia":
         return used.issuperset(note.about)

@@ -18,7 +18,7 @@ from groundstation.flight import Flight
 
 
 @dataclass(frozen=True)
-class Proof:
+class ProofOfMatch:
     """One flight predicted. time (N,), measured and predicted (N, ny), NaN outside the segments."""
 
     name: str
@@ -39,7 +39,7 @@ class Proof:
         return {**data, "beyond": {b.name: b.to_json() for b in self.beyond}} if self.result.model.flown else data
 
 
-def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = ()) -> Proof:
+def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = ()) -> ProofOfMatch:
     """Predict one flight with every parameter frozen at the model's values but those named in `free`.
 
     Raises ModelError for an unknown name, DataError or MissingColumnError for a flight that cannot feed the model.
@@ -52,7 +52,7 @@ def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = 
     refitted = "initial states" + (f" and {', '.join(free)}" if free else "")
     text = f"predicted with frozen parameters, {refitted} refitted" if result.converged else result.text
     left = beyond(model, flight) if isinstance(flight, Flight) else ()
-    return Proof(
+    return ProofOfMatch(
         fitted.name, result.converged, text, result.model.output_names, fitted.time, fitted.measured, fitted.outputs,
         dict(fitted.fit), result, left,
     )  # fmt: skip

@@ -16,8 +16,8 @@ from estimation.session.flights import unique_names
 from estimation.session.joint import joint_model
 from estimation.session.of_aircraft import of_aircraft
 from estimation.session.scatter import scatter
-from estimation.session.session import FlightEstimates, Session
-from estimation.session.structured import Wish, structured
+from estimation.session.session import EstimationSession, FlightEstimates
+from estimation.session.structured import StructureWish, structured
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
@@ -40,8 +40,8 @@ def estimate(
     device: str = "cpu",
     progress: Callable[[str], None] | None = None,
     extras: Extras = NO_EXTRAS,
-    structure: Wish = Wish.TEST,
-) -> Session:
+    structure: StructureWish = StructureWish.TEST,
+) -> EstimationSession:
     """Run every method on every flight, and on all of them together where `joint`.
 
     structure: whether what the model may lack is tested beside the fits, and added. device: where networks are trained.
@@ -65,7 +65,7 @@ def estimate(
     model, flights = without_sensor(model, flights)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
     session = _fitted(task, chosen, joint)
-    if structure is not Wish.OFF:
+    if structure is not StructureWish.OFF:
         plain = task.plain or model
         session = structured(
             session, task, structure, lambda more: _fitted(replace(task, model=more, plain=plain), chosen, joint)
@@ -73,7 +73,7 @@ def estimate(
     return _judged(session)
 
 
-def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> Session:
+def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
     found = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in chosen}
@@ -91,7 +91,9 @@ def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> Session:
         done.append(FlightEstimates(flight, results, failures))
     mean = {m: scatter(r) for m, outcomes in found.items() if (r := [o for o in outcomes if isinstance(o, Result)])}
     results, failures = _split(together)
-    return Session(task.aircraft, task.model, tuple(found), tuple(done), results, mean, joint_failures=failures)
+    return EstimationSession(
+        task.aircraft, task.model, tuple(found), tuple(done), results, mean, joint_failures=failures
+    )
 
 
 def _with_airspeed_errors(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
@@ -100,7 +102,7 @@ def _with_airspeed_errors(outcomes: Sequence[Outcome], flights: Sequence[Sequenc
     return [with_airspeed_error(o, of) if isinstance(o, Result) else o for o, of in pairs]
 
 
-def _judged(session: Session) -> Session:
+def _judged(session: EstimationSession) -> EstimationSession:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     found = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}

@@ -13,7 +13,7 @@ from estimation.session.sanity_checks import Doubt, doubts_of
 from estimation.session.scatter import Scatter
 from estimation.session.verdict import Verdict
 from estimation.structure.odd_flights import OddFlight
-from estimation.structure.score_test import Structure
+from estimation.structure.score_test import StructureTest
 from groundstation.flight import Flight
 from groundstation.flight.notes import texts
 
@@ -26,7 +26,7 @@ class FlightEstimates:
     results: Mapping[str, Result]
     failures: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
-    structure: Structure | None = None
+    structure: StructureTest | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -45,7 +45,7 @@ class FlightEstimates:
 
 
 @dataclass(frozen=True)
-class Session:
+class EstimationSession:
     """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means.
 
     joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any; structure:
@@ -61,7 +61,7 @@ class Session:
     truth: Mapping[str, float] = field(default_factory=dict)
     joint_failures: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
-    structure: Structure | None = None
+    structure: StructureTest | None = None
     odd: tuple[OddFlight, ...] = ()
 
     @property

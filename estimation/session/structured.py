@@ -19,13 +19,13 @@ from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.models.library import WHOLE
 from estimation.session.joint import joint_model
-from estimation.session.session import Session
-from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
+from estimation.session.session import EstimationSession
+from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
 from estimation.structure.excerpt import excerpt
 from estimation.structure.following import follows_controls
 from estimation.structure.linearised import linearise
 from estimation.structure.odd_flights import OddFlight, odd_flights
-from estimation.structure.score_test import Lack, Structure, structure_of
+from estimation.structure.score_test import Lack, StructureTest, structure_of
 from groundstation.flight import Flight
 
 ROUNDS = 4  # of adding: a model that lacks more is another model
@@ -33,7 +33,7 @@ MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to b
 FILTERS = ("fem-noise", "fem")
 
 
-class Wish(Enum):
+class StructureWish(Enum):
     """What `--structure` asks for."""
 
     OFF = "off"
@@ -41,14 +41,16 @@ class Wish(Enum):
     AUTO = "auto"
 
     @classmethod
-    def of(cls, text: str) -> "Wish":
+    def of(cls, text: str) -> "StructureWish":
         """The wish by its word; EstimationError naming what there is."""
         if text not in {w.value for w in cls}:
             raise EstimationError(f"structure {text!r}: choose from {', '.join(w.value for w in cls)}")
         return cls(text)
 
 
-def structured(session: Session, task: Task, wish: Wish, fitted: Callable[[Model], Session]) -> Session:
+def structured(
+    session: EstimationSession, task: Task, wish: StructureWish, fitted: Callable[[Model], EstimationSession]
+) -> EstimationSession:
     """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
 
     fitted: the session of another model.
@@ -73,23 +75,23 @@ def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
     return list({t.name: t for t in terms}.values())
 
 
-def _lacks(session: Session) -> list[Lack]:
+def _lacks(session: EstimationSession) -> list[Lack]:
     """The strongest lack of the joint fit, else the strongest of any flight; one at a time, for each changes the others."""
     every = [session.structure] if session.structure is not None else [f.structure for f in session.flights]
     found = [lack for s in every if s is not None for lack in s.lacks[:1]]
     return sorted(found, key=lambda lack: -abs(lack.leading.score))[:1]
 
 
-def _wanted(lack: Lack, model: Model, wish: Wish) -> bool:
+def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
     """Whether something that is lacking is to be added."""
     if not lack.holds:  # the other flights do not confirm it
         return False
-    if wish is Wish.AUTO:
+    if wish is StructureWish.AUTO:
         return True
-    return model.name in WHOLE and lack.leading.candidate.kind is Kind.LINEAR
+    return model.name in WHOLE and lack.leading.candidate.kind is CandidateKind.LINEAR
 
 
-def _with_added(session: Session, added: Sequence[str], ambiguous: Sequence[Lack]) -> Session:
+def _with_added(session: EstimationSession, added: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
     flights = tuple(
         replace(f, structure=None if f.structure is None else f.structure.with_added(added, ambiguous))
         for f in session.flights
@@ -98,7 +100,7 @@ def _with_added(session: Session, added: Sequence[str], ambiguous: Sequence[Lack
     return replace(session, flights=flights, structure=joint)
 
 
-def _tested(session: Session, task: Task) -> Session:
+def _tested(session: EstimationSession, task: Task) -> EstimationSession:
     """The session with its structure tests."""
     flights = tuple(replace(f, structure=_test(session, [f.flight], f.results, task)[0]) for f in session.flights)
     if not session.joint:
@@ -108,20 +110,22 @@ def _tested(session: Session, task: Task) -> Session:
 
 
 def _test(
-    session: Session, flights: Sequence[Flight], results: Mapping[str, Result], task: Task
-) -> tuple[Structure, tuple[OddFlight, ...]]:
+    session: EstimationSession, flights: Sequence[Flight], results: Mapping[str, Result], task: Task
+) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     """The structure test of one set of results on the same flights; a structure that says why not where there is none."""
     try:
         with numerical_failures():
             return _of_basis(session, replace(task, flights=flights), results)
     except (UserError, NumericalFailure) as error:
-        return Structure((), (), why_not=f"not tested: {error}"), ()
+        return StructureTest((), (), why_not=f"not tested: {error}"), ()
 
 
-def _of_basis(session: Session, task: Task, results: Mapping[str, Result]) -> tuple[Structure, tuple[OddFlight, ...]]:
+def _of_basis(
+    session: EstimationSession, task: Task, results: Mapping[str, Result]
+) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     usable = {m: r for m, r in results.items() if r.converged}
     if not usable:
-        return Structure((), (), why_not="not tested: no fit to test"), ()
+        return StructureTest((), (), why_not="not tested: no fit to test"), ()
     basis = next((usable[m] for m in ("ml", *FILTERS) if m in usable), None)
     model = session.model
     _, ready = compared(session.model, replace(task, model=session.model).data)
@@ -143,7 +147,7 @@ def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
 
 def _of_result(
     basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
-) -> tuple[Structure, tuple[OddFlight, ...]]:
+) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
     others.
 
@@ -153,9 +157,9 @@ def _of_result(
     at = chosen if filtered else basis
     linear = linearise(*excerpt(at, ready))
     if linear is None:
-        return Structure((), (), why_not="not tested: the motion runs away from the smallest change"), ()
+        return StructureTest((), (), why_not="not tested: the motion runs away from the smallest change"), ()
     if "imu" in places:
-        linear = linear.without(Kind.PLACE)
+        linear = linear.without(CandidateKind.PLACE)
     found = structure_of(linear, chosen, filtered=filtered)
     lacking = [lack.leading.candidate.name for lack in found.lacks]
     odd = odd_flights(linear.absorbing(lacking), chosen)

@@ -21,7 +21,7 @@ from estimation.session.plausible_derivatives import implausible
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible
 from estimation.session.scatter import scatter
 from estimation.structure.odd_flights import OddFlight
-from estimation.structure.score_test import Lack, Structure
+from estimation.structure.score_test import Lack, StructureTest
 
 NOBODY = "none"
 TRUST: Mapping[str, int] = {"ml": 0, "fem-noise": 1, "fem": 2, "ngn-improved": 3, "ls": 4, "ngn": 5}
@@ -100,7 +100,7 @@ def verdict(
     reconstructed: Sequence[str] = (),
     odd: Sequence[str] = (),
     craft: OfAircraft = NOTHING,
-    structure: Structure | None = None,
+    structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
 ) -> Verdict:
     """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
@@ -156,10 +156,10 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
 
 
 def of_structure(
-    chosen: Recommendation, doubts: list[Doubt], structure: Structure | None, odd_flights: Sequence[OddFlight]
+    chosen: Recommendation, doubts: list[Doubt], structure: StructureTest | None, odd_flights: Sequence[OddFlight]
 ) -> Recommendation:
     """The recommendation in view of what the model lacks and of flights that differ; their doubts are added to `doubts`."""
-    structure = structure or Structure((), ())
+    structure = structure or StructureTest((), ())
     lacking, ambiguous = structure.lacks, structure.ambiguous
     against = [structure.follows[chosen.method]] if chosen.method in structure.follows else []
     doubts += [Doubt(DoubtKind.PROCESS_NOISE, f"{method}: {text}") for method, text in structure.follows.items()]

@@ -37,7 +37,7 @@ class Gains:
 
 
 @dataclass(frozen=True)
-class Piece:
+class ControlStretch:
     """A stretch of one record. values: (N,) the control with its noise; smooth: (N,) without; motion: (N, motions) without."""
 
     values: Array
@@ -49,7 +49,7 @@ class Piece:
         return np.column_stack([self.motion, np.concatenate([self.motion[:1], self.motion[:-1]])])
 
 
-def gains(pieces: Sequence[Piece], noise: float) -> Gains | None:
+def gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
     """Gains by which a control follows the motion in all pieces of a record; None where that may be chance. noise: of it."""
     from scipy.special import fdtrc
 
@@ -73,7 +73,9 @@ def gains(pieces: Sequence[Piece], noise: float) -> Gains | None:
     return Gains(vt.T @ (along / s) / size, roots / size[:, None])
 
 
-def following(piece: Piece, found: Gains, noise: float, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def following(
+    piece: ControlStretch, found: Gains, noise: float, draws: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """The control of a piece (N,) without its noise, with what follows the motion; and (draws, N) what may be wrong with it."""
     x = piece.regressors()
     x = x - x.mean(axis=0)
@@ -87,7 +89,7 @@ def following(piece: Piece, found: Gains, noise: float, draws: int, rng: np.rand
     return rest.values + follows, rest.errors + rng.standard_normal((draws, len(others))) @ by_gains
 
 
-def _stretches(piece: Piece, noise: float) -> Iterator[tuple[Array, Array]]:
+def _stretches(piece: ControlStretch, noise: float) -> Iterator[tuple[Array, Array]]:
     """Control (n,) and regressors (n, 2 motions) of each stretch between steps, less their straight lines."""
     near = np.concatenate([[True], near_steps(piece.smooth, noise, STEP, AROUND), [True]])
     x = piece.regressors()

@@ -12,7 +12,7 @@ from daq.contract.outputs import write_json
 from estimation.models.base import Model
 from estimation.models.load import read_model
 from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
-from estimation.simulation.jsbsim.export import Exported, export_aircraft
+from estimation.simulation.jsbsim.export import JsbsimExport, export_aircraft
 from estimation.simulation.jsbsim.increments import simulation_named
 from estimation.simulation.jsbsim.library import PREFIX, aircraft_file
 from estimation.simulation.oracle import SimulationError
@@ -26,7 +26,7 @@ FASTEST = 2000.0  # Hz
 class ProvedExport:
     """What was written, and how far it flies from the model. rate: steps per second it was flown at."""
 
-    exported: Exported
+    exported: JsbsimExport
     proof: ExportProof
     rate: float
 

@@ -12,7 +12,14 @@ import numpy as np
 
 from estimation.models.load import write_model
 from estimation.simulation.jsbsim.aircraft import ATTITUDES, HELD, JsbsimOracle, jsbsim_simulation
-from estimation.simulation.jsbsim.as_text import SUTHERLAND, Air, Imported, Source, arm_of, imported
+from estimation.simulation.jsbsim.as_text import (
+    SUTHERLAND,
+    AircraftSource,
+    Imported,
+    StandardTroposphere,
+    arm_of,
+    imported,
+)
 from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aircraft_file, known
 from estimation.simulation.jsbsim.surfaces import aerodynamics_of
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
@@ -66,7 +73,7 @@ def imported_exactly(spec: str) -> ProvedImport:
     assert craft is not None
     states = random_states(simulation)
     fdm = oracle.fdm
-    source = Source(
+    source = AircraftSource(
         simulation.name, simulation.spec, craft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
         oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _asking(oracle, states),
     )  # fmt: skip
@@ -126,7 +133,7 @@ def _asking(oracle: JsbsimOracle, states: States) -> Callable[[str], list[float]
     return asked
 
 
-def _air(oracle: JsbsimOracle, states: States) -> Air:
+def _air(oracle: JsbsimOracle, states: States) -> StandardTroposphere:
     """The air that JSBSim has, by two states far apart in height: temperature and density are powers of one another."""
     fdm, seen = oracle.fdm, []
     order = np.argsort(states.rho)
@@ -138,4 +145,4 @@ def _air(oracle: JsbsimOracle, states: States) -> Air:
     speed, chord = fdm["velocities/vt-fps"] * FOOT, fdm["metrics/cbarw-ft"] * FOOT
     reynolds = fdm["aero/Re"] or 1.0
     viscosity = rho * speed * chord / reynolds * (kelvin + SUTHERLAND) / kelvin**1.5
-    return Air(sound, kelvin, rho, math.log(other / sound) / math.log(thin / rho), viscosity)
+    return StandardTroposphere(sound, kelvin, rho, math.log(other / sound) / math.log(thin / rho), viscosity)

@@ -62,14 +62,14 @@ def proof_of(source: Path, simulation: Simulation, made: Written, found: Increme
 
 
 @dataclass(frozen=True)
-class Moved:
+class SteppedMotion:
     """(N, ny) what a model shows, moved by JSBSim's steps and exactly (on inputs straight between samples)."""
 
     stepped: Array
     exact: Array
 
 
-def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> Moved:
+def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
     """A model on a simulation over a flight without noise, from its first state on. filters: its states that are lag filters in
     JSBSim."""
     told = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
@@ -77,7 +77,7 @@ def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[s
     x0 = _start(model, flight)
     as_read = prepare(model, _with_the_rate_told(carried), AS_IT_IS)
     exact = simulate(model, prepare(model, carried, AS_IT_IS), x0=x0, substeps=1)
-    return Moved(stepped(model, as_read, x0, filters), exact)
+    return SteppedMotion(stepped(model, as_read, x0, filters), exact)
 
 
 def _with_the_rate_told(flight: Flight) -> Flight:

@@ -18,7 +18,7 @@ LATE_OUTPUTS = ("alpha", "beta", "phi", "theta")
 SMALL_FLOW = ("alpha", "beta")
 
 
-class Kind(Enum):
+class CandidateKind(Enum):
     """What sort of thing is left out."""
 
     LINEAR = "derivative"
@@ -36,7 +36,7 @@ class Candidate:
     what is added to which line; channel: the input or output concerned; phrase: as a sentence has it."""
 
     name: str
-    kind: Kind
+    kind: CandidateKind
     null: float = 0.0
     line: str = ""
     term: str = ""
@@ -48,10 +48,16 @@ class Candidate:
         """As an unknown of a model, at its null value."""
         role = (
             ParameterRole.DERIVATIVE
-            if self.kind in (Kind.LINEAR, Kind.NONLINEAR, Kind.INERTIA)
+            if self.kind in (CandidateKind.LINEAR, CandidateKind.NONLINEAR, CandidateKind.INERTIA)
             else ParameterRole.INSTRUMENT
         )
-        unit = {Kind.LATE_CONTROL: "s", Kind.LATE_SENSOR: "s", Kind.SCALE: "1", Kind.PLACE: "m", Kind.INERTIA: "kg m2"}
+        unit = {
+            CandidateKind.LATE_CONTROL: "s",
+            CandidateKind.LATE_SENSOR: "s",
+            CandidateKind.SCALE: "1",
+            CandidateKind.PLACE: "m",
+            CandidateKind.INERTIA: "kg m2",
+        }
         return Parameter(self.name, unit.get(self.kind, "1/rad"), start=self.null, role=role)
 
 
@@ -68,7 +74,7 @@ def candidates(model: Model) -> tuple[Candidate, ...]:
 
 def linear_terms(model: Model) -> tuple[Candidate, ...]:
     """Derivatives of the general linear model that a model does not have."""
-    return tuple(c for c in candidates(model) if c.kind is Kind.LINEAR)
+    return tuple(c for c in candidates(model) if c.kind is CandidateKind.LINEAR)
 
 
 def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:
@@ -78,19 +84,21 @@ def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:
     for c in (c for c in wanted if c.line):
         terms[c.line] = f"{terms[c.line]} + {c.name}*{c.term}" if c.line in terms else f"{c.name}*{c.term}"
     shown: dict[str, str] = {}
-    for c in (c for c in wanted if c.kind in (Kind.SCALE, Kind.PLACE) and c.channel in model.output_names):
+    for c in (
+        c for c in wanted if c.kind in (CandidateKind.SCALE, CandidateKind.PLACE) and c.channel in model.output_names
+    ):
         before = shown.get(c.channel, c.channel)
-        shown[c.channel] = f"{c.name}*({before})" if c.kind is Kind.SCALE else f"{before} + {c.name}*{c.term}"
+        shown[c.channel] = f"{c.name}*({before})" if c.kind is CandidateKind.SCALE else f"{before} + {c.name}*{c.term}"
     moved = [
-        InputTransform("scale" if c.kind is Kind.SCALE else "delay", c.channel, (c.name,))
+        InputTransform("scale" if c.kind is CandidateKind.SCALE else "delay", c.channel, (c.name,))
         for c in wanted
-        if c.kind in (Kind.SCALE, Kind.LATE_CONTROL) and c.channel not in model.output_names
+        if c.kind in (CandidateKind.SCALE, CandidateKind.LATE_CONTROL) and c.channel not in model.output_names
     ]
     return model.plus(
         terms=terms,
         outputs=shown,
         transforms=moved,
-        output_delays={c.channel: c.name for c in wanted if c.kind is Kind.LATE_SENSOR},
+        output_delays={c.channel: c.name for c in wanted if c.kind is CandidateKind.LATE_SENSOR},
         parameters=[c.parameter for c in wanted],
     )
 
@@ -143,7 +151,7 @@ def _terms(model: Model) -> Iterator[Candidate]:
         for regressor in related:
             if regressor not in direct:
                 name = f"{line}_{_suffix(regressor)}"
-                yield Candidate(name, Kind.LINEAR, line=line, term=regressor, phrase=name)
+                yield Candidate(name, CandidateKind.LINEAR, line=line, term=regressor, phrase=name)
         yield from _nonlinear(model, line, [r for r in has if r in direct])
 
 
@@ -153,13 +161,13 @@ def _nonlinear(model: Model, line: str, regressors: Iterable[str]) -> Iterator[C
         control = any(s.name == r and s.control for s in model.inputs)
         if r in SMALL_FLOW or (control and r.startswith("delta_")):
             name = f"{line}_{_suffix(r)}3"
-            yield Candidate(name, Kind.NONLINEAR, line=line, term=f"{r}^3", phrase=name)
+            yield Candidate(name, CandidateKind.NONLINEAR, line=line, term=f"{r}^3", phrase=name)
         if r == "beta" and "alpha" in (*model.state_names, *model.input_names):
             name = f"{line}_alpha_beta"
-            yield Candidate(name, Kind.NONLINEAR, line=line, term="alpha*beta", phrase=name)
+            yield Candidate(name, CandidateKind.NONLINEAR, line=line, term="alpha*beta", phrase=name)
         if r == "alpha":
             name = f"{line}_alpha2"
-            yield Candidate(name, Kind.NONLINEAR, line=line, term="alpha^2", phrase=name)
+            yield Candidate(name, CandidateKind.NONLINEAR, line=line, term="alpha^2", phrase=name)
 
 
 def _suffix(regressor: str) -> str:
@@ -176,7 +184,7 @@ def _late_controls(model: Model) -> Iterator[Candidate]:
         if s.control and s.name not in late and s.name not in ("thrust",):
             yield Candidate(
                 f"delay_{s.name}",
-                Kind.LATE_CONTROL,
+                CandidateKind.LATE_CONTROL,
                 channel=s.name,
                 phrase=f"a lag between the recorded {s.name} and the motion",
             )
@@ -185,13 +193,17 @@ def _late_controls(model: Model) -> Iterator[Candidate]:
 def _sensors(model: Model) -> Iterator[Candidate]:
     for s in model.outputs:
         if s.source in LATE_OUTPUTS and s.name not in model.output_delays:
-            yield Candidate(f"delay_{s.name}", Kind.LATE_SENSOR, channel=s.name, phrase=f"a lag of the {s.name} sensor")
-        yield Candidate(f"scale_{s.name}", Kind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}")
+            yield Candidate(
+                f"delay_{s.name}", CandidateKind.LATE_SENSOR, channel=s.name, phrase=f"a lag of the {s.name} sensor"
+            )
+        yield Candidate(
+            f"scale_{s.name}", CandidateKind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}"
+        )
     scaled = {t.input for t in model.transforms if t.kind == "scale"}
     for s in model.inputs:
         if s.source == "V" and s.name not in scaled:
             yield Candidate(
-                f"scale_{s.name}", Kind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}"
+                f"scale_{s.name}", CandidateKind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}"
             )
     yield from _places(model)
 
@@ -203,7 +215,7 @@ def _places(model: Model) -> Iterator[Candidate]:
         if term in model.definitions and f"{axis}_imu" not in model.parameter_names:
             yield Candidate(
                 f"{axis}_imu",
-                Kind.PLACE,
+                CandidateKind.PLACE,
                 channel="ay",
                 term=term,
                 phrase=f"an accelerometer off the CG along {axis}",
@@ -213,4 +225,4 @@ def _places(model: Model) -> Iterator[Candidate]:
 def _inertia(model: Model) -> Iterator[Candidate]:
     used = frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))
     if "Ixz" in model.constants and "Ixz" in used:
-        yield Candidate("Ixz", Kind.INERTIA, null=model.constants["Ixz"], phrase="another Ixz")
+        yield Candidate("Ixz", CandidateKind.INERTIA, null=model.constants["Ixz"], phrase="another Ixz")

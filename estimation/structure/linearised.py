@@ -15,14 +15,21 @@ from numpy.typing import NDArray
 from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.coloured import Piece, noise_spectrum, white_products, without_nuisance
-from estimation.estimators.input_error import LEAST_NOISE, Disturbed, Evidence, common_error, disturbed, edge_size
+from estimation.estimators.coloured import ResidualSegment, noise_spectrum, white_products, without_nuisance
+from estimation.estimators.input_error import (
+    LEAST_NOISE,
+    Disturbed,
+    InputErrorEvidence,
+    common_error,
+    disturbed,
+    edge_size,
+)
 from estimation.estimators.input_path import at_paths_of
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, white_responses
-from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
+from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
 
 Array = NDArray[np.float64]
 
@@ -52,7 +59,7 @@ class FlightProducts:
 
 
 @dataclass(frozen=True)
-class Linearised:
+class LinearisedFit:
     """All flights of a fit. shared: parameters; values: theirs; tested: candidates. prior: information of priors on the
     shared ones."""
 
@@ -82,14 +89,14 @@ class Linearised:
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 
-    def without(self, kind: Kind) -> "Linearised":
+    def without(self, kind: CandidateKind) -> "LinearisedFit":
         """The same without candidates of a kind."""
         n, kept = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
         order = np.array([*range(n), *(n + k for k in kept), n + len(self.tested)], np.intp)
         flights = tuple(f.in_order(order) for f in self.flights)
         return replace(self, tested=tuple(self.tested[k] for k in kept), flights=flights)
 
-    def absorbing(self, names: Collection[str]) -> "Linearised":
+    def absorbing(self, names: Collection[str]) -> "LinearisedFit":
         """The same with some candidates counted among the parameters, at nothing."""
         n = self.n
         taken = [k for k, c in enumerate(self.tested) if c.name in names]
@@ -120,7 +127,7 @@ class Linearised:
         return total + along @ self.common @ along.T
 
 
-def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> Linearised | None:
+def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
     """A fit with what its model may lack beside it; None where its motion cannot be simulated.
 
     result: by any method; data: its flights, prepared for its model.
@@ -140,7 +147,7 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
     edges = edge_size(evidence)
     shared = tuple(problem.free[i] for i in problem.shared)
     n = len(shared) - len(tested)
-    found = Linearised(
+    found = LinearisedFit(
         shared[:n],
         unknowns[:n].copy(),
         tested,
@@ -152,7 +159,7 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
     return _visible(found)
 
 
-def _visible(found: Linearised) -> Linearised:
+def _visible(found: LinearisedFit) -> LinearisedFit:
     """Without candidates that these flights do not excite, or that are combinations of the parameters."""
     gram, n = found.total(), found.n
     rest = _eliminated(gram, n)
@@ -166,7 +173,7 @@ def _visible(found: Linearised) -> Linearised:
 
 def _products(
     problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int
-) -> tuple[FlightProducts, Evidence]:
+) -> tuple[FlightProducts, InputErrorEvidence]:
     """Inner products of one flight, and what its residuals show of edges and timing."""
     pieces, own = _pieces(problem, point, index)
     responses = disturbed(problem, unknowns, index)
@@ -186,7 +193,7 @@ def _products(
     gram = _eliminated(gram[np.ix_(columns, columns)], len(problem.local))
     stacked = np.concatenate(projected)[:, order]
     plain = _eliminated(stacked.T @ stacked, len(problem.local))
-    return _sorted(problem.flights[index].name, gram, plain, responses[0]), Evidence(
+    return _sorted(problem.flights[index].name, gram, plain, responses[0]), InputErrorEvidence(
         rest, responses[0].noise, responses[0].edges
     )
 
@@ -199,7 +206,9 @@ def _sorted(name: str, gram: Array, plain: Array, kinds: Disturbed) -> FlightPro
     return FlightProducts(name, gram[np.ix_(rows, rows)], plain, noise, edges, common)
 
 
-def _pieces(problem: OutputErrorProblem, point: LikelihoodPoint, index: int) -> tuple[list[Piece], list[Array]]:
+def _pieces(
+    problem: OutputErrorProblem, point: LikelihoodPoint, index: int
+) -> tuple[list[ResidualSegment], list[Array]]:
     """Segments of one flight in units of the noise, and the covariance of each one's initial states."""
     n = len(problem.free)
     keep = np.concatenate([np.arange(n), n + problem.free_states])
@@ -207,12 +216,12 @@ def _pieces(problem: OutputErrorProblem, point: LikelihoodPoint, index: int) -> 
     for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
         assert motion.dy is not None
         J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
-        pieces.append(Piece(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
+        pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
         own.append(pseudo_inverse(J[:, n:].T @ J[:, n:])[0])
     return pieces, own
 
 
-def _without_everything(pieces: list[Piece], own: list[Array]) -> tuple[Array, list[Piece]]:
+def _without_everything(pieces: list[ResidualSegment], own: list[Array]) -> tuple[Array, list[ResidualSegment]]:
     """(covariance of parameters and candidates, pieces with the residual that a fit of all of them leaves)."""
     projected = without_nuisance(pieces, own)
     stacked = np.concatenate(projected)
@@ -224,7 +233,7 @@ def _without_everything(pieces: list[Piece], own: list[Array]) -> tuple[Array, l
         rest = r - J @ change
         if p.nuisance.shape[1]:
             rest = rest - p.nuisance @ (mine @ (p.nuisance.T @ rest))
-        left.append(Piece(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
+        left.append(ResidualSegment(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
     return inverse, left
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.result import Result, finite
 from estimation.models.base import ParameterRole
-from estimation.structure.candidates import Kind, force_lines
-from estimation.structure.linearised import Linearised
+from estimation.structure.candidates import CandidateKind, force_lines
+from estimation.structure.linearised import LinearisedFit
 
 Array = NDArray[np.float64]
 
@@ -72,11 +72,11 @@ class _Hypothesis:
     what: str
     columns: tuple[int, ...]
     along: Array
-    kind: Kind | None = None
+    kind: CandidateKind | None = None
     null: float = 1.0
 
 
-def odd_flights(linear: Linearised, result: Result) -> tuple[OddFlight, ...]:
+def odd_flights(linear: LinearisedFit, result: Result) -> tuple[OddFlight, ...]:
     """The flight that differs most from the others, if any does; with two flights there is no telling which, and the first is
     taken.
 
@@ -89,7 +89,7 @@ def odd_flights(linear: Linearised, result: Result) -> tuple[OddFlight, ...]:
     return () if worst[1] is None else (worst[1],)
 
 
-def _of_flight(linear: Linearised, result: Result, index: int) -> tuple[float, OddFlight | None]:
+def _of_flight(linear: LinearisedFit, result: Result, index: int) -> tuple[float, OddFlight | None]:
     """(chi-square over its freedom, the flight as odd where it is so beyond chance)."""
     from scipy.stats import chi2
 
@@ -119,7 +119,7 @@ def _of_flight(linear: Linearised, result: Result, index: int) -> tuple[float, O
     return surprise / max(rank, 1), odd
 
 
-def _covariance(linear: Linearised, index: int, spread: Array) -> Array:
+def _covariance(linear: LinearisedFit, index: int, spread: Array) -> Array:
     """Covariance of one flight's scores at the estimate of the others."""
     n, mine = linear.n + len(linear.tested), linear.flights[index]
     gram = mine.gram[:n, :n]
@@ -132,7 +132,7 @@ def _covariance(linear: Linearised, index: int, spread: Array) -> Array:
 
 
 def _explained(
-    linear: Linearised, result: Result, index: int, score: Array, covariance: Array
+    linear: LinearisedFit, result: Result, index: int, score: Array, covariance: Array
 ) -> tuple[_Hypothesis, float]:
     """The hypothesis that explains most of a flight's surprise, simple ones preferred, and its size."""
     gram = linear.flights[index].gram
@@ -155,7 +155,7 @@ def _explained(
     return best, size
 
 
-def _hypotheses(linear: Linearised, result: Result) -> Iterator[_Hypothesis]:
+def _hypotheses(linear: LinearisedFit, result: Result) -> Iterator[_Hypothesis]:
     """All forces by one factor, one coefficient by a factor, one derivative, one of the candidates."""
     n = linear.n
     shared = tuple(range(n))
@@ -170,12 +170,12 @@ def _hypotheses(linear: Linearised, result: Result) -> Iterator[_Hypothesis]:
     for j in np.flatnonzero(values):
         along = np.zeros(n)
         along[j] = linear.values[j]
-        yield _Hypothesis(linear.shared[j], shared, along, Kind.LINEAR)
+        yield _Hypothesis(linear.shared[j], shared, along, CandidateKind.LINEAR)
     for a, candidate in enumerate(linear.tested):
         along = np.zeros(n + 1)
         along[n] = 1.0
-        if candidate.kind in (Kind.SCALE, Kind.LATE_CONTROL, Kind.LATE_SENSOR):
-            late = candidate.kind is not Kind.SCALE
+        if candidate.kind in (CandidateKind.SCALE, CandidateKind.LATE_CONTROL, CandidateKind.LATE_SENSOR):
+            late = candidate.kind is not CandidateKind.SCALE
             what = f"{'lag' if late else 'scale'} of {candidate.channel}"
             yield _Hypothesis(what, (*shared, n + a), along, candidate.kind, candidate.null)
 

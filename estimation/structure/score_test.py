@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.result import Result, finite
-from estimation.structure.candidates import Candidate, Kind
-from estimation.structure.linearised import Linearised
+from estimation.structure.candidates import Candidate, CandidateKind
+from estimation.structure.linearised import LinearisedFit
 
 Array = NDArray[np.float64]
 
@@ -43,13 +43,13 @@ LIKELY = {
     kind: i
     for i, kind in enumerate(
         (
-            Kind.LINEAR,
-            Kind.LATE_CONTROL,
-            Kind.SCALE,
-            Kind.LATE_SENSOR,
-            Kind.INERTIA,
-            Kind.NONLINEAR,
-            Kind.PLACE,
+            CandidateKind.LINEAR,
+            CandidateKind.LATE_CONTROL,
+            CandidateKind.SCALE,
+            CandidateKind.LATE_SENSOR,
+            CandidateKind.INERTIA,
+            CandidateKind.NONLINEAR,
+            CandidateKind.PLACE,
         )
     )
 }
@@ -117,7 +117,7 @@ class Lack:
 
 
 @dataclass(frozen=True)
-class Structure:
+class StructureTest:
     """What was tested beside a fit. added: candidates that have been put into the model; ambiguous: of these, those that a
     rival outside the model explains as well, though it gives other values. follows: filter method -> why its process noise is
     no gusts."""
@@ -129,7 +129,7 @@ class Structure:
     why_not: str = ""
     follows: Mapping[str, str] = field(default_factory=dict)
 
-    def with_added(self, names: Sequence[str], ambiguous: Sequence[Lack]) -> "Structure":
+    def with_added(self, names: Sequence[str], ambiguous: Sequence[Lack]) -> "StructureTest":
         """The same with what had been put into the model before."""
         return replace(self, added=tuple(names), ambiguous=tuple(ambiguous))
 
@@ -140,7 +140,7 @@ class Structure:
         return {**data, "why_not": self.why_not} if self.why_not else data
 
 
-def structure_of(linear: Linearised, result: Result, *, filtered: bool = False) -> Structure:
+def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = False) -> StructureTest:
     """Test every candidate, and take the significant ones one after the other.
 
     result: whose bounds the moves are counted in. filtered: its estimates weigh residuals as a filter does, not as output
@@ -168,10 +168,10 @@ def structure_of(linear: Linearised, result: Result, *, filtered: bool = False) 
         lacks.append(Lack(now[best], tuple(now[k] for k in rivals), apart, held))
         chosen.append(best)
         now = after
-    return Structure(tuple(first), tuple(lacks))
+    return StructureTest(tuple(first), tuple(lacks))
 
 
-def held_out(linear: Linearised, chosen: Sequence[int], candidate: int) -> float | None:
+def held_out(linear: LinearisedFit, chosen: Sequence[int], candidate: int) -> float | None:
     """What a candidate gains on each flight when it, the parameters and those already chosen are fitted to all the others."""
     if len(linear.flights) < 2:
         return None
@@ -202,19 +202,19 @@ def _strongest(now: Sequence[Tested], chosen: Sequence[int], result: Result) -> 
 def _possible(tested: Tested, result: Result) -> bool:
     """Whether a candidate of that size can be what it is called."""
     c = tested.candidate
-    if c.kind is Kind.SCALE:
+    if c.kind is CandidateKind.SCALE:
         low, high = FACTORS.get(c.channel, FACTORS_ELSE)
         return low <= tested.value <= high
     roll = result.parameters.get("Cl_da")
     if c.name == "Cn_da" and roll is not None:
         return abs(tested.value) <= ADVERSE * abs(roll.estimate)
-    if c.kind is Kind.INERTIA:
+    if c.kind is CandidateKind.INERTIA:
         Ixx, Izz = (result.model.constants.get(n, np.nan) for n in ("Ixx", "Izz"))
         return not tested.value**2 >= Ixx * Izz
     return True
 
 
-def _scores(linear: Linearised, chosen: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
+def _scores(linear: LinearisedFit, chosen: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
     """Every candidate with the parameters, and the candidates already taken, projected out."""
     n, k = linear.n, len(linear.tested)
     gram = linear.total()
@@ -240,7 +240,7 @@ def _scores(linear: Linearised, chosen: Sequence[int], result: Result, filtered:
     return found
 
 
-def _bounds(linear: Linearised, result: Result) -> Array:
+def _bounds(linear: LinearisedFit, result: Result) -> Array:
     """(n,) corrected bounds of the shared parameters."""
     bounds = np.array([result.parameters[n].std_coloured for n in linear.shared])
     return np.where(np.isfinite(bounds) & (bounds > 0.0), bounds, np.inf)
@@ -251,7 +251,7 @@ def _printed(moves: Mapping[str, float], result: Result) -> dict[str, float]:
     return {n: float(m) for n, m in moves.items() if result.parameters[n].identifiable}
 
 
-def _apart(linear: Linearised, best: int, rival: int, now: Sequence[Tested], result: Result) -> float:
+def _apart(linear: LinearisedFit, best: int, rival: int, now: Sequence[Tested], result: Result) -> float:
     """By how many bounds the estimates with `best` in the model differ, at most, from those with `rival` in its place."""
     n, weigh = linear.n, linear.plain()
     inverse = pseudo_inverse(weigh[:n, :n])[0]

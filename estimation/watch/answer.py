@@ -9,7 +9,7 @@ import numpy as np
 from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.markup.html import write_page
 from estimation.report.provenance import provenance_table
-from estimation.report.tables import Table, significant, write_all
+from estimation.report.tables import ReportTable, significant, write_all
 from estimation.watch.over_file import Watched
 from groundstation.flight import Flight
 
@@ -85,7 +85,7 @@ def draw_history(found: Watched, axes: Any) -> None:
     axes.set_ylabel("score / threshold")
 
 
-def _alarm_table(found: Watched) -> Table:
+def _alarm_table(found: Watched) -> ReportTable:
     rows = tuple(
         (
             f"{a.time:.1f}",
@@ -99,4 +99,4 @@ def _alarm_table(found: Watched) -> Table:
         for a in found.alarms
     )
     head = ("noticed [s]", "since [s]", "equation", "shown by", "score", "threshold", "leading")
-    return Table("alarms", "Alarms", head, rows, symbols=False, texts=(6,))
+    return ReportTable("alarms", "Alarms", head, rows, symbols=False, texts=(6,))

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import SIGNALS, Sample
 from daq.identification.monitor.bank import bank
-from daq.identification.monitor.monitor import Alarm, GapMonitor, Watch
-from daq.identification.monitor.nulls import Conditions
+from daq.identification.monitor.monitor import Alarm, GapMonitor, MonitorState
+from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration, calibrated
-from daq.identification.stretches import Stretches
+from daq.identification.stretches import ManoeuvreDetector
 from estimation.aircraft import Aircraft
 from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
@@ -36,7 +36,7 @@ class Watched:
     flight: Flight
     model: str
     alarms: tuple[Alarm, ...]
-    history: tuple[Watch, ...]
+    history: tuple[MonitorState, ...]
     manoeuvring_s: float
     calibration: Calibration
 
@@ -95,7 +95,7 @@ def watch(
 
 def _manoeuvring(flight: Flight) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
-    stretches, last = Stretches(FLYING, FLYING_S), -math.inf
+    stretches, last = ManoeuvreDetector(FLYING, FLYING_S), -math.inf
     found: list[Sample] = []
     for part in flight.segments:
         for sample in samples_of(flight, part):
@@ -126,9 +126,9 @@ def _std(p: Parameter) -> float | None:
     return p.reference_std if p.reference_std and p.start == p.reference else None
 
 
-def conditions_of(flight: Flight) -> Conditions:
+def conditions_of(flight: Flight) -> NullConditions:
     """Noise of the flight's own instruments, its airspeed and its rate; what it does not tell is as usual."""
-    usual = Conditions()
+    usual = NullConditions()
     found: dict[str, float] = {}
     for name, column in NOISES.items():
         level = noise(flight[column])

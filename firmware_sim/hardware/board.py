@@ -11,14 +11,14 @@ from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.bus import Chip
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.faults import ADDRESSES, FaultSet
-from firmware_sim.hardware.registers.ads1115 import Ads1115
-from firmware_sim.hardware.registers.ak09916 import Ak09916
-from firmware_sim.hardware.registers.bmp390 import Bmp390
-from firmware_sim.hardware.registers.capture import Capture
+from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
+from firmware_sim.hardware.registers.ak09916 import Ak09916Chip
+from firmware_sim.hardware.registers.bmp390 import Bmp390Chip
+from firmware_sim.hardware.registers.capture import CaptureChip
 from firmware_sim.hardware.registers.chip import Inputs
-from firmware_sim.hardware.registers.icm20948 import Icm20948
-from firmware_sim.hardware.registers.ms4525do import Ms4525do
-from firmware_sim.hardware.registers.nau7802 import Nau7802
+from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
+from firmware_sim.hardware.registers.ms4525do import Ms4525doChip
+from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall
 from firmware_sim.hardware.sensing.instruments import Instruments
 from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels
@@ -40,9 +40,9 @@ class Board:
     """The chips by bus address, and some of them by name for those who want to break one."""
 
     chips: dict[int, Chip]
-    imu: Icm20948
-    capture: Capture
-    pitot: Ms4525do
+    imu: Icm20948Chip
+    capture: CaptureChip
+    pitot: Ms4525doChip
 
 
 def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | AutopilotCockpit | None = None) -> Board:
@@ -53,10 +53,10 @@ def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | A
     """
     models = instruments.models
     imu = _imu(instruments, faults)
-    pitot = Ms4525do(_pitot(instruments, faults))
-    capture = Capture(_capture(instruments, faults, cockpit))
-    thrust = Nau7802(_thrust(instruments, faults))
-    static = Bmp390(
+    pitot = Ms4525doChip(_pitot(instruments, faults))
+    capture = CaptureChip(_capture(instruments, faults, cockpit))
+    thrust = Nau7802Chip(_thrust(instruments, faults))
+    static = Bmp390Chip(
         faults.bend("static", instruments.inputs("static_pressure", "static_temperature")),
         (models.static.noise_pa, models.static.noise_k),
         instruments.generator("static"),
@@ -72,15 +72,15 @@ def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | A
     }
     for device, wiring in ADC_WIRING.items():
         clock_error = float(instruments.generator(f"{device} clock").uniform(-0.08, 0.08))
-        chips[ADDRESSES[device]] = Ads1115(_volts(instruments, faults, wiring), clock_error)
+        chips[ADDRESSES[device]] = Ads1115Chip(_volts(instruments, faults, wiring), clock_error)
     if isinstance(cockpit, Cockpit):
         chips[ADDRESSES["servo_driver"]] = cockpit.chip
         chips[ALLCALL_ADDRESS] = AllCall(cockpit.chip)
-        chips[ADDRESSES["pilot_inputs"]] = Capture(_pilot_inputs(instruments, faults, cockpit))
+        chips[ADDRESSES["pilot_inputs"]] = CaptureChip(_pilot_inputs(instruments, faults, cockpit))
     return Board(chips, imu, capture, pitot)
 
 
-def _imu(instruments: Instruments, faults: FaultSet) -> Icm20948:
+def _imu(instruments: Instruments, faults: FaultSet) -> Icm20948Chip:
     models = instruments.models.imu
     chip_from_body = np.array(models.body_from_chip).T
     raw = instruments.inputs(*(f"{s}_{a}" for s in ("accel", "gyro") for a in "xyz"), "imu_temperature")
@@ -91,17 +91,17 @@ def _imu(instruments: Instruments, faults: FaultSet) -> Icm20948:
     inputs: Inputs = raw if straight else lambda time_ns: turn @ np.asarray(raw(time_ns))
     turned = np.abs(chip_from_body)
     noise = (*(turned @ models.accel.noise), *(turned @ models.gyro.noise))
-    imu = Icm20948(faults.bend("imu", inputs), noise, instruments.generator("imu"))
+    imu = Icm20948Chip(faults.bend("imu", inputs), noise, instruments.generator("imu"))
     imu.frozen = lambda now_ns: faults.quiet("imu", now_ns)
     return imu
 
 
-def _mag(imu: Icm20948, instruments: Instruments, faults: FaultSet) -> Ak09916:
+def _mag(imu: Icm20948Chip, instruments: Instruments, faults: FaultSet) -> Ak09916Chip:
     models = instruments.models
     turn = MAG_FROM_CHIP @ np.array(models.imu.body_from_chip).T
     raw = instruments.inputs("mag_x", "mag_y", "mag_z")
     inputs = faults.bend("mag", lambda time_ns: turn @ np.asarray(raw(time_ns)))
-    mag = Ak09916(imu, inputs, max(models.mag.field.noise), instruments.generator("mag"))
+    mag = Ak09916Chip(imu, inputs, max(models.mag.field.noise), instruments.generator("mag"))
     mag.frozen = lambda now_ns: faults.quiet("mag", now_ns)
     return mag
 

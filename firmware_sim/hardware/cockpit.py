@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.multiplexer import Monostable, Multiplexer
-from firmware_sim.hardware.registers.pca9685 import Pca9685
+from firmware_sim.hardware.registers.pca9685 import Pca9685Chip
 from firmware_sim.physics.plant import Commands
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US, THROTTLE_PULSE_US
@@ -126,7 +126,7 @@ class Cockpit(Transmitter):
     def __init__(self, table: CockpitTable, monostable: Monostable, takeoff_s: float) -> None:
         super().__init__(table, takeoff_s)
         self.monostable = monostable
-        self.chip = Pca9685(table.oscillator_error, monostable.up)
+        self.chip = Pca9685Chip(table.oscillator_error, monostable.up)
         self.multiplexer = Multiplexer(self.switch_us, monostable.up)
         self._last: Commands | None = None
         if table.heartbeat_lost_s is not None:

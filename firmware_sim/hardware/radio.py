@@ -83,7 +83,7 @@ class Counts:
 class RadioPort:
     """One end of the link, as the program there sees its serial port: reads and writes never wait."""
 
-    def __init__(self, link: "RadioLink", side: int) -> None:
+    def __init__(self, link: "SimulatedRadioLink", side: int) -> None:
         self._link = link
         self._side = side
         self.timeout: float | None = 0.0
@@ -110,7 +110,7 @@ class RadioPort:
         self.is_open = False
 
 
-class RadioLink:
+class SimulatedRadioLink:
     """Both radios and the air between them; `air` is the aircraft's port, `ground` the ground station's.
 
     monotonic_ns: simulated time. lost: whether nothing gets through at a time (an outage of the scenario).

@@ -15,7 +15,7 @@ from estimation.aircraft import Aircraft, Engine, Servos
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import Aerodynamics
 from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
-from firmware_sim.physics.effects.base import Effect, overrides
+from firmware_sim.physics.effects.base import HiddenEffect, overrides
 from firmware_sim.physics.maths import Maths, State, Value
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.wind import GUST_STATES, Gusts
@@ -59,7 +59,7 @@ class Plant:
         gusts: Gusts | None = None,
         wind_ned: tuple[Value, Value, Value] = (0.0, 0.0, 0.0),
         step_size: float = 0.005,
-        effects: Sequence[Effect] = (),
+        effects: Sequence[HiddenEffect] = (),
         generators: Sequence[np.random.Generator] = (),
     ) -> None:
         self.aircraft = aircraft

@@ -28,7 +28,7 @@ _STEPS: Mapping[str, Sequence[float]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Manoeuvre:
+class StickInput:
     """One stick input: axis, shape, start [s], amplitude [deg; throttle 0..1] and width [s] of one step.
 
     A multisine lasts `width` seconds and sums `harmonics` sines with phases that keep its peak low (Schroeder); its
@@ -71,7 +71,7 @@ class Manoeuvre:
         return self.amplitude * math.sqrt(2.0 / n) * np.asarray(waves) * np.minimum(1.0, 4.0 * since.clip(0.0))
 
 
-def _varied(plan: Sequence[Manoeuvre], rng: np.random.Generator) -> list[Manoeuvre]:
+def _varied(plan: Sequence[StickInput], rng: np.random.Generator) -> list[StickInput]:
     """The plan as flown: amplitude within 12 %, start within 0.2 s, width within 8 %, either direction.
 
     Inputs that start together with one width belong together and vary together.
@@ -84,100 +84,100 @@ def _varied(plan: Sequence[Manoeuvre], rng: np.random.Generator) -> list[Manoeuv
             drawn[m.start, m.width] = (rng.uniform(-0.2, 0.2), side * rng.uniform(0.88, 1.12), rng.uniform(0.92, 1.08))
         later, larger, longer = drawn[m.start, m.width]
         width = m.width if m.shape == "multisine" else m.width * longer
-        flown.append(Manoeuvre(m.axis, m.shape, m.start + later, m.amplitude * larger, width, m.harmonics))
+        flown.append(StickInput(m.axis, m.shape, m.start + later, m.amplitude * larger, width, m.harmonics))
     return flown
 
 
-def _rich(_: np.random.Generator) -> list[Manoeuvre]:
+def _rich(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("aileron", "doublet", 1.6, 5.0, 0.7),
-        Manoeuvre("rudder", "doublet", 5.6, 2.0, 0.85),
-        Manoeuvre("aileron", "3211", 11.6, 4.2, 0.40),
-        Manoeuvre("rudder", "3211", 16.4, 3.0, 0.36),
-        Manoeuvre("aileron", "multistep", 21.4, 2.8, 0.42),
-        Manoeuvre("rudder", "multistep", 25.0, 2.4, 0.42),
+        StickInput("aileron", "doublet", 1.6, 5.0, 0.7),
+        StickInput("rudder", "doublet", 5.6, 2.0, 0.85),
+        StickInput("aileron", "3211", 11.6, 4.2, 0.40),
+        StickInput("rudder", "3211", 16.4, 3.0, 0.36),
+        StickInput("aileron", "multistep", 21.4, 2.8, 0.42),
+        StickInput("rudder", "multistep", 25.0, 2.4, 0.42),
     ]
 
 
-def _aileron_only(_: np.random.Generator) -> list[Manoeuvre]:
+def _aileron_only(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("aileron", "doublet", 2.0, 5.0, 0.7),
-        Manoeuvre("aileron", "3211", 7.5, 4.0, 0.40),
-        Manoeuvre("aileron", "multistep", 14.0, 3.0, 0.45),
-        Manoeuvre("aileron", "doublet", 20.0, 3.5, 0.5),
-        Manoeuvre("aileron", "3211", 25.0, 3.0, 0.30),
+        StickInput("aileron", "doublet", 2.0, 5.0, 0.7),
+        StickInput("aileron", "3211", 7.5, 4.0, 0.40),
+        StickInput("aileron", "multistep", 14.0, 3.0, 0.45),
+        StickInput("aileron", "doublet", 20.0, 3.5, 0.5),
+        StickInput("aileron", "3211", 25.0, 3.0, 0.30),
     ]
 
 
-def _hand_flown(_: np.random.Generator) -> list[Manoeuvre]:
+def _hand_flown(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("aileron", "doublet", 2.5, 5.5, 0.8),
-        Manoeuvre("aileron", "multistep", 8.0, 4.5, 0.55),
-        Manoeuvre("aileron", "doublet", 14.5, 6.0, 0.6),
-        Manoeuvre("aileron", "multistep", 19.5, 4.0, 0.45),
-        Manoeuvre("aileron", "doublet", 25.5, 5.0, 0.9),
+        StickInput("aileron", "doublet", 2.5, 5.5, 0.8),
+        StickInput("aileron", "multistep", 8.0, 4.5, 0.55),
+        StickInput("aileron", "doublet", 14.5, 6.0, 0.6),
+        StickInput("aileron", "multistep", 19.5, 4.0, 0.45),
+        StickInput("aileron", "doublet", 25.5, 5.0, 0.9),
     ]
 
 
-def _multisine(_: np.random.Generator) -> list[Manoeuvre]:
+def _multisine(_: np.random.Generator) -> list[StickInput]:
     odd, even = tuple(range(5, 40, 4)), tuple(range(3, 40, 4))
     return [
-        Manoeuvre("aileron", "multisine", 2.0, 1.6, 20.0, odd),
-        Manoeuvre("rudder", "multisine", 2.0, 1.2, 20.0, even),
+        StickInput("aileron", "multisine", 2.0, 1.6, 20.0, odd),
+        StickInput("rudder", "multisine", 2.0, 1.2, 20.0, even),
     ]
 
 
-def _longitudinal(_: np.random.Generator) -> list[Manoeuvre]:
+def _longitudinal(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("elevator", "doublet", 2.0, 2.0, 0.5),
-        Manoeuvre("elevator", "3211", 8.0, 1.8, 0.30),
-        Manoeuvre("throttle", "step", 14.0, 0.2, 3.0),
-        Manoeuvre("elevator", "multistep", 20.0, 1.5, 0.4),
-        Manoeuvre("elevator", "doublet", 25.5, 2.5, 0.35),
+        StickInput("elevator", "doublet", 2.0, 2.0, 0.5),
+        StickInput("elevator", "3211", 8.0, 1.8, 0.30),
+        StickInput("throttle", "step", 14.0, 0.2, 3.0),
+        StickInput("elevator", "multistep", 20.0, 1.5, 0.4),
+        StickInput("elevator", "doublet", 25.5, 2.5, 0.35),
     ]
 
 
-def _staircase(_: np.random.Generator) -> list[Manoeuvre]:
+def _staircase(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("rudder", "staircase", 2.0, 7.0, 2.0),
-        Manoeuvre("aileron", "staircase", 2.0, -9.5, 2.0),  # wings held level against the dihedral effect
-        Manoeuvre("aileron", "doublet", 18.5, 4.0, 0.6),
-        Manoeuvre("rudder", "3211", 23.0, 4.0, 0.4),
+        StickInput("rudder", "staircase", 2.0, 7.0, 2.0),
+        StickInput("aileron", "staircase", 2.0, -9.5, 2.0),  # wings held level against the dihedral effect
+        StickInput("aileron", "doublet", 18.5, 4.0, 0.6),
+        StickInput("rudder", "3211", 23.0, 4.0, 0.4),
     ]
 
 
-def _two_speeds(_: np.random.Generator) -> list[Manoeuvre]:
+def _two_speeds(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("throttle", "step", 0.5, 0.22, 14.0),
-        Manoeuvre("aileron", "doublet", 2.0, 4.5, 0.6),
-        Manoeuvre("rudder", "3211", 6.0, 2.5, 0.36),
-        Manoeuvre("aileron", "3211", 11.0, 3.5, 0.35),
-        Manoeuvre("throttle", "step", 14.6, -0.15, 14.0),
-        Manoeuvre("rudder", "doublet", 17.0, 2.5, 0.8),
-        Manoeuvre("aileron", "3211", 21.5, 4.0, 0.4),
-        Manoeuvre("rudder", "multistep", 25.5, 2.4, 0.42),
+        StickInput("throttle", "step", 0.5, 0.22, 14.0),
+        StickInput("aileron", "doublet", 2.0, 4.5, 0.6),
+        StickInput("rudder", "3211", 6.0, 2.5, 0.36),
+        StickInput("aileron", "3211", 11.0, 3.5, 0.35),
+        StickInput("throttle", "step", 14.6, -0.15, 14.0),
+        StickInput("rudder", "doublet", 17.0, 2.5, 0.8),
+        StickInput("aileron", "3211", 21.5, 4.0, 0.4),
+        StickInput("rudder", "multistep", 25.5, 2.4, 0.42),
     ]
 
 
-def _all_axes(_: np.random.Generator) -> list[Manoeuvre]:
+def _all_axes(_: np.random.Generator) -> list[StickInput]:
     return [
-        Manoeuvre("aileron", "doublet", 1.6, 5.0, 0.7),
-        Manoeuvre("elevator", "doublet", 5.0, 2.0, 0.4),
-        Manoeuvre("rudder", "3211", 8.5, 2.8, 0.36),
-        Manoeuvre("elevator", "3211", 13.0, 1.5, 0.3),
-        Manoeuvre("aileron", "3211", 13.2, 4.0, 0.40),
-        Manoeuvre("rudder", "doublet", 18.5, 2.4, 0.8),
-        Manoeuvre("elevator", "step", 22.0, -1.5, 2.4),
-        Manoeuvre("aileron", "3211", 22.2, 3.2, 0.36),
-        Manoeuvre("rudder", "multistep", 26.0, 2.4, 0.42),
+        StickInput("aileron", "doublet", 1.6, 5.0, 0.7),
+        StickInput("elevator", "doublet", 5.0, 2.0, 0.4),
+        StickInput("rudder", "3211", 8.5, 2.8, 0.36),
+        StickInput("elevator", "3211", 13.0, 1.5, 0.3),
+        StickInput("aileron", "3211", 13.2, 4.0, 0.40),
+        StickInput("rudder", "doublet", 18.5, 2.4, 0.8),
+        StickInput("elevator", "step", 22.0, -1.5, 2.4),
+        StickInput("aileron", "3211", 22.2, 3.2, 0.36),
+        StickInput("rudder", "multistep", 26.0, 2.4, 0.42),
     ]
 
 
-def _none(_: np.random.Generator) -> list[Manoeuvre]:
+def _none(_: np.random.Generator) -> list[StickInput]:
     return []
 
 
-MANOEUVRE_SETS: Mapping[str, Callable[[np.random.Generator], list[Manoeuvre]]] = {
+MANOEUVRE_SETS: Mapping[str, Callable[[np.random.Generator], list[StickInput]]] = {
     "none": _none,
     "rich": _rich,
     "aileron_only": _aileron_only,
@@ -190,14 +190,14 @@ MANOEUVRE_SETS: Mapping[str, Callable[[np.random.Generator], list[Manoeuvre]]] =
 }
 
 
-def flown_set(name: str, rng: np.random.Generator, repeat_every: float, duration: float) -> list[Manoeuvre]:
+def flown_set(name: str, rng: np.random.Generator, repeat_every: float, duration: float) -> list[StickInput]:
     """The manoeuvres of a set as one pilot flies them, repeated until the flight ends; names in MANOEUVRE_SETS."""
-    flown: list[Manoeuvre] = []
+    flown: list[StickInput] = []
     start = 0.0
     while start < duration:
         again = _varied(MANOEUVRE_SETS[name](rng), rng)
         flown += [
-            Manoeuvre(m.axis, m.shape, m.start + start, m.amplitude, m.width, m.harmonics)
+            StickInput(m.axis, m.shape, m.start + start, m.amplitude, m.width, m.harmonics)
             for m in again
             if m.start + start + m.length <= duration - 0.2
         ]

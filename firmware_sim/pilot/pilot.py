@@ -16,7 +16,7 @@ from firmware_sim.physics.maths import Maths, Value
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.plant import Commands
 from firmware_sim.physics.trim import Trim
-from firmware_sim.pilot.manoeuvres import AXES, Manoeuvre
+from firmware_sim.pilot.manoeuvres import AXES, StickInput
 
 FRAME = 0.02  # s between servo pulses
 
@@ -49,7 +49,7 @@ def _by_axis(row: NDArray[np.float64]) -> list[Value]:
     return row.tolist() if row.ndim == 1 else list(row)
 
 
-def plan_sticks(manoeuvres: Sequence[Manoeuvre], duration: float, hand: float, rng: np.random.Generator) -> StickPlan:
+def plan_sticks(manoeuvres: Sequence[StickInput], duration: float, hand: float, rng: np.random.Generator) -> StickPlan:
     """Lay manoeuvres out on frames. `hand` > 0 [deg]: wavering of that standard deviation, and rounded steps."""
     frames = round(duration / FRAME)
     time: NDArray[np.float64] = np.arange(frames, dtype=np.float64) * FRAME

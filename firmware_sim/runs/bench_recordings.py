@@ -53,7 +53,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class InstrumentReading:
     """What one instrument is compared with: its name in the calibration set and the reference of each dwell."""
 
     instrument: str
@@ -63,12 +63,12 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class SimulatedBench:
     """A bench: poses one after another, and what they tell about which instruments."""
 
     title: str
     poses: tuple[Pose, ...]
-    readings: tuple[Reading, ...]
+    readings: tuple[InstrumentReading, ...]
     dwell_s: float = DWELL_S
     tumbling: bool = False  # turns from pose to pose without standing still
 
@@ -94,7 +94,7 @@ class BenchFiles:
 class BenchRig:
     """A truth source that shows the poses of a bench, moving from one to the next within MOVE_S."""
 
-    def __init__(self, bench: Bench, models: SensorModels) -> None:
+    def __init__(self, bench: SimulatedBench, models: SensorModels) -> None:
         self._bench = bench
         self._models = models
 
@@ -223,7 +223,7 @@ PROTRACTOR, STEPS, MANOMETER_M_S, WEIGHTS_N, TABLE_RAD_S, LEVEL, BAROMETER_PA = 
 """One sigma of the references: protractor [rad], tunnel speed, weights, turntable, gravity by a level [m/s2], barometer."""
 
 
-def _angles(rng: np.random.Generator) -> Bench:
+def _angles(rng: np.random.Generator) -> SimulatedBench:
     """Vanes and surfaces at known angles, all moved together."""
     names = ("alpha_vane", "beta_vane", "elevon_left", "elevon_right", "rudder")
     wanted = np.linspace(-0.42, 0.42, STEPS)
@@ -231,14 +231,14 @@ def _angles(rng: np.random.Generator) -> Bench:
     poses = tuple(Pose(a, b, left, right, rudder) for a, b, left, right, rudder in true.T.tolist())
     references = tuple(float(a) for a in wanted)
     options = {"method": "protractor, 13 positions", "reference_uncertainty": PROTRACTOR, "degree": 3}
-    return Bench(
+    return SimulatedBench(
         "vanes and surfaces at known angles",
         poses,
-        tuple(Reading(n, "static_points", references, options) for n in names),
+        tuple(InstrumentReading(n, "static_points", references, options) for n in names),
     )
 
 
-def _tunnel(rng: np.random.Generator) -> Bench:
+def _tunnel(rng: np.random.Generator) -> SimulatedBench:
     """Wind-tunnel speeds up and down."""
     speeds = np.array([0.0, 8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0, 22.0, 24.0, 26.0, 28.0])
     true = np.abs(speeds + MANOMETER_M_S * rng.standard_normal(speeds.size) * (speeds > 0.0))
@@ -247,26 +247,28 @@ def _tunnel(rng: np.random.Generator) -> Bench:
         "reference_unit": "m/s",
         "reference_uncertainty": 0.8,  # Pa: the tunnel's 0.05 m/s at 14 m/s
     }
-    reading = Reading("pitot", "speed_sweep", tuple(float(v) for v in speeds), options)
-    return Bench("speed sweep in the tunnel", tuple(Pose(speed=float(v)) for v in true), (reading,))
+    reading = InstrumentReading("pitot", "speed_sweep", tuple(float(v) for v in speeds), options)
+    return SimulatedBench("speed sweep in the tunnel", tuple(Pose(speed=float(v)) for v in true), (reading,))
 
 
-def _load(rng: np.random.Generator) -> Bench:
+def _load(rng: np.random.Generator) -> SimulatedBench:
     """Weights on the thrust stand."""
     weights = np.linspace(0.0, 16.0, 9)
     true = weights + WEIGHTS_N * rng.standard_normal(9) * (weights > 0.0)
     options = {"method": "weights over a pulley", "reference_uncertainty": WEIGHTS_N}
-    reading = Reading("thrust", "static_points", tuple(float(w) for w in weights), options)
-    return Bench("weights on the thrust stand", tuple(Pose(load=float(w)) for w in true), (reading,))
+    reading = InstrumentReading("thrust", "static_points", tuple(float(w) for w in weights), options)
+    return SimulatedBench("weights on the thrust stand", tuple(Pose(load=float(w)) for w in true), (reading,))
 
 
-def _chamber(rng: np.random.Generator) -> Bench:
+def _chamber(rng: np.random.Generator) -> SimulatedBench:
     """Static pressures against a barometer."""
     pressures = np.linspace(95_000.0, 103_000.0, 7)
     true = pressures + BAROMETER_PA * rng.standard_normal(7)
     options = {"method": "pressure chamber and barometer", "reference_uncertainty": BAROMETER_PA}
-    reading = Reading("static", "static_points", tuple(float(p) for p in pressures), options)
-    return Bench("static pressure against a barometer", tuple(Pose(pressure=float(p)) for p in true), (reading,))
+    reading = InstrumentReading("static", "static_points", tuple(float(p) for p in pressures), options)
+    return SimulatedBench(
+        "static pressure against a barometer", tuple(Pose(pressure=float(p)) for p in true), (reading,)
+    )
 
 
 _HALF_TURN, _QUARTER = math.pi, 0.5 * math.pi
@@ -277,7 +279,7 @@ _FACES = (
 )  # fmt: skip
 
 
-def _faces(rng: np.random.Generator) -> Bench:
+def _faces(rng: np.random.Generator) -> SimulatedBench:
     """The six faces and six corners down, the accelerometer seeing gravity from all sides, cold and warm."""
     poses, references = [], []
     for warmer in (0.0, 20.0):
@@ -291,10 +293,12 @@ def _faces(rng: np.random.Generator) -> Bench:
         "reference_uncertainty": LEVEL,
         "fit_temperature": True,
     }
-    return Bench("six-face tumble", tuple(poses), (Reading("accelerometer", "vectors", tuple(references), options),))
+    return SimulatedBench(
+        "six-face tumble", tuple(poses), (InstrumentReading("accelerometer", "vectors", tuple(references), options),)
+    )
 
 
-def _turntable(rng: np.random.Generator) -> Bench:
+def _turntable(rng: np.random.Generator) -> SimulatedBench:
     """Rates about each axis both ways, and standing still, cold and warm."""
     poses, references = [], []
     rates = (0.0, 0.0, 0.0), *(tuple(s * (a == i) for a in range(3)) for i in range(3) for s in (-4.0, -1.5, 1.5, 4.0))
@@ -308,10 +312,12 @@ def _turntable(rng: np.random.Generator) -> Bench:
         "reference_uncertainty": TABLE_RAD_S,
         "fit_temperature": True,
     }
-    return Bench("turntable", tuple(poses), (Reading("gyro", "vectors", tuple(references), options),))
+    return SimulatedBench(
+        "turntable", tuple(poses), (InstrumentReading("gyro", "vectors", tuple(references), options),)
+    )
 
 
-def _swing(rng: np.random.Generator) -> Bench:
+def _swing(rng: np.random.Generator) -> SimulatedBench:
     """Turned slowly through all orientations in the earth's field, away from iron."""
     site = Site()
     angles = np.stack(
@@ -320,11 +326,11 @@ def _swing(rng: np.random.Generator) -> Bench:
     poses = tuple(Pose(attitude=(float(a), float(b), float(c))) for a, b, c in angles.T)
     strength = float(np.linalg.norm(site.magnetic_ned_t))
     options = {"method": "turned by hand in all directions", "field": strength, "reference_uncertainty": 0.4e-6}
-    reading = Reading("magnetometer", "sphere", (None,) * len(poses), options)
-    return Bench("magnetometer tumble", poses, (reading,), dwell_s=2.0, tumbling=True)
+    reading = InstrumentReading("magnetometer", "sphere", (None,) * len(poses), options)
+    return SimulatedBench("magnetometer tumble", poses, (reading,), dwell_s=2.0, tumbling=True)
 
 
-_BENCHES: Mapping[str, Callable[[np.random.Generator], Bench]] = {
+_BENCHES: Mapping[str, Callable[[np.random.Generator], SimulatedBench]] = {
     "bench_angles": _angles,
     "bench_tunnel": _tunnel,
     "bench_load": _load,
@@ -376,7 +382,7 @@ def record_bench(
     return BenchFiles(files, plan)
 
 
-def _plan_text(bench: Bench, first_scan_s: float) -> str:
+def _plan_text(bench: SimulatedBench, first_scan_s: float) -> str:
     """The bench plan as the fitting reads it: times after the first scan."""
     fits = []
     for reading in bench.readings:
@@ -387,7 +393,7 @@ def _plan_text(bench: Bench, first_scan_s: float) -> str:
     return toml_text({"format": 1, "fit": fits})
 
 
-def _dwells(bench: Bench, references: Sequence[Reference], first_scan_s: float) -> Iterable[dict[str, Any]]:
+def _dwells(bench: SimulatedBench, references: Sequence[Reference], first_scan_s: float) -> Iterable[dict[str, Any]]:
     if bench.tumbling:
         yield {"start": bench.window(0)[0] - first_scan_s, "stop": bench.window(len(bench.poses) - 1)[1] - first_scan_s}
         return

@@ -19,7 +19,7 @@ HOLDOUT_SPEEDS = (17.0,)
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class CampaignFlights:
     """What to fly: hidden effects as (name, size as a multiple of the typical one), gusts, plan, scatter and seed."""
 
     hidden: tuple[tuple[str, float], ...] = ()
@@ -65,7 +65,7 @@ class FlownCampaign:
     holdout: list[dict[str, NDArray[np.float64]]]
 
 
-def fly_campaigns(campaigns: Sequence[Campaign], noise: DirectNoise = ORDINARY_NOISE) -> list[FlownCampaign]:
+def fly_campaigns(campaigns: Sequence[CampaignFlights], noise: DirectNoise = ORDINARY_NOISE) -> list[FlownCampaign]:
     """Fly many campaigns side by side; those that hide the same names share the arrays."""
     planned = [campaign.scenarios() for campaign in campaigns]
     flat = [item for plan in planned for item in plan]

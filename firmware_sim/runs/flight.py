@@ -15,13 +15,13 @@ from typing import Any, Literal
 
 from daq.acquisition.sampler import UnfinishedScan
 from daq.actuation.servos import plan_of
-from daq.assembly import Assembly, Edge, assemble
+from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import SimulatedClock
 from daq.config import LoggerConfig, parse_config
 from daq.contract.durable import write_text
 from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.messages import Statistics
-from daq.sensors.bus import SerialPort
+from daq.sensors.bus import SerialPortCalls
 from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
@@ -34,7 +34,7 @@ from firmware_sim.hardware.cockpit import Cockpit, parse_cockpit
 from firmware_sim.hardware.faults import ADDRESSES, ONLY_WITH_SEQUENCER, Events, FaultSet, PowerTaker, parse_faults
 from firmware_sim.hardware.laboratory import laboratory_chips
 from firmware_sim.hardware.multiplexer import Monostable
-from firmware_sim.hardware.radio import RadioLink, parse_radio
+from firmware_sim.hardware.radio import SimulatedRadioLink, parse_radio
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.gnss import GnssReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments, TruthSource
@@ -62,7 +62,7 @@ MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "later
 
 
 @dataclass(frozen=True, slots=True)
-class Aircraft:
+class SimulatedHardware:
     """The simulated hardware: everything that is not our code."""
 
     clock: SimulatedClock
@@ -87,7 +87,7 @@ def build_aircraft(
     seed: int,
     extra: Mapping[str, ExtraConfig] = MappingProxyType({}),
     cockpit: Cockpit | AutopilotCockpit | None = None,
-) -> Aircraft:
+) -> SimulatedHardware:
     """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
 
     extra: sensors of a laboratory's own, of which installed packages may have simulated chips.
@@ -110,7 +110,7 @@ def build_aircraft(
     events.at(origin)
     if events.any_left:
         clock.on_advance(events.at)
-    return Aircraft(clock, instruments, faults, board, bus, gnss, autopilot, events)
+    return SimulatedHardware(clock, instruments, faults, board, bus, gnss, autopilot, events)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ class FlightFiles:
 
 
 @dataclass
-class SimulatedFlight:
+class SimulatedFlightRun:
     """A flight ready to be flown: `run` flies it, `serve` keeps the radio alive afterwards, `close` ends everything.
 
     radio: both ends of the link; a ground station reads and writes `radio.ground`. each_scan: called before every scan
@@ -137,8 +137,8 @@ class SimulatedFlight:
     folder: Path
     config: LoggerConfig
     clock: SimulatedClock
-    aircraft: Aircraft
-    radio: RadioLink
+    aircraft: SimulatedHardware
+    radio: SimulatedRadioLink
     assembly: Assembly
     truth: TruthFile
     duration_s: float
@@ -191,7 +191,7 @@ class SimulatedFlight:
             close()
         self.closers.clear()
 
-    def __enter__(self) -> "SimulatedFlight":
+    def __enter__(self) -> "SimulatedFlightRun":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -219,7 +219,7 @@ def prepare_flight(
     source: TruthSource | None = None,
     duration_s: float | None = None,
     gnss_port: Literal["memory", "pty"] = "memory",
-) -> SimulatedFlight:
+) -> SimulatedFlightRun:
     """Put a flight together; nothing has been flown when this returns.
 
     seed: of everything random; the scenario's by default. speed: simulated seconds a second, None as fast as it goes.
@@ -248,10 +248,10 @@ def prepare_flight(
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")
     aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
-    radio = RadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
+    radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
     capture = config.sensors.capture
-    edge = Edge(
+    edge = HardwareEdge(
         clock,
         aircraft.bus,
         gnss,
@@ -272,7 +272,7 @@ def prepare_flight(
     if assembly.link is not None:
         backfill = assembly.link.backfill
         clock.follow(lambda: backfill.preparing)
-    flight = SimulatedFlight(
+    flight = SimulatedFlightRun(
         scenario=scenario,
         folder=folder,
         config=config,
@@ -310,7 +310,9 @@ def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | AutopilotCo
     return Cockpit(table, Monostable(clock.monotonic_ns), scenario.takeoff_s)
 
 
-def _gnss_port(aircraft: Aircraft, kind: Literal["memory", "pty"]) -> tuple[SerialPort, list[Callable[[], None]]]:
+def _gnss_port(
+    aircraft: SimulatedHardware, kind: Literal["memory", "pty"]
+) -> tuple[SerialPortCalls, list[Callable[[], None]]]:
     if kind == "memory":
         port = SimulatedSerial(aircraft.gnss, aircraft.clock.monotonic_ns)
         return port, [port.close]

@@ -16,17 +16,17 @@ from daq.contract.plain_words import file_name, meant
 from estimation.aircraft import load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
-from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Manoeuvre, Shape
+from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Shape, StickInput
 from firmware_sim.toml_text import toml_text
 
 BUILT_IN_FOLDER = Path(__file__).parents[1] / "scenarios"
 
 
-class _Table(BaseModel):
+class _ScenarioTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, ser_json_inf_nan="constants")
 
 
-class FlightTable(_Table):
+class FlightTable(_ScenarioTable):
     """[flight]: how long, how fast, how high, which plan."""
 
     aircraft: str = "cdfp"
@@ -54,7 +54,7 @@ class FlightTable(_Table):
         return name
 
 
-class WindTable(_Table):
+class WindTable(_ScenarioTable):
     """[wind]: steady wind and gusts. gust_deg is the sideslip angle of the lateral gust at trim speed, 1 sigma."""
 
     speed_m_s: float = Field(default=0.0, ge=0.0, le=15.0)
@@ -62,7 +62,7 @@ class WindTable(_Table):
     gust_deg: float = Field(default=0.0, ge=0.0, le=3.0)
 
 
-class GroundTable(_Table):
+class GroundTable(_ScenarioTable):
     """[ground]: stillness before and after the flight; launch and landing are scripted, not flown."""
 
     before_s: float = Field(default=0.0, ge=0.0)
@@ -71,7 +71,7 @@ class GroundTable(_Table):
     landing_s: float = Field(default=25.0, ge=8.0)
 
 
-class SiteTable(_Table):
+class SiteTable(_ScenarioTable):
     """[site]: place and weather of the field; see atmosphere.Site."""
 
     latitude_deg: float = Field(default=26.51, ge=-85.0, le=85.0)
@@ -80,7 +80,7 @@ class SiteTable(_Table):
     temperature_offset_k: float = Field(default=11.8, ge=-60.0, le=40.0)
 
 
-class ManoeuvreTable(_Table):
+class ManoeuvreTable(_ScenarioTable):
     """[[manoeuvre]]: one stick input; given any, they replace the set of [flight]."""
 
     axis: Axis
@@ -96,19 +96,19 @@ class ManoeuvreTable(_Table):
             raise ValueError("a multisine needs harmonics")
         return self
 
-    def manoeuvre(self) -> Manoeuvre:
+    def manoeuvre(self) -> StickInput:
         """As flown."""
-        return Manoeuvre(self.axis, self.shape, self.start_s, self.amplitude, self.width_s, self.harmonics)
+        return StickInput(self.axis, self.shape, self.start_s, self.amplitude, self.width_s, self.harmonics)
 
 
-class HiddenTable(_Table):
+class HiddenTable(_ScenarioTable):
     """[[hidden]]: a hidden effect by name, and its size as a multiple of the typical one."""
 
     name: str
     size: float = 1.0
 
 
-class Scenario(_Table):
+class Scenario(_ScenarioTable):
     """A whole scenario; see the tables."""
 
     name: str = "unnamed"

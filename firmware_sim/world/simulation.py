@@ -15,7 +15,7 @@ from estimation.aircraft import Aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.physics.atmosphere import Site
-from firmware_sim.physics.effects.base import Effect, Sensed, overrides
+from firmware_sim.physics.effects.base import HiddenEffect, Sensed, overrides
 from firmware_sim.physics.effects.registry import make_effects
 from firmware_sim.physics.maths import FLOATS, Maths, State, Value, array_maths
 from firmware_sim.physics.motion import Motion
@@ -30,7 +30,7 @@ from firmware_sim.physics.plant import (
 )
 from firmware_sim.physics.trim import Trim, level_trim
 from firmware_sim.physics.wind import GUST_STATES, NOISE_CHANNELS, gusts_for, stationary_start
-from firmware_sim.pilot.manoeuvres import Manoeuvre, flown_set
+from firmware_sim.pilot.manoeuvres import StickInput, flown_set
 from firmware_sim.pilot.pilot import FRAME, Pilot, StickPlan, join_plans, plan_sticks
 from firmware_sim.world.scenario import Scenario
 
@@ -63,7 +63,7 @@ def derivatives_of(scenario: Scenario, seed: int | None = None) -> dict[str, flo
     return values
 
 
-def manoeuvres_of(scenario: Scenario, seed: int) -> list[Manoeuvre]:
+def manoeuvres_of(scenario: Scenario, seed: int) -> list[StickInput]:
     """The stick inputs of one flight, in seconds from the start of free flight."""
     if scenario.manoeuvre:
         return [table.manoeuvre() for table in scenario.manoeuvre]
@@ -117,7 +117,7 @@ class _Noise:
         return self._left.pop()
 
 
-class Simulation:
+class WorldSimulation:
     """Flights in the air from time zero, after settling; `many` runs on arrays, otherwise exactly one flight on floats.
 
     All scenarios must share aircraft, site, integration rate and the names of what is hidden.
@@ -138,7 +138,7 @@ class Simulation:
         hidden = [
             (item.name, self._gather([s.hidden[i].size for s in scenarios])) for i, item in enumerate(first.hidden)
         ]
-        self.effects: tuple[Effect, ...] = make_effects(hidden)
+        self.effects: tuple[HiddenEffect, ...] = make_effects(hidden)
         speed = self._gather([s.flight.speed_m_s for s in scenarios])
         level = self._gather([np.radians(s.wind.gust_deg) for s in scenarios])
         gusty = any(s.wind.gust_deg > 0.0 for s in scenarios)

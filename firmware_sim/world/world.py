@@ -17,7 +17,7 @@ from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.physics.motion import Motion
 from firmware_sim.world.ground import ScriptedPath
 from firmware_sim.world.scenario import GroundTable, Scenario
-from firmware_sim.world.simulation import SENSED_NAMES, Simulation, Wiring, derivatives_of
+from firmware_sim.world.simulation import SENSED_NAMES, Wiring, WorldSimulation, derivatives_of
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth, truth_of
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class World:
     def __init__(self, scenario: Scenario, seed: int | None = None, wiring: Wiring | None = None) -> None:
         self.scenario = scenario
         self.seed = scenario.flight.seed if seed is None else seed
-        self._simulation = Simulation([scenario], [self.seed], many=False, wiring=wiring)
+        self._simulation = WorldSimulation([scenario], [self.seed], many=False, wiring=wiring)
         self.aircraft: Aircraft = self._simulation.aircraft
         self.site = self._simulation.plant.site
         ground = scenario.ground
@@ -81,7 +81,7 @@ class World:
         return _truth(simulation, *simulation.look(max(airborne - simulation.time, 0.0)), airborne + self.takeoff_time)
 
 
-def _truth(simulation: Simulation, m: Motion, x: object, time: float) -> Truth:
+def _truth(simulation: WorldSimulation, m: Motion, x: object, time: float) -> Truth:
     xp = simulation.xp
     undisturbed = (xp.atan2(m.c23, m.c33), xp.asin(xp.clip(-m.c13, -1.0, 1.0)), xp.atan2(m.c12, m.c11))
     sensed: Sensed = simulation.sensed(m, x)
@@ -141,7 +141,7 @@ def simulate_many(
 def _fly_together(
     scenarios: Sequence[Scenario], seeds: Sequence[int], rate_hz: float, wiring: Wiring | None
 ) -> dict[str, Array]:
-    simulation = Simulation(scenarios, seeds, many=True, wiring=wiring)
+    simulation = WorldSimulation(scenarios, seeds, many=True, wiring=wiring)
     samples = math.floor(scenarios[0].flight.duration_s * rate_hz + 1e-9) + 1
     names = TRUTH_COLUMNS + tuple(f"sensed_{n}" for n in SENSED_NAMES)
     out = {name: np.empty((samples, len(scenarios))) for name in names}

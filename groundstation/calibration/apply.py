@@ -18,14 +18,14 @@ from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration.account import account
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
-from groundstation.calibration.columns import GNSS, Columns
+from groundstation.calibration.columns import GNSS, CombinedColumns
 from groundstation.calibration.conversions import air_data, curves, inertial
 from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.facts import Facts
+from groundstation.calibration.facts import RecordedFacts
 from groundstation.calibration.readings import Readings
 from groundstation.calibration.scan_table import ScanTable, bridged, scan_table
-from groundstation.calibration.schema import CalibrationSet, Curve, Instrument, Triad
+from groundstation.calibration.schema import CalibrationCurve, CalibrationSet, Instrument, Triad
 from groundstation.flight import Flight, Provenance
 
 Array = NDArray[np.float64]
@@ -49,14 +49,14 @@ class Calibrator:
 
     def __init__(self, calibration: CalibrationSet, facts: Mapping[str, str] | None = None) -> None:
         self.calibration = calibration
-        self.facts = Facts({**calibration.facts, **(facts or {})})
+        self.facts = RecordedFacts({**calibration.facts, **(facts or {})})
         nvm = self.facts.nvm("static")
         self._direct = direct_columns(calibration)
         plain = (d.channel for d in self._direct if d.as_it_is)
         self._as_they_are = frozenset(c.name for c in plain if c.raw_type != "bit")
         # of a channel that a table merely names it is not known that it is smooth
         self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.as_it_is or d.channel.package)}
-        self._static_chip = air_data.Bmp390.from_nvm(nvm) if nvm else None
+        self._static_chip = air_data.Bmp390Compensation.from_nvm(nvm) if nvm else None
 
     def sample(self, scan: Scan) -> dict[str, float]:
         """Calibrated columns of one scan, for live use: not aligned, only columns that have a value."""
@@ -69,7 +69,7 @@ class Calibrator:
         with np.errstate(all="ignore"):
             readings = self._readings(table)
             values = self._align(table, readings) if aligned else readings.values
-            made = Columns(self.calibration, table, values, aligned).make()
+            made = CombinedColumns(self.calibration, table, values, aligned).make()
         nothing = np.full(len(table), np.nan)
         return {c.name: made.get(c.name, nothing) for c in COLUMNS}, readings
 
@@ -102,7 +102,9 @@ class Calibrator:
                 out.lag[name] = self.facts.lag("attitude")
         return out
 
-    def _read_curve(self, item: Instrument, curve: Curve, channel: str, table: ScanTable, out: Readings) -> None:
+    def _read_curve(
+        self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, out: Readings
+    ) -> None:
         reading = self.physical(table, channel)
         if item.ratiometric is not None:
             reading = reading * (item.ratiometric.reference / self.sensor_supply(table))

@@ -13,7 +13,7 @@ from groundstation.calibration.align import derivative
 from groundstation.calibration.conversions import air_data, flow, inertial
 from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.scan_table import ScanTable
-from groundstation.calibration.schema import Attitude, CalibrationSet, Vector
+from groundstation.calibration.schema import CalibrationSet, MountingAngles, Vector
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ EARTH_RADIUS = 6_371_000.0  # m, mean: an antenna is metres from the CG at most
 GNSS = tuple("latitude_e7 longitude_e7 height_msl_mm velocity_north_mm velocity_east_mm velocity_down_mm".split())
 
 
-class Columns:
+class CombinedColumns:
     """The columns that combine several instruments, from their values at common instants."""
 
     def __init__(
@@ -82,7 +82,7 @@ class Columns:
 
     def _attitude(self) -> None:
         item = self.calibration.get("attitude")
-        attitude = item.attitude if item and item.attitude else Attitude()
+        attitude = item.attitude if item and item.attitude else MountingAngles()
         w, x, y, z = (self._value(f"quaternion_{axis}") for axis in "wxyz")
         self.columns.update(zip(("phi", "theta", "psi"), inertial.euler_angles(w, x, y, z, attitude), strict=True))
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from groundstation.calibration.conversions.air_data import Bmp390
+from groundstation.calibration.conversions.air_data import Bmp390Compensation
 from groundstation.calibration.errors import CalibrationError
 
 _SCALE_KEYS = {
@@ -30,7 +30,7 @@ the same in a recording and in `logger.toml`, and a stream without facts gives t
 
 
 @dataclass(frozen=True)
-class Facts:
+class RecordedFacts:
     """`group.key` -> text, as recorded."""
 
     values: Mapping[str, str]
@@ -127,7 +127,7 @@ def _why_no_coefficients(key: str, text: str) -> str:
     try:
         coefficients = bytes.fromhex(text)
         if coefficients and key.startswith("static."):
-            Bmp390.from_nvm(coefficients)
+            Bmp390Compensation.from_nvm(coefficients)
     except (ValueError, CalibrationError) as error:
         said = f": {error}" if isinstance(error, CalibrationError) else ""
         return f"fact {key} = {text[:40]!r} holds no coefficients in hexadecimal{said}"

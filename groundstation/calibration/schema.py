@@ -27,11 +27,11 @@ Vector = tuple[Finite, Finite, Finite]
 Matrix = tuple[Vector, Vector, Vector]
 
 
-class _Table(BaseModel):
+class _CalibrationTable(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Curve(_Table):
+class CalibrationCurve(_CalibrationTable):
     """Output as a function of one input: a polynomial about `centre`, or a table interpolated linearly.
 
     valid: range of the input that was calibrated; outside it a value is computed and flagged as extrapolated.
@@ -52,7 +52,7 @@ class Curve(_Table):
     covariance: tuple[tuple[float, ...], ...] = ()
 
     @model_validator(mode="after")
-    def _consistent(self) -> "Curve":
+    def _consistent(self) -> "CalibrationCurve":
         if self.valid[0] >= self.valid[1]:
             raise ValueError("valid: the lower end must be below the upper end")
         if self.kind == "polynomial" and not self.coefficients:
@@ -67,7 +67,7 @@ class Curve(_Table):
         return self
 
 
-class Vane(_Table):
+class Vane(_CalibrationTable):
     """Where a vane sits and how the aircraft bends the flow there.
 
     position: from the CG, body axes [m]. local angle = wash_factor * free-stream angle + wash_offset.
@@ -80,7 +80,7 @@ class Vane(_Table):
     wash_factor_uncertainty: Annotated[float, Field(ge=0)] = 0.0
 
 
-class Triad(_Table):
+class Triad(_CalibrationTable):
     """Three axes: output = matrix (input - bias - bias_per_kelvin (T - reference_temperature)).
 
     The input is the count at data-sheet scale, in output units. matrix holds scale and misalignment (for a
@@ -98,13 +98,13 @@ class Triad(_Table):
     residual_rms: float | None = None
 
 
-class Mount(_Table):
+class Mount(_CalibrationTable):
     """Position of a sensor from the CG, body axes [m]."""
 
     position: Vector
 
 
-class Static(_Table):
+class Static(_CalibrationTable):
     """Static pressure port: compensation of the chip, position error and reference of the altitude.
 
     position_error: (measured - true static pressure) / dynamic pressure; feeds_pitot: the differential sensor takes its
@@ -120,14 +120,14 @@ class Static(_Table):
     temperature_uncertainty: Annotated[float, Field(ge=0)] = 0.0
 
 
-class Mixing(_Table):
+class Mixing(_CalibrationTable):
     """delta_e and delta_a as weights of the left and right elevon angles, trailing edge down positive."""
 
     elevator: tuple[float, float]
     aileron: tuple[float, float]
 
 
-class Attitude(_Table):
+class MountingAngles(_CalibrationTable):
     """Boresight of the IMU against the body axes (roll, pitch, yaw) and magnetic declination, + east [rad]."""
 
     boresight: Vector = (0.0, 0.0, 0.0)
@@ -135,13 +135,13 @@ class Attitude(_Table):
     uncertainty: Vector = (0.0, 0.0, 0.0)
 
 
-class Logger(_Table):
+class LoggerFacts(_CalibrationTable):
     """Facts about the logger's sensors, `group.key` = text, for recordings that do not carry them."""
 
     facts: dict[str, str]
 
 
-class Points(_Table):
+class BenchPoints(_CalibrationTable):
     """The bench points a calibration was fitted from: readings (mean of each dwell) against the reference."""
 
     reading: tuple[tuple[float, ...], ...] = ()
@@ -149,7 +149,7 @@ class Points(_Table):
     samples: tuple[int, ...] = ()
 
 
-class Bench(_Table):
+class BenchSource(_CalibrationTable):
     """The recording a calibration was fitted from."""
 
     recording: str
@@ -157,13 +157,13 @@ class Bench(_Table):
     software: str = ""
 
 
-class Ratiometric(_Table):
+class Ratiometric(_CalibrationTable):
     """A sensor whose output is a fraction of the 5 V sensor supply: the reading is referred to `reference` volts."""
 
     reference: Annotated[float, Field(gt=0)]
 
 
-class SupplySensitivity(_Table):
+class SupplySensitivity(_CalibrationTable):
     """Zero shift of a sensor with its supply [output unit per volt] away from `reference` volts."""
 
     per_volt: Finite
@@ -181,7 +181,7 @@ _KINDS = {
 }
 
 
-class Instrument(_Table):
+class Instrument(_CalibrationTable):
     """One calibration file.
 
     delay: how far the instrument itself lags the physical quantity [s]: vane dynamics, tubing. The delay of a chip's
@@ -197,18 +197,18 @@ class Instrument(_Table):
     channels: tuple[str, ...] = ()
     delay: Annotated[float, Field(ge=-0.05, le=1.0)] = 0.0
     note: str = ""
-    curve: Curve | None = None
+    curve: CalibrationCurve | None = None
     triad: Triad | None = None
     static: Static | None = None
     mixing: Mixing | None = None
-    attitude: Attitude | None = None
-    logger: Logger | None = None
+    attitude: MountingAngles | None = None
+    logger: LoggerFacts | None = None
     vane: Vane | None = None
     mount: Mount | None = None
     ratiometric: Ratiometric | None = None
     supply_sensitivity: SupplySensitivity | None = None
-    points: Points | None = None
-    bench: Bench | None = None
+    points: BenchPoints | None = None
+    bench: BenchSource | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> "Instrument":

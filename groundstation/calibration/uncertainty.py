@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from groundstation.calibration.conversions import curves
 from groundstation.calibration.conversions.direct import direct_columns
-from groundstation.calibration.schema import CalibrationSet, Curve, Instrument
+from groundstation.calibration.schema import CalibrationCurve, CalibrationSet, Instrument
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def _curve_sigma(item: Instrument | None) -> float | None:
     return curve_sigma(item.curve)
 
 
-def curve_sigma(curve: Curve) -> float:
+def curve_sigma(curve: CalibrationCurve) -> float:
     """One sigma of a curve, root mean square over its valid range [output unit]."""
     grid = np.linspace(*curve.valid, 21)
     return float(np.sqrt(np.mean(curves.standard_deviation(curve, grid) ** 2)))

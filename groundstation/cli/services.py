@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from groundstation.identification.aircraft import AircraftSource
 
 
-class Advice(Protocol):
+class LogAdvice(Protocol):
     """Which models and methods a log is good for."""
 
     def lines(self) -> Iterable[str]:
@@ -29,5 +29,5 @@ class Services:
     methods and the folder of the report; gives what a person reads."""
 
     aircraft: "AircraftSource"
-    recipe: "Callable[[Flight], Advice]"
+    recipe: "Callable[[Flight], LogAdvice]"
     estimate: Callable[[Sequence[Path], str, str, Path], Iterable[str]]

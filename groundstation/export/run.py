@@ -10,7 +10,7 @@ from daq.contract.errors import UserError
 from groundstation.flight import Flight, read_flight
 
 if TYPE_CHECKING:
-    from groundstation.flight.tables import Table
+    from groundstation.flight.tables import ColumnTable
 
 TABLES = (".csv", ".parquet", ".mat")
 FORMATS = (*TABLES, ".kml", ".gpx", ".rrd", ".mcap")
@@ -21,7 +21,7 @@ class ExportError(UserError):
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportSummary:
     """What was written, and what a person should know of it."""
 
     path: Path
@@ -30,7 +30,7 @@ class Exported:
 
 def export_file(
     file: Path, out: Path, *, units_row: bool = False, raw: bool = False, calibration: Path | None = None
-) -> Exported:
+) -> ExportSummary:
     """Write FILE, a flight or a raw recording, in the format of `out`'s ending.
 
     units_row: a second line of units in a CSV. raw: counts instead of calibrated columns (recordings, tables only).
@@ -43,7 +43,7 @@ def export_file(
         from groundstation.viewer.recorded import as_rrd
 
         as_rrd(file, out, calibration=calibration)
-        return Exported(out)
+        return ExportSummary(out)
     if raw:
         return _export_counts(file, out, units_row)
     flight = open_flight(file, calibration)
@@ -53,7 +53,7 @@ def export_file(
         ".mcap": _foxglove,
     }
     notes = writer[suffix](flight, out) if suffix in writer else _write_table(flight, out, units_row)
-    return Exported(out, tuple(notes))
+    return ExportSummary(out, tuple(notes))
 
 
 def check_output(file: Path, out: Path) -> None:
@@ -75,7 +75,7 @@ def open_flight(file: Path, calibration: Path | None = None) -> Flight:
     return read_flight(file)
 
 
-def _export_counts(file: Path, out: Path, units_row: bool) -> Exported:
+def _export_counts(file: Path, out: Path, units_row: bool) -> ExportSummary:
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.scan_table import scan_table
     from groundstation.export.writers import raw_table
@@ -84,7 +84,7 @@ def _export_counts(file: Path, out: Path, units_row: bool) -> Exported:
         raise ExportError(f"{out}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
     recording = read_recording(file, salvage=True)
     scans = scan_table(recording.scans())
-    return Exported(out, tuple(_write(raw_table(scans, recording.path.stem), out, units_row)))
+    return ExportSummary(out, tuple(_write(raw_table(scans, recording.path.stem), out, units_row)))
 
 
 def _write_table(flight: Flight, out: Path, units_row: bool) -> list[str]:
@@ -94,7 +94,7 @@ def _write_table(flight: Flight, out: Path, units_row: bool) -> list[str]:
     return _write(with_utc(flight_table(flight), flight), out, units_row)
 
 
-def _write(table: "Table", out: Path, units_row: bool) -> list[str]:
+def _write(table: "ColumnTable", out: Path, units_row: bool) -> list[str]:
     from groundstation.export import writers
 
     match out.suffix.lower():

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flight import Flight
-from groundstation.flight.tables import Table, TableColumn
+from groundstation.flight.tables import ColumnTable, TableColumn
 from groundstation.flight.utc import UTC_KEY, offset_in, stamps
 
 __all__ = ["UTC_KEY", "iso", "stamps_ns", "utc_offset", "with_utc"]
@@ -26,7 +26,7 @@ def stamps_ns(flight: Flight) -> NDArray[np.int64]:
 UTC_COLUMN = "utc_time"
 
 
-def with_utc(table: Table, flight: Flight) -> Table:
+def with_utc(table: ColumnTable, flight: Flight) -> ColumnTable:
     """The table with a last column `utc_time` [s since 1970, to the microsecond] where the flight knows UTC."""
     offset = utc_offset(flight)
     if offset is None or any(c.name == UTC_COLUMN for c in table.columns):

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.durable import whole, whole_text
-from groundstation.flight.tables import Table, TableColumn
+from groundstation.flight.tables import ColumnTable, TableColumn
 
 if TYPE_CHECKING:
     from groundstation.calibration.scan_table import ScanTable
@@ -19,17 +19,17 @@ _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 """What MATLAB takes as the name of a field; 63 characters are its `namelengthmax`."""
 
 
-def raw_table(scans: "ScanTable", name: str) -> Table:
+def raw_table(scans: "ScanTable", name: str) -> ColumnTable:
     """Scan number, time and every raw channel as counts; NaN where a sensor was not in order."""
     columns = [
         TableColumn("scan", scans.number.astype(float), "1", "scan number", whole=True),
         TableColumn("time", scans.time, "s", "time on the aircraft's clock"),
     ]
     columns += [TableColumn(c, v, "count", CHANNEL_BY_NAME[c].meaning) for c, v in scans.raw.items()]
-    return Table(tuple(columns), {"name": name, "notes": json.dumps(list(scans.notes))})
+    return ColumnTable(tuple(columns), {"name": name, "notes": json.dumps(list(scans.notes))})
 
 
-def write_csv(table: Table, path: Path, *, units_row: bool = False) -> None:
+def write_csv(table: ColumnTable, path: Path, *, units_row: bool = False) -> None:
     """A CSV; with `units_row` a second line holds the units. Empty cells were not measured."""
     with whole_text(path) as handle:
         writer = csv.writer(handle)
@@ -41,7 +41,7 @@ def write_csv(table: Table, path: Path, *, units_row: bool = False) -> None:
             writer.writerow(["" if v != v else v for v in row])
 
 
-def write_matlab(table: Table, path: Path) -> list[str]:
+def write_matlab(table: ColumnTable, path: Path) -> list[str]:
     """A MATLAB 5 file with one struct `flight`: a column vector per column, structs `units`, `meaning` and `about`.
 
     Gives the names of columns that MATLAB cannot name and that are left out.

@@ -84,7 +84,7 @@ def parse_condition(text: str) -> Expression:
 def _parsed(text: str, *, condition: bool) -> Expression:
     if len(text) > LONGEST:
         raise ExpressionError(f"expression of {len(text)} characters; at most {LONGEST}")
-    reader = _Reader(text, _tokens(text))
+    reader = _ExpressionParser(text, _tokens(text))
     value = reader.either()
     while condition and reader.takes(","):
         value = reader.logical(np.logical_or, value, reader.either())
@@ -112,7 +112,7 @@ def _tokens(text: str) -> list[tuple[str, str]]:
     return out
 
 
-class _Reader:
+class _ExpressionParser:
     """Recursive descent: conditions of comparisons of sums of products of powers."""
 
     def __init__(self, text: str, tokens: list[tuple[str, str]]) -> None:

@@ -23,7 +23,7 @@ LEAD, TAIL = 0.5, 2.5  # s kept before the first movement and after the last
 
 
 @dataclass(frozen=True)
-class Manoeuvre:
+class ManoeuvreStretch:
     """A stretch of flight in which controls were moved.
 
     start, stop: first and last time of the window [s]. controls: the columns that moved, the largest movement first.
@@ -45,12 +45,12 @@ class Manoeuvre:
 
 def find_manoeuvres(
     flight: Flight, controls: Sequence[str] = CONTROLS, *, smallest: float = SMALLEST
-) -> tuple[Manoeuvre, ...]:
+) -> tuple[ManoeuvreStretch, ...]:
     """The manoeuvres of a flight in order of time; none when no control column is measured.
 
     smallest: movement from trim [rad] that counts. A window never reaches across a gap.
     """
-    found: list[Manoeuvre] = []
+    found: list[ManoeuvreStretch] = []
     present = [c for c in controls if flight.measured(c)]
     for segment in flight.segments:
         time = flight.time[segment]
@@ -65,7 +65,7 @@ def find_manoeuvres(
     return tuple(found)
 
 
-def cut(flight: Flight, manoeuvres: Iterable[Manoeuvre], name: str | None = None) -> Flight:
+def cut(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], name: str | None = None) -> Flight:
     """The flight reduced to the windows, each a segment of its own, with initial states of its own in an estimate.
 
     Raises FlightError when no sample lies in a window.
@@ -120,7 +120,7 @@ def _windows(active: NDArray[np.bool_], time: Array) -> list[tuple[int, int]]:
 
 def _describe(
     time: Array, first: int, last: int, departures: dict[str, Array], active: dict[str, NDArray[np.bool_]]
-) -> Manoeuvre:
+) -> ManoeuvreStretch:
     span = slice(first, last + 1)
     sizes = {c: float(np.max(np.abs(departures[c][span]))) for c in departures if active[c][span].any()}
     order = sorted(sizes, key=lambda c: -sizes[c])
@@ -128,7 +128,7 @@ def _describe(
     moved = tuple(c for c in order if sizes[c] > 0.3 * sizes[order[0]])
     lead = order[0]
     kind = _kind(departures[lead][span], time[span], sizes[lead]) if len(moved) == 1 else "mixed"
-    return Manoeuvre(
+    return ManoeuvreStretch(
         float(max(time[0], time[first] - LEAD)), float(min(time[-1], time[last] + TAIL)), moved, kind, sizes[lead]
     )
 

@@ -21,7 +21,7 @@ LONGEST_TEXT = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class FlightMode:
     """A flight mode by its name, from `start` until `stop` [s]."""
 
     name: str
@@ -42,7 +42,7 @@ class Mark:
 class Marks:
     """All in order of time."""
 
-    modes: tuple[Mode, ...] = ()
+    modes: tuple[FlightMode, ...] = ()
     events: tuple[Mark, ...] = ()
     messages: tuple[Mark, ...] = ()
 
@@ -80,7 +80,7 @@ def marks_of(flight: Flight) -> Marks:
     """The marks that a flight carries; what is none (a flight may come from anybody) is left out."""
     detail = flight.provenance.detail
     modes = [
-        Mode(one_line(str(row["mode"]), LONGEST_TEXT), float(row["from"]), float(row["to"]))
+        FlightMode(one_line(str(row["mode"]), LONGEST_TEXT), float(row["from"]), float(row["to"]))
         for row in _rows(detail, MODES, ("from", "to"), ("mode",))
     ]
     events, messages = (
@@ -97,12 +97,12 @@ def marks_of(flight: Flight) -> Marks:
     return Marks(tuple(m for m in modes if m.start <= m.stop), tuple(events), tuple(messages))
 
 
-def changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[Mode, ...]:
+def changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
     """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
     pairs = list(zip(time, names, strict=True))
     begins = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]
     stops = [*(t for t, _ in begins[1:]), max(end, begins[-1][0] if begins else end)]
-    return tuple(Mode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
+    return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
 
 
 def _rows(

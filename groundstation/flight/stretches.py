@@ -16,7 +16,7 @@ from groundstation.flight.airborne import airborne, stretches_of
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import MODE, Expression, parse_condition
 from groundstation.flight.flight import Flight
-from groundstation.flight.marks import Mode, marks_of
+from groundstation.flight.marks import FlightMode, marks_of
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class StretchError(FlightError):
 
 
 @dataclass(frozen=True)
-class Stretches:
+class LabelledStretches:
     """label: (N,) number of the stretch of each sample, -1 outside; notes: what was left out, and why."""
 
     label: NDArray[np.int64]
@@ -43,7 +43,7 @@ def is_times(text: str) -> bool:
     return not text.strip() or _TIMES.fullmatch(text.strip()) is not None
 
 
-def where(flight: Flight, text: str) -> Stretches:
+def where(flight: Flight, text: str) -> LabelledStretches:
     """The stretches of a flight in which a condition holds. Raises FlightError where the text is none, or names a column or a
     mode that the flight has not, and where nothing is left."""
     condition = parse_condition(text)
@@ -67,7 +67,7 @@ def where(flight: Flight, text: str) -> Stretches:
     if not long_enough:
         left = "; ".join(notes) or f"it holds at {int(holds.sum())} of {len(flight)} samples"
         raise StretchError(f"--segments {text!r}: nothing of {flight.name} is left: {left}")
-    return Stretches(label, tuple(notes))
+    return LabelledStretches(label, tuple(notes))
 
 
 def _columns(flight: Flight, condition: Expression) -> dict[str, Array]:
@@ -87,7 +87,7 @@ def _columns(flight: Flight, condition: Expression) -> dict[str, Array]:
     return columns
 
 
-def _in_mode(flight: Flight, name: str, modes: Iterable[Mode]) -> Array:
+def _in_mode(flight: Flight, name: str, modes: Iterable[FlightMode]) -> Array:
     """(N,) 1 where the autopilot was in a mode, 0 elsewhere."""
     spans = [m for m in modes if m.name.upper() == name.upper()]
     if not spans:

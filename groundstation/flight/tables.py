@@ -55,14 +55,14 @@ class TableColumn:
 
 
 @dataclass(frozen=True)
-class Table:
+class ColumnTable:
     """Columns of equal length and what is known of them as a whole."""
 
     columns: tuple[TableColumn, ...]
     about: Mapping[str, str] = field(default_factory=dict)
 
 
-def flight_table(flight: FlightView) -> Table:
+def flight_table(flight: FlightView) -> ColumnTable:
     """`time`, every column of a flight, and `segment`."""
     about = {
         "name": flight.name,
@@ -77,10 +77,10 @@ def flight_table(flight: FlightView) -> Table:
         columns.append(TableColumn(name, values, known.unit if known else "", known.meaning if known else ""))
     stretch = flight.segment.astype(float)
     columns.append(TableColumn("segment", stretch, "1", "stretch without a gap, counted from 0", whole=True))
-    return Table(tuple(columns), about)
+    return ColumnTable(tuple(columns), about)
 
 
-def arrow_table(table: Table) -> "pa.Table":
+def arrow_table(table: ColumnTable) -> "pa.Table":
     """An Arrow table: `unit` and `meaning` in each field's metadata; NaN is null."""
     import pyarrow as pa
 

@@ -9,8 +9,8 @@ from numpy.linalg import LinAlgError
 from daq.identification.airframe import CONTROLS, DERIVATIVES, Sample
 from daq.identification.in_order import OrderedEstimator
 from daq.identification.live import LiveEstimates
-from daq.identification.next_manoeuvre import Advice, next_manoeuvre
-from daq.identification.stretches import Stretches
+from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
+from daq.identification.stretches import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.errors import CalibrationError
 from groundstation.identification.aircraft import LiveAircraft
@@ -46,7 +46,7 @@ class LiveState:
     to_go: Mapping[str, float]
     excitation: Mapping[str, float]
     together: tuple[Together, ...]
-    advice: Advice | None
+    advice: ManoeuvreAdvice | None
     late: int
 
 
@@ -64,7 +64,7 @@ class LiveIdentification:
         calibrator: Calibrator,
         wanted: float,
         alignment: ScanAlignment,
-        stretches: Stretches,
+        stretches: ManoeuvreDetector,
         *,
         watched: bool = False,
     ) -> None:
@@ -83,7 +83,7 @@ class LiveIdentification:
         self._pace = TimeToBound()
         self._last: Sample | None = None
         self._look_at = self._advise_at = self._revise_at = -math.inf
-        self._advice: Advice | None = None
+        self._advice: ManoeuvreAdvice | None = None
         self.state: LiveState | None = None
 
     def use(self, calibrator: Calibrator) -> None:

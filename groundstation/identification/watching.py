@@ -11,7 +11,7 @@ from numpy.linalg import LinAlgError
 from daq.identification.airframe import Sample
 from daq.identification.monitor.bank import bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor
-from daq.identification.monitor.nulls import Conditions
+from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import calibrated
 from groundstation.identification.aircraft import LiveAircraft
 
@@ -27,7 +27,9 @@ class LiveWatch:
 
     def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
         self._airframe = aircraft.airframe if aircraft.modelled is None else aircraft.modelled
-        self._conditions = Conditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else Conditions(rate=ON_BOARD_HZ)
+        self._conditions = (
+            NullConditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else NullConditions(rate=ON_BOARD_HZ)
+        )
         self._monitor: GapMonitor | None = None
         self._waiting: list[Sample] = []
         self._told: list[str] = []  # what each alarm was last said to be

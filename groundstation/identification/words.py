@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from daq.identification.airframe import CONTROLS, EQUATIONS
 from daq.identification.live import LiveDerivative
-from daq.identification.next_manoeuvre import Advice
+from daq.identification.next_manoeuvre import ManoeuvreAdvice
 from groundstation.identification.session import LiveState
 
 NAMES = tuple(f"{c}_{t}" for c, terms in EQUATIONS.items() for t in terms)
@@ -88,7 +88,7 @@ def next_words(state: LiveState) -> str:
     return _advised(state.advice)
 
 
-def _advised(a: Advice) -> str:
+def _advised(a: ManoeuvreAdvice) -> str:
     size = "" if a.share > 0.95 else f" at {100 * a.share:.0f} % of usual size"
     return f"{a.manoeuvre}{size} (bound of {a.worst} from {a.now:.1f} to {a.then:.1f} times the wanted one)"
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.series import Array, Log, TimeSeries
 
 FALLS_BACK = 1.0
 """[s] by which a message is earlier than the one before only after a restart: out of order they are by milliseconds."""
@@ -57,13 +57,15 @@ def _overtakes(time: Array, before: slice, after: slice) -> bool:
     return bool(steps[-1] > 100.0 * max(float(np.median(steps)), 1e-3))
 
 
-def _part(series: Mapping[str, Series], runs: Mapping[int, list[slice]], number: int, count: int) -> dict[str, Series]:
+def _part(
+    series: Mapping[str, TimeSeries], runs: Mapping[int, list[slice]], number: int, count: int
+) -> dict[str, TimeSeries]:
     cut: dict[int, Array] = {}
-    out: dict[str, Series] = {}
+    out: dict[str, TimeSeries] = {}
     for name, s in series.items():
         parts = runs[id(s.time)]
         if len(parts) == count:
             rows = parts[number]
             time: NDArray[np.float64] = cut.setdefault(id(s.time), s.time[rows])
-            out[name] = Series(time, s.values[rows])
+            out[name] = TimeSeries(time, s.values[rows])
     return out

@@ -17,9 +17,9 @@ from groundstation.flight.flight import HELD, INTERVAL
 from groundstation.flight.notes import Note, NoteKind, unknown_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
-from groundstation.importers.mapping import Kind, Map, Source
+from groundstation.importers.mapping import ColumnSource, Kind, Map
 from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all
-from groundstation.importers.series import DATED_BACK, Log, Series, lagged, native_rate, resample
+from groundstation.importers.series import DATED_BACK, Log, TimeSeries, lagged, native_rate, resample
 from groundstation.importers.units import conversion, find_unit, known_units
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class Made:
     that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
     servo that follows it [s]."""
 
-    source: Source
+    source: ColumnSource
     kind: Kind
     rate: float | None
     name: str
@@ -54,7 +54,7 @@ class Made:
 
 
 @dataclass(frozen=True)
-class Columns:
+class ImportedColumns:
     """values: by name in the flight (N,); made: flight column -> how; notes."""
 
     values: dict[str, Array]
@@ -62,7 +62,7 @@ class Columns:
     notes: tuple[Note | str, ...]
 
 
-def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Columns:
+def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> ImportedColumns:
     """All that a mapping makes of a log on a time base (N,), and of a table the columns that no mapping names.
 
     What a program of the aircraft computed of attitude and a guessed wind is no airspeed and no flow angle: it stands under a
@@ -91,16 +91,16 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Colum
         notes.append(f"not in the file, so not measured: {listed(absent, 60)}")
     if log.common:
         notes += _others(log, chosen, time, values, made)
-    return Columns(values, made, tuple(notes))
+    return ImportedColumns(values, made, tuple(notes))
 
 
-def chosen_source(log: Log, sources: Iterable[Source]) -> Source | None:
+def chosen_source(log: Log, sources: Iterable[ColumnSource]) -> ColumnSource | None:
     """The first source of which the log has all; one that was measured before one that was computed."""
     there = [s for s in sources if all(t.column in log.series for t in s.parts)]
     return next((s for s in there if flight_kind(log, s) != COMPUTED), there[0] if there else None)
 
 
-def flight_kind(log: Log, source: Source) -> Kind:
+def flight_kind(log: Log, source: ColumnSource) -> Kind:
     """Whence a source is: of an expression that of its first column, which the others correct; of several, the worst."""
     if source.kind is not None:
         return source.kind
@@ -108,7 +108,7 @@ def flight_kind(log: Log, source: Source) -> Kind:
     return kind_of(log, parts[0]) if source.expression is not None else kind_of_all(log, parts)
 
 
-def _held(log: Log, source: Source) -> tuple[float | None, float]:
+def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
     """Interval [s] at which a command was recorded and the lag of its servo; None for what a sensor saw."""
     parts = [log.series[t.column] for t in source.parts if is_command(log, t.column)]
     if not (source.hold or len(parts) == len(source.parts)):
@@ -132,7 +132,7 @@ def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Note
     density, by = found
     if "rho" not in known:
         values["rho"] = density
-        source = Source(column=by.split(" and ")[0], unit="kg/m3")
+        source = ColumnSource(column=by.split(" and ")[0], unit="kg/m3")
         made["rho"] = Made(source.model_copy(update={"column": by}), COMPUTED, about.rate, "rho")
     with np.errstate(invalid="ignore", divide="ignore"):
         values[about.name] = values[about.name] * np.sqrt(SEA_LEVEL_DENSITY / density)
@@ -172,7 +172,7 @@ def _plain_name(name: str, taken: set[str]) -> str:
     return plain
 
 
-def _unit(log: Log, source: Source, name: str) -> str:
+def _unit(log: Log, source: ColumnSource, name: str) -> str:
     """The unit of a source: as the mapping states it, else as the file does. Raises ImportDataError where one is needed and
     neither does."""
     if source.unit is not None:
@@ -190,7 +190,7 @@ def _unit(log: Log, source: Source, name: str) -> str:
     )
 
 
-def _value(log: Log, source: Source, name: str, time: Array) -> Array:
+def _value(log: Log, source: ColumnSource, name: str, time: Array) -> Array:
     si = COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else None
     scale, offset = conversion(source.unit or "1", name, si) if si is not None else (1.0, 0.0)
 
@@ -213,17 +213,17 @@ def _value(log: Log, source: Source, name: str, time: Array) -> Array:
     return np.asarray(value)
 
 
-def _unwrapped(series: Series, name: str, scale: float) -> Series:
+def _unwrapped(series: TimeSeries, name: str, scale: float) -> TimeSeries:
     """A heading made continuous before it is interpolated: between 359 and 1 deg lies 0, not 180."""
     if name not in _WRAPPED:
         return series
     values = series.values.copy()
     good = np.isfinite(values)
     values[good] = np.unwrap(values[good] * scale) / scale
-    return Series(series.time, values)
+    return TimeSeries(series.time, values)
 
 
-def spoken(source: Source) -> str:
+def spoken(source: ColumnSource) -> str:
     """How a column was made, for the provenance."""
     if source.expression is not None:
         terms = source.expression

@@ -16,12 +16,12 @@ from groundstation.importers.draft_names import fits, meant, time_column, time_u
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source, Time
+from groundstation.importers.mapping import EXAMPLE, ColumnSource, FileFormat, Map, Time
 from groundstation.importers.run import import_data, read_logs
 from groundstation.importers.series import Log, native_rate
 
 if TYPE_CHECKING:
-    from groundstation.importers.formats.tables import Table
+    from groundstation.importers.formats.tables import ImportedTable
 
 FIRST_BYTES = 65_536
 """Of a file, among which its header line is."""
@@ -79,7 +79,7 @@ def _columns(log: Log, chosen: Map) -> Iterator[str]:
         yield f"{name} = {_toml(source)}      # {flight_kind(log, source)}; {source.parts[0].column} {values}; {rate:.3g} Hz"
 
 
-def _toml(source: Source) -> str:
+def _toml(source: ColumnSource) -> str:
     given = source.model_dump(exclude_defaults=True, exclude={"terms"})
     cells = [f"{k} = {_value(v)}" for k, v in given.items()]
     if source.terms:
@@ -146,7 +146,7 @@ def _of_table(path: Path) -> list[str]:
     return [*lines, *(f"# {c} = UNKNOWN: no column looks like it" for c in missing)]
 
 
-def _table(path: Path) -> "Table":
+def _table(path: Path) -> "ImportedTable":
     """The table with the column that is its time, as numbers or as words; without one, its numbers alone."""
     from groundstation.importers.formats.tables import read_table
 

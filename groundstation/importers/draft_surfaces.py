@@ -11,7 +11,7 @@ import numpy as np
 
 from groundstation.importers.functions import name_of
 from groundstation.importers.recipe import OUTPUT
-from groundstation.importers.series import Array, Log, Series, native_rate
+from groundstation.importers.series import Array, Log, TimeSeries, native_rate
 from groundstation.importers.servos import parameter_of
 
 THROW = 20.0
@@ -28,7 +28,7 @@ _TURN = 0.08
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class OutputFunction:
     """What one function of an output does. response: rate that tells its sign; answer: sign of that rate's change by a trailing
     edge down (rudder: to port); shares: surface -> its factor in it."""
 
@@ -38,16 +38,16 @@ class Part:
     shares: Mapping[str, float]
 
 
-PARTS: Mapping[int, Part] = {
-    4: Part("aileron", "p", -1, {"delta_a": 1.0}),
-    19: Part("elevator", "q", -1, {"delta_e": 1.0}),
-    21: Part("rudder", "r", -1, {"delta_r": 1.0}),
-    24: Part("flaperon_left", "p", 1, {"delta_a": -0.5}),
-    25: Part("flaperon_right", "p", -1, {"delta_a": 0.5}),
-    77: Part("elevon_left", "q", -1, {"delta_e": 0.5, "delta_a": -0.5}),
-    78: Part("elevon_right", "q", -1, {"delta_e": 0.5, "delta_a": 0.5}),
-    79: Part("tail_left", "q", -1, {"delta_e": 0.5, "delta_r": 0.5}),
-    80: Part("tail_right", "q", -1, {"delta_e": 0.5, "delta_r": -0.5}),
+PARTS: Mapping[int, OutputFunction] = {
+    4: OutputFunction("aileron", "p", -1, {"delta_a": 1.0}),
+    19: OutputFunction("elevator", "q", -1, {"delta_e": 1.0}),
+    21: OutputFunction("rudder", "r", -1, {"delta_r": 1.0}),
+    24: OutputFunction("flaperon_left", "p", 1, {"delta_a": -0.5}),
+    25: OutputFunction("flaperon_right", "p", -1, {"delta_a": 0.5}),
+    77: OutputFunction("elevon_left", "q", -1, {"delta_e": 0.5, "delta_a": -0.5}),
+    78: OutputFunction("elevon_right", "q", -1, {"delta_e": 0.5, "delta_a": 0.5}),
+    79: OutputFunction("tail_left", "q", -1, {"delta_e": 0.5, "delta_r": 0.5}),
+    80: OutputFunction("tail_right", "q", -1, {"delta_e": 0.5, "delta_r": -0.5}),
 }
 """SERVOn_FUNCTION -> what it moves; an aileron is drafted as the right one, which rolls left when it goes down."""
 
@@ -86,7 +86,7 @@ def drafted_servos(log: Log, rates: Mapping[str, str]) -> Drafted:
     return Drafted(tuple(lines), shares)
 
 
-def _servo_lines(log: Log, column: str, name: str, part: Part, series: Series, rate: str) -> list[str]:
+def _servo_lines(log: Log, column: str, name: str, part: OutputFunction, series: TimeSeries, rate: str) -> list[str]:
     trim, low, high = (_parameter(log, column, e) for e in ("TRIM", "MIN", "MAX"))
     seen = series.values[np.isfinite(series.values)]
     begin, end = (
@@ -117,16 +117,16 @@ def _parameter(log: Log, column: str, ending: str) -> float | None:
     return log.parameters.get(name) if name else None
 
 
-def by_hand(log: Log, series: Series) -> Series:
+def by_hand(log: Log, series: TimeSeries) -> TimeSeries:
     """A series where the pilot alone moved the surfaces, by the modes of the log; all of it where they do not say so."""
     spans = [m for m in log.marks.modes if m.name == "MANUAL"]
     inside = np.zeros(series.time.size, bool)
     for span in spans:
         inside |= (series.time >= span.start) & (series.time < span.stop)
-    return Series(series.time, np.where(inside, series.values, np.nan)) if inside.sum() >= SHORTEST else series
+    return TimeSeries(series.time, np.where(inside, series.values, np.nan)) if inside.sum() >= SHORTEST else series
 
 
-def sign_of(output: Series, trim: float, rate: Series | None, answer: int, name: str) -> tuple[int, str]:
+def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, answer: int, name: str) -> tuple[int, str]:
     """Sign of the deflection at the upper end of the travel, and why: the change of a rate after the output moved.
 
     output: NaN where it is not to be used.

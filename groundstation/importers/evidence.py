@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.importers.instances import with_primaries
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.series import Array, Log, TimeSeries
 
 FIX_3D = 3
 """Type of a GNSS fix, of ArduPilot's Status as of MAVLink's and PX4's fix_type, from which it has a velocity."""
@@ -34,7 +34,7 @@ def of_ardupilot(log: Log) -> Log:
     return replace(log, series=series, notes=(*notes, *said), kinds=kinds, contradictions=seen)
 
 
-def _airspeed_of_ardupilot(log: Log, series: dict[str, Series]) -> tuple[str, list[str]]:
+def _airspeed_of_ardupilot(log: Log, series: dict[str, TimeSeries]) -> tuple[str, list[str]]:
     """What CTUN.As is; samples of it that no sensor made are taken out where others are of one."""
     speed = series.get("CTUN.As")
     if speed is None:
@@ -93,7 +93,7 @@ def of_px4(log: Log) -> Log:
     return replace(log, series=series, notes=tuple(notes), kinds=kinds)
 
 
-def _has_pitot(series: Mapping[str, Series]) -> bool:
+def _has_pitot(series: Mapping[str, TimeSeries]) -> bool:
     return any(n.startswith(("differential_pressure.", "airspeed.")) for n in series)
 
 
@@ -114,7 +114,7 @@ def of_mavlink(log: Log) -> Log:
     return replace(log, series=series, notes=tuple(notes), kinds=kinds)
 
 
-def _airspeed_of_mavlink(series: Mapping[str, Series]) -> tuple[str, list[str]]:
+def _airspeed_of_mavlink(series: Mapping[str, TimeSeries]) -> tuple[str, list[str]]:
     health = series.get("SYS_STATUS.onboard_control_sensors_present")
     enabled = series.get("SYS_STATUS.onboard_control_sensors_enabled")
     pressures = [series[n].values for n in _DIFFERENTIAL if n in series]
@@ -134,13 +134,15 @@ def _airspeed_of_mavlink(series: Mapping[str, Series]) -> tuple[str, list[str]]:
     ]
 
 
-def _prefixes(series: Mapping[str, Series], topic: str, field: str) -> list[str]:
+def _prefixes(series: Mapping[str, TimeSeries], topic: str, field: str) -> list[str]:
     """A topic and its further instances that have a field."""
     pattern = re.compile(re.escape(topic) + r"(\[\d+\])?\." + re.escape(field))
     return [n.rsplit(".", 1)[0] for n in series if pattern.fullmatch(n)]
 
 
-def _without_fix(series: dict[str, Series], prefix: str, status: str, fields: tuple[str, ...] | list[str]) -> list[str]:
+def _without_fix(
+    series: dict[str, TimeSeries], prefix: str, status: str, fields: tuple[str, ...] | list[str]
+) -> list[str]:
     """Takes out what a receiver wrote while it had no fix: zeros are no velocities. Gives a note where there was any."""
     fix = series[f"{prefix}.{status}"]
     good = fix.values >= FIX_3D
@@ -152,16 +154,16 @@ def _without_fix(series: dict[str, Series], prefix: str, status: str, fields: tu
     return [f"{prefix}: {int((~good).sum())} samples without a fix ({status} below {FIX_3D}) taken as not measured"]
 
 
-def _only(series: Series, use: Mask) -> Series:
+def _only(series: TimeSeries, use: Mask) -> TimeSeries:
     return _blank(series, use) if series.time.size == use.size else series
 
 
-def _blank(series: Series, use: Mask) -> Series:
+def _blank(series: TimeSeries, use: Mask) -> TimeSeries:
     values: Array = np.where(use, series.values, np.nan)
-    return Series(series.time, values)
+    return TimeSeries(series.time, values)
 
 
-def _mean(series: Mapping[str, Series], *names: str) -> float | None:
+def _mean(series: Mapping[str, TimeSeries], *names: str) -> float | None:
     found = next((series[n].values for n in names if n in series), None)
     return float(np.nanmean(found)) if found is not None and found.size else None
 

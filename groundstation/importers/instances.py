@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.flight.contradictions import Contradiction
-from groundstation.importers.series import Array, Series
+from groundstation.importers.series import Array, TimeSeries
 
 ALL_OF_ONE_KIND = ("ARSP", "GPS", "BARO", "IMU", "MAG")
 """Messages of ArduPilot that come from several sensors and say which is in use."""
@@ -19,15 +19,15 @@ COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenInstances:
     """series: those of the instance in use, under the plain name of the message, and of the first under its number."""
 
-    series: Mapping[str, Series]
+    series: Mapping[str, TimeSeries]
     notes: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
 
 
-def with_primaries(series: Mapping[str, Series]) -> Chosen:
+def with_primaries(series: Mapping[str, TimeSeries]) -> ChosenInstances:
     """The series with the plain name (`ARSP.Airspeed`) standing for the instance in use; each stays under its number, too."""
     out = dict(series)
     notes: list[str] = []
@@ -48,12 +48,12 @@ def with_primaries(series: Mapping[str, Series]) -> Chosen:
             out.update({f"{message}.{n}": v for n, v in instances[primary].items()})
             notes.append(f"{message}: instance {primary} is taken, {why}")
         found += _disagreements(message, instances, primary, why)
-    return Chosen(out, tuple(notes), tuple(found))
+    return ChosenInstances(out, tuple(notes), tuple(found))
 
 
-def _instances(series: Mapping[str, Series], message: str) -> dict[int, dict[str, Series]]:
+def _instances(series: Mapping[str, TimeSeries], message: str) -> dict[int, dict[str, TimeSeries]]:
     """Instance number -> field -> series."""
-    out: dict[int, dict[str, Series]] = {}
+    out: dict[int, dict[str, TimeSeries]] = {}
     for name, values in series.items():
         head, _, field = name.partition(".")
         if head == message:
@@ -68,7 +68,7 @@ def _instances(series: Mapping[str, Series], message: str) -> dict[int, dict[str
     return dict(sorted(out.items()))
 
 
-def _primary(instances: Mapping[int, Mapping[str, Series]]) -> tuple[int | None, str]:
+def _primary(instances: Mapping[int, Mapping[str, TimeSeries]]) -> tuple[int | None, str]:
     """The instance in use and why; None where it changes, as each says at its own time."""
     stated = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
     if stated:
@@ -89,12 +89,12 @@ def _primary(instances: Mapping[int, Mapping[str, Series]]) -> tuple[int | None,
     return first, "nothing in the log says which is in use"
 
 
-def _mean(fields: Mapping[str, Series], names: tuple[str, ...]) -> float | None:
+def _mean(fields: Mapping[str, TimeSeries], names: tuple[str, ...]) -> float | None:
     found = next((fields[n].values for n in names if n in fields), None)
     return float(np.nanmean(found)) if found is not None and found.size else None
 
 
-def _by_time(instances: Mapping[int, Mapping[str, Series]]) -> dict[str, Series]:
+def _by_time(instances: Mapping[int, Mapping[str, TimeSeries]]) -> dict[str, TimeSeries]:
     """Samples of each instance from the times at which it was the primary."""
     chosen = {n: f["Pri"].values == n for n, f in instances.items() if "Pri" in f}
     out = {}
@@ -106,12 +106,12 @@ def _by_time(instances: Mapping[int, Mapping[str, Series]]) -> dict[str, Series]
         ]
         time, values = (np.concatenate([p[i] for p in parts]) for i in (0, 1))
         order = np.argsort(time, kind="stable")
-        out[name] = Series(time[order], values[order])
+        out[name] = TimeSeries(time[order], values[order])
     return out
 
 
 def _disagreements(
-    message: str, instances: Mapping[int, Mapping[str, Series]], primary: int | None, why: str
+    message: str, instances: Mapping[int, Mapping[str, TimeSeries]], primary: int | None, why: str
 ) -> Iterator[Contradiction]:
     """What two instances show of one quantity, where they differ beyond what two sensors do."""
     field = COMPARED.get(message)
@@ -131,7 +131,7 @@ def _disagreements(
         yield Contradiction((first, second), text, ratio, favoured=second if sure else "", moves=moves, stops=not sure)
 
 
-def _ratio(first: Series, second: Series) -> float | None:
+def _ratio(first: TimeSeries, second: TimeSeries) -> float | None:
     values: Array = np.interp(first.time, second.time, second.values) if second.time.size > 1 else np.zeros(0)
     if values.size == 0:
         return None

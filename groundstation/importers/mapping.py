@@ -21,7 +21,7 @@ from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_toml
 from groundstation.flight.expression import ExpressionError, parse
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.servos import Servo
+from groundstation.importers.servos import ServoMap
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
@@ -29,7 +29,7 @@ MOST_LINES_ABOVE = 1_000_000
 """Lines before the first row of numbers; no file of 16 MiB has as many that say something."""
 
 
-class _Table(BaseModel):
+class _MapTable(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
@@ -37,14 +37,14 @@ Kind = Literal["measured", "computed", "assumed"]
 """Where numbers come from: a sensor, a program that makes them of others, or a person (or a board beside the sensor)."""
 
 
-class Term(_Table):
+class ColumnTerm(_MapTable):
     """One summand of a flight column."""
 
     column: str
     factor: float = 1.0
 
 
-class Source(_Table):
+class ColumnSource(_MapTable):
     """Where a flight column comes from: value = sign * factor * (sum of terms, or expression) [unit] + offset [unit], turned
     into SI.
 
@@ -54,7 +54,7 @@ class Source(_Table):
     """
 
     column: str | None = None
-    terms: tuple[Term, ...] = ()
+    terms: tuple[ColumnTerm, ...] = ()
     expression: str | None = None
     unit: str | None = None
     sign: Literal[1, -1] = 1
@@ -65,7 +65,7 @@ class Source(_Table):
     kind: Kind | None = None
 
     @model_validator(mode="after")
-    def _one_origin(self) -> "Source":
+    def _one_origin(self) -> "ColumnSource":
         if (self.column is not None) + bool(self.terms) + (self.expression is not None) != 1:
             raise ValueError("give either column or terms or expression")
         if self.expression is not None:
@@ -76,11 +76,11 @@ class Source(_Table):
         return self
 
     @property
-    def parts(self) -> tuple[Term, ...]:
+    def parts(self) -> tuple[ColumnTerm, ...]:
         """The summands, or the columns of the expression."""
         if self.expression is not None:
-            return tuple(Term(column=name) for name in parse(self.expression).columns)
-        return self.terms or (Term(column=self.column or ""),)
+            return tuple(ColumnTerm(column=name) for name in parse(self.expression).columns)
+        return self.terms or (ColumnTerm(column=self.column or ""),)
 
     @property
     def formula(self) -> str:
@@ -94,7 +94,7 @@ class Source(_Table):
         return f"-({made})" if self.sign < 0 else made
 
 
-class Time(_Table):
+class Time(_MapTable):
     """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25, times of day and IRIG time; offset [s] is added.
 
     date: a column beside it that holds the day, where time holds the time of day.
@@ -116,7 +116,7 @@ class Time(_Table):
         return self
 
 
-class FileFormat(_Table):
+class FileFormat(_MapTable):
     """How a text table is written, where it cannot be guessed. names: of the columns, for a file without a header line.
 
     variable: of a MATLAB file, the one that holds the records.
@@ -134,10 +134,10 @@ def _listed(value: object) -> object:
     return value if isinstance(value, (list, tuple)) else [value]
 
 
-Sources = Annotated[tuple[Source, ...], BeforeValidator(_listed), Field(min_length=1)]
+Sources = Annotated[tuple[ColumnSource, ...], BeforeValidator(_listed), Field(min_length=1)]
 
 
-class Map(_Table):
+class Map(_MapTable):
     """A whole mapping file."""
 
     format: Literal[1]
@@ -148,7 +148,7 @@ class Map(_Table):
     segment: str | None = None
     segment_rows: tuple[Annotated[int, Field(gt=0)], ...] = ()
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
-    servos: dict[str, Servo] = {}
+    servos: dict[str, ServoMap] = {}
     columns: dict[str, Sources] = {}
 
     @model_validator(mode="after")

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from groundstation.importers.formats.attitude import with_attitudes
-from groundstation.importers.mapping import Map, Source
+from groundstation.importers.mapping import ColumnSource, Map
 from groundstation.importers.series import Log
 
 _ANGLES = {"phi": "roll", "theta": "pitch", "psi": "yaw"}
@@ -18,7 +18,7 @@ def with_quaternion(log: Log, chosen: Map) -> tuple[Log, Map]:
     angles = {a: next((n for n in new if n.rpartition(".")[2] == word), None) for a, word in _ANGLES.items()}
     if any(n is None for n in angles.values()):
         return log, chosen
-    sources = {a: (Source(column=n, unit="rad"),) for a, n in angles.items()}
+    sources = {a: (ColumnSource(column=n, unit="rad"),) for a, n in angles.items()}
     used = {n for n in angles.values() if n is not None}
     series = {n: s for n, s in made.items() if n in log.series or n in used}
     note = "phi, theta, psi are of the quaternion, taken as scalar first and from north-east-down to the body"

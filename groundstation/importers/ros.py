@@ -14,8 +14,8 @@ from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.attitude import euler_from_quaternion, with_attitudes
 from groundstation.importers.formats.bag_series import Topic
 from groundstation.importers.formats.bags import read_bag
-from groundstation.importers.mapping import Map, Source, built_in_map
-from groundstation.importers.series import Log, Series
+from groundstation.importers.mapping import ColumnSource, Map, built_in_map
+from groundstation.importers.series import Log, TimeSeries
 
 _PX4 = re.compile(r"px4_msgs/msg/(\w+)")
 PX4_US = 1e-6
@@ -30,8 +30,8 @@ def read_ros(path: Path) -> tuple[Log, Map]:
     if px4:
         log = Log("ulog", with_attitudes(_px4_series(px4)), notes=tuple(bag.notes))
         return EVIDENCE["ulog"](log), built_in_map("px4")
-    series: dict[str, Series] = {}
-    columns: dict[str, list[Source]] = {}
+    series: dict[str, TimeSeries] = {}
+    columns: dict[str, list[ColumnSource]] = {}
     kinds: dict[str, str] = {}
     turned = False
     for topic in bag.topics.values():
@@ -47,9 +47,9 @@ def read_ros(path: Path) -> tuple[Log, Map]:
     return log, Map(format=1, title="bag", columns={n: tuple(s) for n, s in columns.items()})
 
 
-def _px4_series(topics: dict[str, Topic]) -> dict[str, Series]:
+def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
     """Series under the names of uORB topics; a second topic of one kind is instance 1."""
-    series: dict[str, Series] = {}
+    series: dict[str, TimeSeries] = {}
     seen: dict[str, int] = {}
     for topic in topics.values():
         match = _PX4.fullmatch(topic.kind)
@@ -60,14 +60,16 @@ def _px4_series(topics: dict[str, Topic]) -> dict[str, Series]:
     return series
 
 
-def _standard(topic: Topic, made: dict[str, Series], columns: dict[str, list[Source]], kinds: dict[str, str]) -> bool:
+def _standard(
+    topic: Topic, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
+) -> bool:
     """Flight columns of a standard message; whether axes were turned. made: series of the topic, to which attitude is added."""
     name = topic.name
 
     def give(column: str, field: str, unit: str, sign: int = 1) -> None:
         if f"{name}.{field}" in made:
             source = {"column": f"{name}.{field}", "unit": unit, "sign": sign}
-            columns.setdefault(column, []).append(Source.model_validate(source))
+            columns.setdefault(column, []).append(ColumnSource.model_validate(source))
 
     match topic.kind.split("/")[-1], topic.kind.split("/")[0]:
         case "Imu", "sensor_msgs":
@@ -101,7 +103,7 @@ def _standard(topic: Topic, made: dict[str, Series], columns: dict[str, list[Sou
 
 
 def _attitude(
-    name: str, field: str, made: dict[str, Series], columns: dict[str, list[Source]], kinds: dict[str, str]
+    name: str, field: str, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
     """Angles of a quaternion from east-north-up and x forward, y left, z up, to ours, as series of the topic."""
     parts = [made.get(f"{name}.{field}.{axis}") for axis in "wxyz"]
@@ -115,6 +117,6 @@ def _attitude(
     time = next(p.time for p in parts if p is not None)
     angles = {"roll": roll, "pitch": -pitch, "yaw": (np.pi / 2 - yaw + np.pi) % (2 * np.pi) - np.pi}
     for column, (label, values) in zip(("phi", "theta", "psi"), angles.items(), strict=True):
-        made[f"{name}.{label}"] = Series(time, np.asarray(values))
+        made[f"{name}.{label}"] = TimeSeries(time, np.asarray(values))
         kinds[f"{name}.{label}"] = "computed"
-        columns.setdefault(column, []).append(Source(column=f"{name}.{label}", unit="rad"))
+        columns.setdefault(column, []).append(ColumnSource(column=f"{name}.{label}", unit="rad"))

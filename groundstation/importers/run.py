@@ -27,7 +27,7 @@ from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.functions import misnamed
 from groundstation.importers.join import joined
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
-from groundstation.importers.series import Log, Series, credible, grid, native_rate
+from groundstation.importers.series import Log, TimeSeries, credible, grid, native_rate
 from groundstation.importers.servos import outputs_elsewhere, with_servos
 from groundstation.importers.topics import joined_topics, topics_of_px4
 
@@ -119,7 +119,7 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
         detail={
             "format": log.kind,
             "mapping": {name: spoken(made.source) for name, made in found.made.items()},
-            CHANNELS: {name: made.to_json(native_rate(Series(time, time))) for name, made in found.made.items()},
+            CHANNELS: {name: made.to_json(native_rate(TimeSeries(time, time))) for name, made in found.made.items()},
             "resampled_hz": float(1 / np.median(np.diff(time))) if resampled else None,
             "native_hz": {m.name: m.rate for m in found.made.values() if m.rate is not None},
             **({CONTRADICTIONS: [c.to_json() for c in log.contradictions]} if log.contradictions else {}),

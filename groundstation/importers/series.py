@@ -27,7 +27,7 @@ LONGEST_STEP = 3.5
 
 
 @dataclass(frozen=True)
-class Series:
+class TimeSeries:
     """Samples of one quantity: time (n,) [s], values (n,), both in order.
 
     command: what was asked of a servo, not what a sensor saw: it holds between samples, see `held_at`; lag: of the first-order
@@ -49,7 +49,7 @@ class Log:
     """
 
     kind: str
-    series: Mapping[str, Series]
+    series: Mapping[str, TimeSeries]
     common: bool = False
     notes: tuple[str, ...] = ()
     text_columns: tuple[str, ...] = ()
@@ -61,12 +61,12 @@ class Log:
     origin: float = 0.0
     marks: Marks = field(default_factory=Marks)
 
-    def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
+    def extended(self, series: Mapping[str, TimeSeries], units: Mapping[str, str]) -> "Log":
         """The same with further series."""
         return replace(self, series={**self.series, **series}, units=units)
 
 
-def credible(series: Mapping[str, Series]) -> tuple[dict[str, Series], int]:
+def credible(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
     """The series without samples whose time is far from all others (damaged stamps), and how many were left out."""
     clocks = {id(s.time): s.time for s in series.values()}  # fields of one message share their time
     times = np.concatenate(list(clocks.values())) if clocks else np.zeros(0)
@@ -79,11 +79,11 @@ def credible(series: Mapping[str, Series]) -> tuple[dict[str, Series], int]:
     for name, item in series.items():
         good = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
         dropped = max(dropped, int(np.sum(~good)))
-        out[name] = item if good.all() else Series(item.time[good], item.values[good])
+        out[name] = item if good.all() else TimeSeries(item.time[good], item.values[good])
     return out, dropped
 
 
-def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
+def grid(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
     """Even time base from the earliest start to the latest end. Raises ImportDataError when that is too long."""
     if not rate_hz > 0:
         raise ImportDataError(
@@ -113,7 +113,7 @@ BURSTY = 2.0
 """A series whose samples, over its whole length, come so many times slower than from one to the next comes in bursts."""
 
 
-def native_rate(series: Series) -> float:
+def native_rate(series: TimeSeries) -> float:
     """Median rate of a series [Hz], or how many samples come in a second where they come in bursts; 0 for fewer than two."""
     steps = np.diff(series.time[np.isfinite(series.time)])
     steps = steps[steps > 1e-9]  # stamps are of a microsecond at best: what is closer is the same instant
@@ -125,7 +125,7 @@ def native_rate(series: Series) -> float:
     return mean if typical > BURSTY * mean else typical
 
 
-def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
+def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
     """Values of a series at `time` (n,): NaN outside the series and inside its gaps.
 
     A series at least twice as fast as the grid is averaged over each grid interval, which keeps vibration from folding
@@ -137,7 +137,7 @@ def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     y = y[first]
     if t.size < 2:
         return np.full_like(time, np.nan)
-    rate = native_rate(Series(t, y))
+    rate = native_rate(TimeSeries(t, y))
     if not rate:  # all at one instant
         return np.full_like(time, np.nan)
     interval = 1.0 / rate
@@ -158,7 +158,7 @@ DATED_BACK = 0.5
 """Of its interval, by which a logged command is dated back: it changed at any time since the last record, half in the mean."""
 
 
-def held_at(series: Series, time: Array) -> Array:
+def held_at(series: TimeSeries, time: Array) -> Array:
     """Commands at `time` (n,), as the servo behind them shows them: each holds from half an interval before its record until half
     an interval before the next. NaN outside the series and inside its gaps."""
     good = np.isfinite(series.values) & np.isfinite(series.time)
@@ -166,7 +166,7 @@ def held_at(series: Series, time: Array) -> Array:
     target = series.values[good][first]
     if t.size < 2:
         return np.full_like(time, np.nan)
-    interval = 1.0 / native_rate(Series(t, target))
+    interval = 1.0 / native_rate(TimeSeries(t, target))
     since = t - DATED_BACK * interval
     at = np.searchsorted(since, time + 1e-6 * interval, side="right") - 1
     k = np.clip(at, 0, t.size - 1)

@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.series import Array, Log, TimeSeries
 from groundstation.importers.units import conversion
 
 PREFIX = "servo."
@@ -36,7 +36,7 @@ LARGEST_DEFLECTION = math.radians(90.0)
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class Servo(BaseModel):
+class ServoMap(BaseModel):
     """One servo: output -> deflection [unit], straight from either end of the travel to the trim."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -49,7 +49,7 @@ class Servo(BaseModel):
     lag: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
     @model_validator(mode="after")
-    def _is_a_travel(self) -> "Servo":
+    def _is_a_travel(self) -> "ServoMap":
         try:
             scale, _ = conversion(self.unit, "servo", "rad")
         except ImportDataError as error:
@@ -76,7 +76,7 @@ class Servo(BaseModel):
                 f"{key}: {max(abs(at_low), abs(at_high)):g} {self.unit} is more than 90 deg; check the unit"
             )
 
-    def with_travel(self, name: str, parameters: Mapping[str, float]) -> "Servo":
+    def with_travel(self, name: str, parameters: Mapping[str, float]) -> "ServoMap":
         """The same with the travel that the log states, where the mapping gives the throw alone. Raises ImportDataError where
         the log does not state it, or its ends are in no order."""
         if self.travel is not None or self.throw is None:
@@ -119,7 +119,7 @@ def parameter_of(output: str, ending: str) -> str | None:
     return f"SERVO{found[1]}_{ending}" if found else None
 
 
-def with_servos(log: Log, servos: dict[str, Servo]) -> tuple[Log, tuple[str, ...]]:
+def with_servos(log: Log, servos: dict[str, ServoMap]) -> tuple[Log, tuple[str, ...]]:
     """The log with a series `servo.NAME` [rad] for each servo whose output is in it; and the names of the others' columns.
 
     Raises ImportDataError where the trim of a servo is neither in the mapping nor among the parameters of the log.
@@ -141,7 +141,7 @@ def with_servos(log: Log, servos: dict[str, Servo]) -> tuple[Log, tuple[str, ...
     return replace(log.extended(series, units), notes=(*log.notes, *notes)), absent
 
 
-def outputs_elsewhere(log: Log, servos: dict[str, Servo]) -> list[str]:
+def outputs_elsewhere(log: Log, servos: dict[str, ServoMap]) -> list[str]:
     """Notes on servos whose output is absent or off throughout, while the same output of another instance moves: autopilots drive
     several sets of outputs (MAIN and AUX, IO and FMU)."""
     notes = []
@@ -167,7 +167,7 @@ def _moves(values: Array) -> bool:
     return known.size > 1 and float(np.ptp(known)) > 0.0
 
 
-def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
+def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
     """The output at which the surface stands at zero, and what is to be told of it."""
     parameter = parameter_of(servo.column, "TRIM")
     logged = log.parameters.get(parameter) if parameter else None
@@ -191,6 +191,6 @@ def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
     return logged, f"servo {name}: zero deflection at {logged:g}, by {parameter} of the log"
 
 
-def _moved(output: Series, servo: Servo, trim: float) -> Series:
+def _moved(output: TimeSeries, servo: ServoMap, trim: float) -> TimeSeries:
     angle = servo.deflection(output.values, trim)
-    return Series(output.time, angle, command=True, lag=servo.lag)
+    return TimeSeries(output.time, angle, command=True, lag=servo.lag)

@@ -15,8 +15,8 @@ from daq.contract.input_files import read_bytes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.attitude import with_attitudes
 from groundstation.importers.formats.tables import RECORD, read_table, table_log
-from groundstation.importers.mapping import FileFormat, Map, Source, Time, built_in_map
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time, built_in_map
+from groundstation.importers.series import Array, Log, TimeSeries
 
 TOGETHER = 0.5
 """Share of the shorter of two tables that the longer must cover for both to be of one flight."""
@@ -32,12 +32,12 @@ def topics_of_px4(paths: Sequence[Path]) -> Log | None:
     names = [_topic(p.stem) for p in paths]
     if names == [p.stem for p in paths]:
         return None
-    series: dict[str, Series] = {}
+    series: dict[str, TimeSeries] = {}
     notes: list[str] = []
     for path, name in zip(paths, names, strict=True):
         time = Time(column="timestamp", unit="us")
         log = table_log(path, read_table(path, FileFormat(), time), time)
-        moved = {f"{name}.{n}": Series(s.time + log.origin, s.values) for n, s in log.series.items() if n != RECORD}
+        moved = {f"{name}.{n}": TimeSeries(s.time + log.origin, s.values) for n, s in log.series.items() if n != RECORD}
         series |= with_attitudes(moved)
         notes += log.notes
     return Log("ulog", series, notes=(*notes, f"{len(paths)} topics of one PX4 log, joined on time"))
@@ -65,17 +65,17 @@ def joined_topics(found: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | N
         return None
     if not all(_together(a, b) for i, a in enumerate(times) for b in times[i + 1 :]):
         return None
-    series: dict[str, Series] = {}
+    series: dict[str, TimeSeries] = {}
     units: dict[str, str] = {}
-    sources: dict[str, tuple[Source, ...]] = {}
+    sources: dict[str, tuple[ColumnSource, ...]] = {}
     for (path, log, chosen), time in zip(found, times, strict=True):
         moved = {n: (n if n not in series else f"{path.stem}.{n}") for n in log.series}
-        series |= {to: Series(time, log.series[n].values) for n, to in moved.items()}
+        series |= {to: TimeSeries(time, log.series[n].values) for n, to in moved.items()}
         units |= {to: log.units[n] for n, to in moved.items() if n in log.units}
         mapped = {t.column for s in chosen.columns.values() for one in s for t in one.parts}
         sources |= {n: s for n, s in chosen.columns.items() if n not in sources or n in _given(log, chosen)}
         sources |= {
-            re.sub(r"\W+", "_", to): (Source(column=to, unit="1"),) for n, to in moved.items() if n not in mapped
+            re.sub(r"\W+", "_", to): (ColumnSource(column=to, unit="1"),) for n, to in moved.items() if n not in mapped
         }
     first = found[0]
     notes = [n for _, log, _ in found for n in log.notes]

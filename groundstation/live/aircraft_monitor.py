@@ -27,7 +27,7 @@ STATUS_PERIOD_S = 1.0
 READOUT_PERIOD_S = 0.25  # four times a second: faster nobody reads digits
 
 
-class View(Protocol):
+class MonitorView(Protocol):
     """What a monitor shows things on."""
 
     def sample(self, time_s: float, values: Mapping[str, float]) -> None: ...
@@ -46,7 +46,7 @@ class AircraftMonitor:
         self,
         config: GroundConfig,
         calibration: CalibrationSet,
-        view: View | None,
+        view: MonitorView | None,
         say: Callable[[float, str, str], None],
         system: int = 1,
     ) -> None:
@@ -125,7 +125,7 @@ class AircraftMonitor:
             self._note("INFO", "landed: the flight has ended")
         return ended
 
-    def _show_readouts(self, view: View, time: float) -> None:
+    def _show_readouts(self, view: MonitorView, time: float) -> None:
         """The numbers of this moment, and what is in alarm."""
         self._next_readout = time + READOUT_PERIOD_S
         level, alarms = banner(self._alarms.in_force())

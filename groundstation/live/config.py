@@ -18,24 +18,24 @@ class GroundConfigError(UserError):
     """A configuration file of the ground station that cannot be used."""
 
 
-class _Table(BaseModel):
+class _GroundTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class OutputConfig(_Table):
+class SessionOutputConfig(_GroundTable):
     """Where a session goes: `directory`/<UTC time of start>, or exactly `directory` when `dated` is false."""
 
     directory: Path = Path("flights")
     dated: bool = True
 
 
-class CalibrationConfig(_Table):
+class CalibrationConfig(_GroundTable):
     """`directory`: calibration files, or the name of a built-in set, used live until the aircraft's own have come down."""
 
     directory: str = "cdfp"
 
 
-class ViewConfig(_Table):
+class ViewConfig(_GroundTable):
     """The live view. port: where further viewers of this computer attach. host: where the page listens; beyond loopback, and with
     `token`, only who has the page's whole address gets in."""
 
@@ -47,7 +47,7 @@ class ViewConfig(_Table):
     memory_limit: str = "64MiB"
 
 
-class HandoverConfig(_Table):
+class HandoverConfig(_GroundTable):
     """End of a flight. onboard: directory where the aircraft's own recording appears (card reader, Wi-Fi): preferred to
     telemetry when it is there. backfill_limit_s: how long missing scans are fetched after landing."""
 
@@ -58,7 +58,7 @@ class HandoverConfig(_Table):
     methods: str = "ml"
 
 
-class IdentificationConfig(_Table):
+class LiveIdentificationConfig(_GroundTable):
     """Live identification. watch: the gap monitor beside it. aircraft: name or file; empty: the one that the recording names or
     carries. model: file of a model that the gap monitor holds against flight; empty: what the aircraft file believes. wanted:
     bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get NAMED_VALUE_FLOAT of each
@@ -93,18 +93,18 @@ DEFAULT_ALARMS = (
 )
 
 
-class GroundConfig(_Table):
+class GroundConfig(_GroundTable):
     """The whole file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
     `ground.free_mb`, `ground.minutes_left` (of this computer's disk), `sensors.unusable` (number of sensor groups);
     airspeed and angle of attack count in flight only.
     """
 
     link: LinkConfig = LinkConfig()
-    output: OutputConfig = OutputConfig()
+    output: SessionOutputConfig = SessionOutputConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     view: ViewConfig = ViewConfig()
     handover: HandoverConfig = HandoverConfig()
-    identification: IdentificationConfig = IdentificationConfig()
+    identification: LiveIdentificationConfig = LiveIdentificationConfig()
     alarms: tuple[Limit, ...] = DEFAULT_ALARMS
 
 

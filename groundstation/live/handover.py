@@ -13,7 +13,7 @@ from daq.contract.recordings.recording import RecordingError
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, FlightError, write_flight
-from groundstation.flight.manoeuvres import Manoeuvre, cut, find_manoeuvres
+from groundstation.flight.manoeuvres import ManoeuvreStretch, cut, find_manoeuvres
 from groundstation.flight.quality.report import Finding, quality_report
 from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
 
@@ -29,7 +29,7 @@ class Handover:
     path: Path
     manoeuvres_path: Path | None
     flight: Flight
-    manoeuvres: tuple[Manoeuvre, ...]
+    manoeuvres: tuple[ManoeuvreStretch, ...]
     findings: tuple[Finding, ...]
     origin: str
 
@@ -90,7 +90,7 @@ def hand_over(
     return handed
 
 
-def _write_manoeuvres(flight: Flight, manoeuvres: Sequence[Manoeuvre], path: Path) -> Path | None:
+def _write_manoeuvres(flight: Flight, manoeuvres: Sequence[ManoeuvreStretch], path: Path) -> Path | None:
     if not manoeuvres:
         return None
     write_flight(cut(flight, manoeuvres, path.stem), path)

@@ -11,7 +11,7 @@ from typing import Any
 from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
-from daq.identification.stretches import Stretches
+from daq.identification.stretches import ManoeuvreDetector
 from groundstation.identification.aircraft import AircraftSource, LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
@@ -19,7 +19,7 @@ from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.watching import LiveWatch
 from groundstation.identification.words import NAMES, number, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
-from groundstation.live.config import IdentificationConfig
+from groundstation.live.config import LiveIdentificationConfig
 from groundstation.live.flight_phase import LandingLimits
 from groundstation.live.named_values import NamedValues
 from groundstation.receiver.events import Session
@@ -32,7 +32,7 @@ UNNAMED = (
 
 
 @dataclass
-class _Run:
+class _AircraftRun:
     """One run of one aircraft's logger. told: derivatives that have been announced."""
 
     monitor: AircraftMonitor
@@ -55,7 +55,7 @@ class LiveIdentifications:
 
     def __init__(
         self,
-        config: IdentificationConfig,
+        config: LiveIdentificationConfig,
         landing: LandingLimits,
         source: AircraftSource | None,
         say: Callable[[str], None],
@@ -63,7 +63,7 @@ class LiveIdentifications:
         self._config = config
         self._landing = (landing.flying_speed, landing.flying_s)
         self._source = source if config.enabled else None
-        self._runs: dict[Session, _Run] = {}
+        self._runs: dict[Session, _AircraftRun] = {}
         self._forward = NamedValues(config.forward if self._source is not None else (), say)
         if self._source is not None and config.aircraft:
             self._source(config.aircraft, None, config.model)  # a mistake is said at the start, not in the air
@@ -85,11 +85,11 @@ class LiveIdentifications:
         if self._source is not None:
             self._run(session, monitor).alignment.add(data)
 
-    def _run(self, session: Session, monitor: AircraftMonitor) -> _Run:
+    def _run(self, session: Session, monitor: AircraftMonitor) -> _AircraftRun:
         """The run, begun at once where the configuration names the aircraft."""
         run = self._runs.get(session)
         if run is None:
-            run = self._runs[session] = _Run(monitor)
+            run = self._runs[session] = _AircraftRun(monitor)
             if self._config.aircraft:
                 self._begin(run, self._config.aircraft, None)
         return run
@@ -107,7 +107,7 @@ class LiveIdentifications:
                 return
             self._begin(run, info.aircraft, None if carried is None else carried.decode("utf-8", "replace"))
 
-    def _begin(self, run: _Run, name: str, text: str | None) -> None:
+    def _begin(self, run: _AircraftRun, name: str, text: str | None) -> None:
         assert self._source is not None
         try:
             aircraft: LiveAircraft = self._source(name, text, self._config.model)
@@ -121,7 +121,7 @@ class LiveIdentifications:
             run.monitor.calibrator,
             self._config.wanted,
             run.alignment,
-            Stretches(*self._landing),
+            ManoeuvreDetector(*self._landing),
             watched=self._config.watch,
         )
         held = f"; the gap monitor holds flight against {self._config.model}" if aircraft.modelled is not None else ""
@@ -140,7 +140,7 @@ class LiveIdentifications:
                 run.given_up = True
                 run.monitor.note("WARN", run.live.trouble)
 
-    def _tell_alarms(self, run: _Run, *, finish: bool) -> None:
+    def _tell_alarms(self, run: _AircraftRun, *, finish: bool) -> None:
         watch = None if run.live is None else run.live.watch
         if watch is None:
             return
@@ -150,7 +150,7 @@ class LiveIdentifications:
             run.watch_told = True
             run.monitor.note("WARN", watch.trouble)
 
-    def _tell(self, run: _Run, state: LiveState) -> None:
+    def _tell(self, run: _AircraftRun, state: LiveState) -> None:
         run.monitor.show_identification(state)
         self._forward.send(run.monitor.system, state)
         known = state.estimates.derivatives

@@ -10,7 +10,7 @@ from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import reported
 from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.identification.aircraft import AircraftSource
-from groundstation.live.aircraft_monitor import AircraftMonitor, View
+from groundstation.live.aircraft_monitor import AircraftMonitor, MonitorView
 from groundstation.live.config import GroundConfig
 from groundstation.live.free_space import FreeSpace, free_bytes
 from groundstation.live.identifying import LiveIdentifications
@@ -18,7 +18,7 @@ from groundstation.receiver import events as ev
 from groundstation.receiver.doubts import NOBODY
 from groundstation.receiver.legible import legible
 from groundstation.receiver.receive import Receiver
-from groundstation.receiver.timeline import NS, Clock
+from groundstation.receiver.timeline import NS, GroundClock
 
 PAPERS_PERIOD_NS = 2 * NS
 
@@ -33,10 +33,10 @@ class Station:
         self,
         config: GroundConfig,
         receiver: Receiver,
-        clock: Clock,
+        clock: GroundClock,
         folder: Path,
         *,
-        make_view: Callable[[int], View | None] | None = None,
+        make_view: Callable[[int], MonitorView | None] | None = None,
         echo: Callable[[str], None] = lambda _: None,
         aircraft: AircraftSource | None = None,
     ) -> None:

@@ -31,7 +31,7 @@ _LINES = 8
 _PARTS = 256
 
 
-class Line:
+class ScanRun:
     """One run of scans: where it began, where it was last, and what can follow."""
 
     def __init__(self, part: ScanPart, now_ns: int) -> None:
@@ -84,7 +84,7 @@ class Line:
         return FASTEST_HZ if span < NS else max(USUAL_HZ, 2 * NS * (self.number - self.first) / span)
 
 
-class Held(NamedTuple):
+class PendingScan(NamedTuple):
     """A scan part that waits for others to prove it: with the component that sent it and the ground's clocks."""
 
     part: ScanPart
@@ -95,18 +95,18 @@ class Held(NamedTuple):
 
 @dataclass
 class _Candidate:
-    line: Line
+    line: ScanRun
     since_ns: int
     lost: int  # frames counted as lost when it began: the jump to it is no loss
-    parts: deque[Held] = field(default_factory=lambda: deque(maxlen=_PARTS))
+    parts: deque[PendingScan] = field(default_factory=lambda: deque(maxlen=_PARTS))
     scans: int = 0
 
 
 @dataclass(frozen=True)
-class Proven:
+class ConfirmedRun:
     """A run that has proven itself: its parts in order, and the count of lost frames when it began."""
 
-    parts: tuple[Held, ...]
+    parts: tuple[PendingScan, ...]
     lost: int
 
 
@@ -121,7 +121,7 @@ class Waiting:
         """Parts that wait."""
         return sum(len(c.parts) for c in self._candidates)
 
-    def hold(self, held: Held, lost: int) -> tuple[Proven | None, int]:
+    def hold(self, held: PendingScan, lost: int) -> tuple[ConfirmedRun | None, int]:
         """Keep a part. Returns the run it proves, if it does, and how many other parts had to be given up for it."""
         given_up = 0
         now = held.now_ns
@@ -131,7 +131,7 @@ class Waiting:
                 weakest = min(self._candidates, key=lambda c: c.scans)
                 self._candidates.remove(weakest)
                 given_up = len(weakest.parts)
-            found = _Candidate(Line(held.part, now), now, lost)
+            found = _Candidate(ScanRun(held.part, now), now, lost)
             self._candidates.append(found)
         given_up += len(found.parts) == _PARTS
         found.line.advance(held.part, now)
@@ -140,7 +140,7 @@ class Waiting:
         if found.scans < PROVEN_SCANS or now - found.since_ns < PROVEN_NS:
             return None, given_up
         self._candidates.remove(found)
-        return Proven(tuple(found.parts), found.lost), given_up + self.clear()
+        return ConfirmedRun(tuple(found.parts), found.lost), given_up + self.clear()
 
     def clear(self) -> int:
         """The known run goes on: what waits is not believed. Returns how many parts that were."""

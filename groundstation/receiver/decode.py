@@ -10,10 +10,10 @@ from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_IDS, ScanPart, join_parts, layouts, unpack_scan
-from daq.transport.mavlink_codec import Frame, padded
+from daq.transport.mavlink_codec import MavlinkFrame, padded
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
-from groundstation.receiver.continuity import LATE_NS, Held, Line, Proven, Waiting
+from groundstation.receiver.continuity import LATE_NS, ConfirmedRun, PendingScan, ScanRun, Waiting
 from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
 from groundstation.receiver.ports.allowance import Allowance
 from groundstation.receiver.timeline import NS, ClockSync
@@ -76,7 +76,7 @@ class AircraftDecoder:
         """The books of the present session."""
         return self.sessions[-1] if self.sessions else None
 
-    def take(self, frame: Frame, now_ns: int, utc_ns: int) -> list[ev.Event]:
+    def take(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> list[ev.Event]:
         """Use a frame of this system; returns what it means, nothing for a repeated frame."""
         self._out = []
         tracker = self.trackers.get(frame.component)
@@ -99,11 +99,11 @@ class AircraftDecoder:
         """Scan parts that follow nothing known and wait for others to prove them."""
         return self._waiting.count
 
-    def _take_scan(self, frame: Frame, now_ns: int, utc_ns: int) -> None:
+    def _take_scan(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> None:
         part = self._part(frame, now_ns)
         if part is None:
             return
-        held: Held = _new_tuple(Held, (part, frame.component, now_ns, utc_ns))
+        held: PendingScan = _new_tuple(PendingScan, (part, frame.component, now_ns, utc_ns))
         straggled = None if len(self.sessions) < 2 else self._straggled(part)
         if straggled is not None:
             straggled.see(part.number)  # counted, not shown
@@ -129,17 +129,17 @@ class AircraftDecoder:
                 return earlier
         return None
 
-    def _begin(self, held: Held, books: SessionAccounting | None) -> None:
+    def _begin(self, held: PendingScan, books: SessionAccounting | None) -> None:
         """The first scan of all, or the first since a report made its session known."""
         if books is None or books.session.boot != held.part.boot:
             if books is not None and not self._restarts.take(1, held.now_ns):
                 self._doubts.note(self.system, d.RESTARTS)
                 return
             books = self._new_session(held.part.boot, held.now_ns)
-        books.line = Line(held.part, held.now_ns)
+        books.line = ScanRun(held.part, held.now_ns)
         self._believe(books, held)
 
-    def _hold(self, books: SessionAccounting, held: Held) -> None:
+    def _hold(self, books: SessionAccounting, held: PendingScan) -> None:
         """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
         proven, given_up = self._waiting.hold(held, self.trackers[held.component].lost)
         self._doubts.note(self.system, d.NUMBERS, given_up)
@@ -152,7 +152,7 @@ class AircraftDecoder:
             line.advance(first, proven.parts[0].now_ns)  # this computer's clock stood still, or the link was away
         elif self._restarts.take(1, held.now_ns):
             books = self._new_session(first.boot, held.now_ns)
-            books.line = Line(first, proven.parts[0].now_ns)
+            books.line = ScanRun(first, proven.parts[0].now_ns)
             self._restart_trackers(held.component, proven.lost)
         else:
             self._doubts.note(self.system, d.RESTARTS)
@@ -166,11 +166,11 @@ class AircraftDecoder:
             if number != component:
                 tracker.forget()
 
-    def _believe_all(self, books: SessionAccounting, proven: Proven) -> None:
+    def _believe_all(self, books: SessionAccounting, proven: ConfirmedRun) -> None:
         for held in proven.parts:
             self._believe(books, held)
 
-    def _believe(self, books: SessionAccounting, held: Held) -> None:
+    def _believe(self, books: SessionAccounting, held: PendingScan) -> None:
         part, now_ns = held.part, held.now_ns
         assert books.line is not None
         books.line.advance(part, now_ns)
@@ -209,7 +209,7 @@ class AircraftDecoder:
         fields = books.session, scan, now_ns, held.utc_ns, latency, late
         self._out.append(_new_tuple(ev.ScanReceived, fields))
 
-    def _part(self, frame: Frame, now_ns: int) -> ScanPart | None:
+    def _part(self, frame: MavlinkFrame, now_ns: int) -> ScanPart | None:
         """What a scan message says; None, told once, for laboratory channels that no package here describes."""
         layout = self._layouts.get(frame.msg_id)
         if layout is not None:
@@ -246,7 +246,7 @@ class AircraftDecoder:
 
     # ------------------------------------------------------------------------------------------ reports
 
-    def _heartbeat(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _heartbeat(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         self._out.append(ev.Heartbeat(frame.system, frame.component, f["system_status"], now_ns))
 
     def _may_talk(self, now_ns: int) -> bool:
@@ -256,7 +256,7 @@ class AircraftDecoder:
         self._doubts.note(self.system, d.TEXTS)
         return False
 
-    def _statustext(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _statustext(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         number, index, severity, text = f["id"], f["chunk_seq"], f["severity"], f["text"]
         if index >= _TEXT_PIECES or not self._may_talk(now_ns):
             return
@@ -271,7 +271,7 @@ class AircraftDecoder:
             text = "".join(pieces[i][1] for i in sorted(pieces))
         self._out.append(ev.StatusText(frame.system, severity, text, now_ns))
 
-    def _logger_status(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _logger_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         books = self._session(f["boot"])
         if books is None:
             return
@@ -287,7 +287,7 @@ class AircraftDecoder:
             )
         )
 
-    def _link_statistics(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _link_statistics(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         # This report alone makes a session known: a ground station started after the last scan must find it.
         books = self._session(f["boot"]) or self._claimed(f["boot"], now_ns)
         if books is None:
@@ -331,7 +331,7 @@ class AircraftDecoder:
                 return None
         return self._new_session(boot, now_ns)
 
-    def _sent_map(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _sent_map(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         books = self._session(f["boot"])
         if books is None:
             return
@@ -342,7 +342,7 @@ class AircraftDecoder:
             sent, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
             books.take_map(first, f["last_number"], sent, absent)
 
-    def _scan_event(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _scan_event(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         books = self._session(f["boot"])
         if books is None:
             return
@@ -354,7 +354,7 @@ class AircraftDecoder:
             return
         self._out.append(ev.EventMarked(books.session, time_ns, number, f["origin"], f["text"], now_ns))
 
-    def _sequencer_status(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _sequencer_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         books = self._session(f["boot"])
         if books is None:
             return
@@ -374,12 +374,12 @@ class AircraftDecoder:
             )
         )
 
-    def _timesync(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+    def _timesync(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         if 0 < f["tc1"] <= MAX_AIRCRAFT_TIME_NS:
             self.sync.answer(f["ts1"], f["tc1"], now_ns)
 
 
-_Handler = Callable[[AircraftDecoder, Frame, Mapping[str, Any], int], None]
+_Handler = Callable[[AircraftDecoder, MavlinkFrame, Mapping[str, Any], int], None]
 _HANDLERS: Mapping[str, _Handler] = {
     "HEARTBEAT": AircraftDecoder._heartbeat,
     "STATUSTEXT": AircraftDecoder._statustext,

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.transport.mavlink_codec import Frame, FrameDecoder, Junk
+from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
 from daq.transport.ports import BytePort, TcpServerPort
 from groundstation.receiver.faults import Faults
 from groundstation.receiver.ports.allowance import Allowance
@@ -45,7 +45,7 @@ class FrameInput:
         self._retired = [0, 0, 0, 0]
         self._tlog = None if folder is None else TlogWriter(folder / "telemetry.tlog")
 
-    def frames(self, now_ns: int, utc_ns: int) -> Iterator[tuple[Sender, Frame]]:
+    def frames(self, now_ns: int, utc_ns: int) -> Iterator[tuple[Sender, MavlinkFrame]]:
         """Everything that has arrived, with its sender."""
         for name, port in self._ports.items():
             for source, data in self._received(name, port):
@@ -55,7 +55,7 @@ class FrameInput:
                     continue
                 for found in self._decoder(sender, utc_ns).feed(data):
                     self._log(found, utc_ns)
-                    if isinstance(found, Frame):
+                    if isinstance(found, MavlinkFrame):
                         yield sender, found
 
     def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
@@ -97,7 +97,7 @@ class FrameInput:
         self._decoders[sender] = decoder  # the latest one last
         return decoder
 
-    def _log(self, found: Frame | Junk, utc_ns: int) -> None:
+    def _log(self, found: MavlinkFrame | Junk, utc_ns: int) -> None:
         if self._tlog is not None:
             try:
                 self._tlog.write(found, utc_ns)

@@ -4,9 +4,9 @@ from collections import OrderedDict
 from collections.abc import Iterator
 
 from daq.contract.link.scan_map import BLOCK, ScanMap
-from daq.transport.mavlink_codec import Frame
+from daq.transport.mavlink_codec import MavlinkFrame
 from groundstation.receiver import events as ev
-from groundstation.receiver.continuity import Line
+from groundstation.receiver.continuity import ScanRun
 from groundstation.receiver.timeline import NS
 
 _RATE_SPAN_NS = 10 * NS
@@ -30,7 +30,7 @@ class SequenceTracker:
         self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
         self._rate = 0.0
 
-    def take(self, frame: Frame, now_ns: int) -> bool:
+    def take(self, frame: MavlinkFrame, now_ns: int) -> bool:
         """Count a frame; False for a duplicate of a recent one."""
         sequence = frame.sequence
         digest = hash(frame.raw)
@@ -105,7 +105,7 @@ class SessionAccounting:
         self.first: int | None = None
         self.last = -1
         self.last_time_ns = 0
-        self.line: Line | None = None  # None before a scan has come down
+        self.line: ScanRun | None = None  # None before a scan has come down
         self.statistics: ev.AircraftStatistics | None = None
 
     def see(self, number: int) -> None:

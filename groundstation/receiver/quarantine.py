@@ -18,7 +18,7 @@ LONGEST_WHY = 300  # characters
 
 
 @dataclass
-class _Row:
+class _QuarantineRow:
     why: str
     count: int = 0
     shown: bool = False
@@ -28,14 +28,14 @@ class Quarantine:
     """Counts by system id and name."""
 
     def __init__(self) -> None:
-        self._rows: dict[tuple[int, str], _Row] = {}
+        self._rows: dict[tuple[int, str], _QuarantineRow] = {}
 
     def put(self, system: int, what: str, why: str) -> None:
         """Something of a sender that is not used, and why."""
         key = (system, one_line(what, LONGEST_WHY))
         if key not in self._rows and len(self._rows) >= MAX_NAMES:
             key, why = (system, OTHERS), f"more than {MAX_NAMES} of them were refused"
-        self._rows.setdefault(key, _Row(one_line(why, LONGEST_WHY))).count += 1
+        self._rows.setdefault(key, _QuarantineRow(one_line(why, LONGEST_WHY))).count += 1
 
     def put_error(self, system: int, what: str, error: Exception) -> None:
         """Something of a sender at which our own work failed."""

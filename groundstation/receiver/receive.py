@@ -14,7 +14,7 @@ from typing import Any
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
-from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, Frame, FrameEncoder, message_types
+from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, FrameEncoder, MavlinkFrame, message_types
 from daq.transport.ports import BytePort
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
@@ -28,14 +28,14 @@ from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.link_quality import RateMeter
 from groundstation.receiver.ports.link import open_port
 from groundstation.receiver.quarantine import Quarantine
-from groundstation.receiver.security import SIGNING_STATE, Gate, make_signer
+from groundstation.receiver.security import SIGNING_STATE, SignatureGate, make_signer
 from groundstation.receiver.senders import Senders
 from groundstation.receiver.sending.backfill import BackfillClient, Mode
 from groundstation.receiver.sending.command import Commander
 from groundstation.receiver.sending.loglist import LogFetcher
 from groundstation.receiver.sending.manoeuvre_sender import ManoeuvreSender
 from groundstation.receiver.summary import counters
-from groundstation.receiver.timeline import NS, Clock
+from groundstation.receiver.timeline import NS, GroundClock
 
 _HEARTBEAT_NS = NS
 _REPORT_NS = NS
@@ -49,7 +49,7 @@ _KEPT = (ev.ScanReceived, ev.EventMarked)
 _FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
 
 
-class _Aircraft:
+class _TrackedAircraft:
     """One aircraft as the receiver keeps it."""
 
     def __init__(
@@ -76,7 +76,7 @@ class Receiver:
     """
 
     def __init__(
-        self, config: LinkConfig, ports: Mapping[str, BytePort], clock: Clock, *, folder: Path | None = None
+        self, config: LinkConfig, ports: Mapping[str, BytePort], clock: GroundClock, *, folder: Path | None = None
     ) -> None:
         self.config = config
         self.clock = clock
@@ -87,21 +87,21 @@ class Receiver:
         self.faults = Faults()
         self.doubts = d.Doubts()
         self.quarantine = Quarantine()
-        self._gate = Gate(make_signer(config, clock), self.faults)
+        self._gate = SignatureGate(make_signer(config, clock), self.faults)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
         self._known_messages = frozenset(message_types())
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._frame_input = FrameInput(self._ports, folder, self.faults)
         self._disk = Disk()
-        self._aircraft: dict[int, _Aircraft] = {}
+        self._aircraft: dict[int, _TrackedAircraft] = {}
         self._next_heartbeat_ns = 0
         self._next_report_ns = 0
         self._written: list[Path] = []
         self._closed = False
 
     @classmethod
-    def open(cls, config: LinkConfig, clock: Clock, *, folder: Path | None = None) -> "Receiver":
+    def open(cls, config: LinkConfig, clock: GroundClock, *, folder: Path | None = None) -> "Receiver":
         """A receiver on the ports of its configuration; PortError or SigningError when one cannot be had."""
         ports: dict[str, BytePort] = {}
         try:
@@ -139,7 +139,7 @@ class Receiver:
         with self._lock:
             return dict(self.faults.present)
 
-    def _take_frame(self, frame: Frame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
+    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
         if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
@@ -159,7 +159,7 @@ class Receiver:
         if frame.msg_id not in SCAN_IDS:
             self._take_answer(known, frame, now, out)
 
-    def _known(self, frame: Frame, sender: Sender) -> _Aircraft | None:
+    def _known(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
         known = self._aircraft.get(frame.system)
         if known is not None:
@@ -171,7 +171,7 @@ class Receiver:
                 self.doubts.note(d.NOBODY, d.AIRCRAFT)
                 return None
             sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            known = _Aircraft(frame.system, self._ports[sender.port], sender, sessions, self.doubts)
+            known = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.doubts)
             self._aircraft[frame.system] = known
         return known
 
@@ -179,7 +179,7 @@ class Receiver:
         of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
         return len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
 
-    def _believed(self, aircraft: _Aircraft, frame: Frame, sender: Sender, now: int) -> bool:
+    def _believed(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
         own = frame.msg_id >= FIRST_OWN_ID
         before = aircraft.senders.speaker(sender.port) if own else None
@@ -204,7 +204,7 @@ class Receiver:
                 aircraft.sessions.note(books.session, report.text)
         return found
 
-    def _take_answer(self, aircraft: _Aircraft, frame: Frame, now: int, out: list[ev.Event]) -> None:
+    def _take_answer(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now: int, out: list[ev.Event]) -> None:
         """Answers to what was asked from here."""
         match frame.name:
             case "COMMAND_ACK":
@@ -280,7 +280,7 @@ class Receiver:
             out += aircraft.manoeuvre.given_up(now)
             self._serve(aircraft, now)
 
-    def _serve(self, aircraft: _Aircraft, now: int) -> None:
+    def _serve(self, aircraft: _TrackedAircraft, now: int) -> None:
         books = aircraft.decoder.books
         if books is None:
             return
@@ -301,11 +301,11 @@ class Receiver:
         for name, fields in (*aircraft.logs.due(now), *aircraft.manoeuvre.due(now)):
             self._send(aircraft, name, fields)
 
-    def _quiet(self, aircraft: _Aircraft, now: int) -> bool:
+    def _quiet(self, aircraft: _TrackedAircraft, now: int) -> bool:
         """Whether no scan has come for a while, so that the last block will get no map by itself."""
         return now - aircraft.decoder.last_scan_ns > 2 * NS
 
-    def _send(self, aircraft: _Aircraft, name: str, fields: Mapping[str, Any]) -> None:
+    def _send(self, aircraft: _TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
         targets = {} if name == "TIMESYNC" else {"target_system": aircraft.decoder.system}
         self._write(aircraft.port, self._encoder.message(name, **{**targets, **fields}))
 
@@ -465,7 +465,7 @@ class Receiver:
                 port.close()
 
 
-def _is_aircraft(frame: Frame) -> bool:
+def _is_aircraft(frame: MavlinkFrame) -> bool:
     if frame.msg_id >= FIRST_OWN_ID:
         return True
     if frame.name != "HEARTBEAT":

@@ -7,12 +7,12 @@ it, and it feeds nothing but the display of signal strength. What is kept out is
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
-from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame
-from daq.transport.signing import Signer, Verdict, load_key
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, MavlinkFrame
+from daq.transport.signing import SignatureVerdict, Signer, load_key
 from groundstation.receiver import events as ev
 from groundstation.receiver.faults import Faults
 from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.timeline import NS, Clock
+from groundstation.receiver.timeline import NS, GroundClock
 
 REPORT_EVERY_NS = 5 * NS
 SAVE_NS = NS
@@ -22,7 +22,7 @@ SIGNING_STATE = "signing state"
 _MAX_SENDERS = 256
 
 
-def make_signer(config: LinkConfig, clock: Clock) -> Signer | None:
+def make_signer(config: LinkConfig, clock: GroundClock) -> Signer | None:
     """The signer of a configuration; None without a key. Raises SigningError for a key that cannot be used."""
     if config.key_file is None:
         return None
@@ -30,7 +30,7 @@ def make_signer(config: LinkConfig, clock: Clock) -> Signer | None:
     return Signer(load_key(config.key_file), clock.utc_ns, link_id=2, state_path=state)
 
 
-class Gate:
+class SignatureGate:
     """Lets frames through or not, and reports at most every five seconds for each sender and reason, all of them in time."""
 
     def __init__(self, signer: Signer | None, faults: Faults | None = None) -> None:
@@ -40,9 +40,9 @@ class Gate:
         self._saving: Future[None] | None = None
         self._next_save_ns = 0
         self.rejected = 0
-        self._senders: dict[tuple[int, int, Verdict], _Refusals] = {}
+        self._senders: dict[tuple[int, int, SignatureVerdict], _Refusals] = {}
 
-    def allows(self, frame: Frame) -> bool:
+    def allows(self, frame: MavlinkFrame) -> bool:
         """Whether to use a frame."""
         if self.signer is None or frame.msg_id == RADIO_STATUS_ID:
             return True

@@ -8,7 +8,7 @@ from typing import Protocol
 NS = 1_000_000_000
 
 
-class Clock(Protocol):
+class GroundClock(Protocol):
     """What the ground station asks about time."""
 
     def monotonic_ns(self) -> int:

@@ -15,7 +15,7 @@ from daq.contract.channels import CHANNELS
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
 from daq.contract.link.wire import layouts
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frame_at
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, Junk, MavlinkFrame, frame_at
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived
 from groundstation.receiver.kept.lasting_log import LastingLog
@@ -45,10 +45,10 @@ class TlogWriter:
         self._wrapper = FrameEncoder(0, 0)
         self._sound = True
 
-    def write(self, found: Frame | Junk, utc_ns: int) -> None:
+    def write(self, found: MavlinkFrame | Junk, utc_ns: int) -> None:
         """Keep a frame, or bytes that are none."""
         stamp = _STAMP.pack(max(0, utc_ns) // 1000)
-        if isinstance(found, Frame):
+        if isinstance(found, MavlinkFrame):
             self._put(stamp + found.raw)
             return
         for at in range(0, len(found.raw), JUNK_CHUNK):
@@ -113,7 +113,7 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
         raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
 
 
-def _unwrapped(frame: Frame) -> bytes:
+def _unwrapped(frame: MavlinkFrame) -> bytes:
     if frame.name == "TUNNEL" and frame.system == 0:
         fields = frame.fields()
         if fields["payload_type"] == JUNK_PAYLOAD_TYPE:
@@ -134,7 +134,7 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
     for utc, data in read_tlog(path):
         first_utc, last_utc = first_utc or utc, utc
         for found in decoder.feed(data):
-            if isinstance(found, Frame) and found.msg_id in layouts():
+            if isinstance(found, MavlinkFrame) and found.msg_id in layouts():
                 known = aircraft.setdefault(found.system, AircraftDecoder(found.system))
                 for event in known.take(found, utc, utc):
                     if isinstance(event, ScanReceived):

@@ -27,7 +27,7 @@ BESIDE = "_model"
 
 
 @dataclass(frozen=True)
-class Beside:
+class PairedFlight:
     """flight: the first, with the second's columns beside its own; shift: added to the second's time [s]; text: how found."""
 
     flight: Flight
@@ -35,7 +35,7 @@ class Beside:
     text: str
 
 
-def beside(first: Flight, second: Flight, by: str = "auto") -> Beside:
+def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     """Both in one. by: 'input' (first movement of a control), 'event' (first event, mode or message that both have),
     'correlation', 'start', or 'auto': correlation, else input, else start. Raises ViewerError where that cannot be done."""
     ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
@@ -58,7 +58,7 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> Beside:
     together = Flight.build(
         first.name, first.time, {**own, **columns}, segment=first.segment, provenance=first.provenance
     )
-    return Beside(together, shift, f"{second.name} is moved by {shift:+.2f} s onto {first.name}: {text}")
+    return PairedFlight(together, shift, f"{second.name} is moved by {shift:+.2f} s onto {first.name}: {text}")
 
 
 def _onto(base: Array, time: Array, values: Array, flight: Flight) -> Array:

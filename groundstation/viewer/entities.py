@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import COLUMNS, GROUPS, Column
+from daq.contract.channels import COLUMNS, GROUPS, FlightColumn
 
 TIMELINE = "flight_time"
 APPLICATION = "sideslip"
@@ -74,7 +74,7 @@ class SeriesGroup:
         return np.array([PALETTE[(i + self.hue) % len(PALETTE)] for i in range(len(self.columns))], np.uint32)
 
 
-def _group(entity: str, columns: Iterable[Column], suffix: str = "") -> SeriesGroup:
+def _group(entity: str, columns: Iterable[FlightColumn], suffix: str = "") -> SeriesGroup:
     rows = tuple(columns)
     shown = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
     labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, shown, strict=True))

@@ -113,14 +113,14 @@ def pump(one: socket.socket, other: socket.socket, idle_s: float = IDLE_S) -> No
             to[side].sendall(data)
 
 
-class Gate:
+class ViewerGate:
     """In front of rerun's own server of a live view, on loopback. backend: where that listens. Raises OSError."""
 
     def __init__(self, port: int, backend: tuple[str, int]) -> None:
-        class Handler(_Passing):
+        class GateHandler(_Passing):
             behind = backend
 
-        self._server = BoundedServer((LOOPBACK, port), Handler)
+        self._server = BoundedServer((LOOPBACK, port), GateHandler)
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-gate", daemon=True)
         self._thread.start()
 

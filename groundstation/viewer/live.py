@@ -23,7 +23,7 @@ from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
-from groundstation.viewer.gate import LOOPBACK, Gate, hidden_address
+from groundstation.viewer.gate import LOOPBACK, ViewerGate, hidden_address
 from groundstation.viewer.panes import fitted
 from groundstation.viewer.scene import LinkSample, Scene
 
@@ -90,14 +90,14 @@ class LiveView:
         self._stream = rr.RecordingStream(e.APPLICATION, recording_id=run, batcher_config=config)
         sinks: list[rr.GrpcServerSink | rr.FileSink] = []
         self.url = ""
-        self._gate: Gate | None = None
+        self._gate: ViewerGate | None = None
         if options.serve:
             hidden, port = hidden_address(), free_port()
             server = rr.GrpcServerSink(bind_ip=hidden, port=port, server_memory_limit=options.memory_limit)
             self.url = server.uri
             sinks.append(server)
             if options.open_port:
-                self._gate = Gate(options.port, (hidden, port))
+                self._gate = ViewerGate(options.port, (hidden, port))
                 self.url = f"rerun+http://{LOOPBACK}:{options.port}/proxy"
         if options.rrd is not None:
             sinks.append(rr.FileSink(str(options.rrd), write_footer=False))

@@ -18,7 +18,7 @@ import pytest
 
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes
 from estimation.campaign.groups import group_rows
-from estimation.campaign.plan import Plan
+from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.run import Campaign
 from estimation.campaign.schema import RESULTS, arrow_schema
 from estimation.campaign.sources import entries_of
@@ -67,7 +67,7 @@ def spent(words: Sequence[str], folder: Path, out: Path) -> tuple[float, float, 
 
 def test_overhead_of_a_flight(flights: Path, tmp_path: Path) -> None:
     """All of it in one process, less reading, checks and fits."""
-    plan = Plan(flights=(str(flights),), aircraft="cdfp", methods=("ml", "ls"))
+    plan = CampaignPlan(flights=(str(flights),), aircraft="cdfp", methods=("ml", "ls"))
     engine = SerialEngine()
     begin = time.process_time()
     works = work_list(plan, entries_of(plan, Path()), Path())
@@ -100,7 +100,7 @@ def test_overhead_of_a_flight(flights: Path, tmp_path: Path) -> None:
 
 def test_memory_of_a_worker_does_not_grow(flights: Path) -> None:
     """The same work in this process, flight after flight."""
-    plan = Plan(flights=(str(flights),), aircraft="cdfp", methods=("ml", "ls"))
+    plan = CampaignPlan(flights=(str(flights),), aircraft="cdfp", methods=("ml", "ls"))
     works = [p.work for p in work_list(plan, entries_of(plan, Path()), Path()).planned]
     sizes = [memory_of(os.getpid())]
     for _ in range(3):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq.acquisition.health import HealthSummary
 from daq.acquisition.sampler import Sampler
-from daq.assembly import Edge
+from daq.assembly import HardwareEdge
 from daq.clock import RealClock
 from daq.config import load_config
 from daq.recorder.timing import describe
@@ -45,7 +45,7 @@ def main(config_path: Path, answers: Path, seconds: float, radio: str = "", tran
 
     listener = threading.Thread(target=listen, name="listener")
     listener.start()
-    edge = Edge(RealClock(), bus, ReplayedReceiver(answers, seconds), "simulated", radio=air)
+    edge = HardwareEdge(RealClock(), bus, ReplayedReceiver(answers, seconds), "simulated", radio=air)
     outcome = run_until_signal(config, text, edge, [])
     air.close()
     over.set()

@@ -14,7 +14,7 @@ import rerun as rr
 
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan
-from daq.identification.stretches import Stretches
+from daq.identification.stretches import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.identification.alignment import ScanAlignment
@@ -36,7 +36,7 @@ def identified(recording: Path = FLIGHT) -> Iterator[tuple[Scan, dict[str, float
     found = read_recording(recording)
     calibrator = Calibrator(embedded_calibration(found), found.info.details)
     alignment = ScanAlignment()
-    live = LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, Stretches(9.0, 2.0))
+    live = LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, ManoeuvreDetector(9.0, 2.0))
     scans = list(found.scans())
     sent = np.diff(np.floor(np.arange(len(scans)) * 11.5 / 20.0), prepend=-1.0) > 0
     arrived = sent & (np.random.default_rng(3).uniform(size=len(scans)) > 0.05)

@@ -11,8 +11,8 @@ from estimation.campaign.aerodynamics.change_tables import difference_rows, step
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.groups import group_rows
 from estimation.campaign.pages.page import write_campaign_page
-from estimation.campaign.plan import Plan
-from estimation.campaign.run import Outcome
+from estimation.campaign.plan import CampaignPlan
+from estimation.campaign.run import CampaignOutcome
 from estimation.campaign.schema import RESULTS, arrow_schema
 from tests.browser.fits import OVERFLOW
 from tests.estimation.campaign.aerodynamics.test_envelope_curves import SLOPES, STD, estimates, table
@@ -64,7 +64,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *step_rows(curves),
         *difference_rows(curves, keys),
     ]
-    outcome = Outcome(
+    outcome = CampaignOutcome(
         FLIGHTS + 1,
         FLIGHTS,
         {"/flights/broken.csv": "no header"},
@@ -76,7 +76,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         groups,
         database_rows(curves, 0),
     )
-    plan = Plan(groups=keys, methods=("ml",))
+    plan = CampaignPlan(groups=keys, methods=("ml",))
     return write_campaign_page(outcome, plan, tmp_path_factory.mktemp("campaign") / "report").parent
 
 

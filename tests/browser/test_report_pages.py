@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from estimation.compatibility.reconstruction import compatibility
-from estimation.gap.answer.result import GapResult, Migration, Rejected, Tie, View
+from estimation.gap.answer.result import DisagreementView, GapResult, Migration, Rejected, Tie
 from estimation.gap.pages.report import write_gap_report
 from estimation.report.check_page import write_check_report
 from estimation.report.front import write_front_page
@@ -47,7 +47,9 @@ def wide_answer() -> GapResult:
     times = tuple((f, 2.0 * k, 2.0 * k + 2, 1.5) for f in ("f0", "f1") for k in range(4))
     missing = tuple({n: np.sin(np.arange(20) / 3) * 1e-3 for n in ("CY", "Cl", "Cn")} for _ in range(2))
     views = tuple(
-        View(stage, 2.0, dict.fromkeys(names, 1.5), times, regime, {"CY": 0.01, "Cl": 0.002, "Cn": 0.003}, missing)
+        DisagreementView(
+            stage, 2.0, dict.fromkeys(names, 1.5), times, regime, {"CY": 0.01, "Cl": 0.002, "Cn": 0.003}, missing
+        )
         for stage in ("prior parameters frozen", "after the refit", "with the named effects")
     )
     step = replace(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.acquisition.sampler import UnfinishedScan
-from daq.assembly import Assembly, Edge, assemble
+from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import NS, SimulatedClock
 from daq.contract.recordings.messages import Statistics
 from daq.contract.scan import Scan, encode_scan
@@ -123,7 +123,7 @@ class CardFlight:
         air, self.ground = memory_pair()
         aircraft = build_aircraft(Frozen(), SensorModels(), FaultSet((), 0, 1), self.clock, 1)
         gnss = SimulatedSerial(aircraft.gnss, self.clock.monotonic_ns)
-        edge = Edge(self.clock, aircraft.bus, gnss, "simulated", storage=self.storage, radio=air)
+        edge = HardwareEdge(self.clock, aircraft.bus, gnss, "simulated", storage=self.storage, radio=air)
         self.assembly: Assembly = assemble(config, text, edge)
         self.directory = config.recorder.directories[0] / self.assembly.session
         self._keep_truth()

@@ -17,8 +17,8 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import encode_scan
 from daq.recorder.storage import RealStorage
 from daq.service.preflight import _probe
-from daq.transport.mavlink_codec import Frame, FrameDecoder
-from daq.transport.signing import Signer, SigningState, Verdict, load_state, save_state
+from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
+from daq.transport.signing import SignatureVerdict, Signer, SigningState, load_state, save_state
 from groundstation.receiver import events as ev
 from groundstation.receiver.kept.recording import SessionRecorder
 from tests.card.cuts import FLIGHT
@@ -94,12 +94,12 @@ def test_no_timestamp_is_used_twice_and_none_is_accepted_twice(card: MountedCard
     ours, theirs = Signer(KEY, lambda: now, state_path=air), Signer(KEY, lambda: now, state_path=ground)
     ours.save()
     sent = [ours.sign(b"frame") for _ in range(500)]
-    assert theirs.judge(b"frame", (1, 1), sent[-1]) is Verdict.GOOD
+    assert theirs.judge(b"frame", (1, 1), sent[-1]) is SignatureVerdict.GOOD
     theirs.save()
     card.cut(CUTS[0])
     again = Signer(KEY, lambda: now, state_path=air).sign(b"frame")
     assert again[1:7][::-1] > max(s[1:7][::-1] for s in sent)
-    assert Signer(KEY, lambda: now, state_path=ground).judge(b"frame", (1, 1), sent[-1]) is Verdict.REPLAYED
+    assert Signer(KEY, lambda: now, state_path=ground).judge(b"frame", (1, 1), sent[-1]) is SignatureVerdict.REPLAYED
 
 
 def test_the_service_starts_with_its_key_after_every_cut(card: MountedCard, tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_the_service_starts_with_its_key_after_every_cut(card: MountedCard, tmp_
 
 def stamps(flight: CardFlight) -> list[int]:
     """The signing timestamps of everything that was sent."""
-    found = [f for f in FrameDecoder().feed(flight.ground.read(1 << 20)) if isinstance(f, Frame)]
+    found = [f for f in FrameDecoder().feed(flight.ground.read(1 << 20)) if isinstance(f, MavlinkFrame)]
     return [int.from_bytes(f.signature[1:7], "little") for f in found if f.signature is not None]
 
 

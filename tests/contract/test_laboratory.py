@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.channel_rows import Channel, Column, Group, Rate
+from daq.contract.channel_rows import Channel, ChannelGroup, FlightColumn, Rate
 from daq.contract.channels import BUILT_IN_CHANNELS, BUILT_IN_COLUMNS, BUILT_IN_GROUPS
-from daq.contract.laboratory import LaboratoryError, Rows, check, package_folder, read_rows
+from daq.contract.laboratory import LaboratoryError, TableRows, check, package_folder, read_rows
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, UserError, layouts, pack_scan, unpack_scan
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.telemetry.downlink import _Turns
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived, StatusText
 
@@ -33,23 +33,23 @@ meaning = "smoke in the cockpit"
 scale = 1e-3
 downlink = "fast"
 """
-BUILT_IN = Rows(BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS)
+BUILT_IN = TableRows(BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS)
 
 
-def rows_of(folder: Path, text: str = ROWS) -> Rows:
+def rows_of(folder: Path, text: str = ROWS) -> TableRows:
     (folder / "channels.toml").write_text(text)
     return read_rows(folder / "channels.toml", "lab")
 
 
 def test_a_channel_is_a_column_of_its_own_name_and_unit(tmp_path: Path) -> None:
     rows = rows_of(tmp_path)
-    assert rows.groups == (Group("smoke", "smoke detector", "SD1", "lab"),)
+    assert rows.groups == (ChannelGroup("smoke", "smoke detector", "SD1", "lab"),)
     assert rows.channels == (
         Channel(
             "smoke", "smoke", "i16", "V", "smoke in the cockpit", 1e-3, 0.0, Rate.SCAN, True, "fast", ("smoke",), "lab"
         ),
     )
-    assert rows.columns == (Column("smoke", "V", "smoke in the cockpit", "/smoke", (-32.768, 32.767)),)
+    assert rows.columns == (FlightColumn("smoke", "V", "smoke in the cockpit", "/smoke", (-32.768, 32.767)),)
     check(BUILT_IN.plus(rows), "here")
     assert rows_of(tmp_path, ROWS + "columns = []\n").columns == ()
 
@@ -147,7 +147,7 @@ def test_ground_without_the_package_says_so_once_and_receives_the_rest(tmp_path:
         scan = Scan(number, 10**9 + number * 10**8, values={"smoke": -5, "supply": 9})
         for i, made in ((SCAN_LABORATORY_ID, layout), (SCAN_FAST_ID, layouts()[SCAN_FAST_ID])):
             [frame] = FrameDecoder().feed(encoder.frame(i, pack_scan(made, scan, 3)))
-            assert isinstance(frame, Frame)
+            assert isinstance(frame, MavlinkFrame)
             events += decoder.take(frame, number, 0)
     told = [e.text for e in events if isinstance(e, StatusText)]
     assert len(told) == 1

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from daq.contract.link.dialect import sideslip_dialect
 from daq.contract.link.wire import SCAN_FAST_ID, layouts, pack_scan
 from daq.transport import mavlink_codec
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frames_of, message_types
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, Junk, MavlinkFrame, frames_of, message_types
 from tests.link_rig import random_scan
 
 
@@ -26,9 +26,9 @@ def stream(count: int, seed: int = 1, noise: bool = True) -> list[bytes]:
     ]
 
 
-def decode(data: bytes, sizes: int = 64) -> list[Frame | Junk]:
+def decode(data: bytes, sizes: int = 64) -> list[MavlinkFrame | Junk]:
     decoder = FrameDecoder()
-    out: list[Frame | Junk] = []
+    out: list[MavlinkFrame | Junk] = []
     for at in range(0, len(data), sizes):
         out += decoder.feed(data[at : at + sizes])
     out += decoder.finish()

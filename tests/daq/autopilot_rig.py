@@ -6,7 +6,7 @@ from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.autopilot.output import ArduPilotOutput
 from daq.actuation.config import SequencerConfig
 from daq.actuation.devices import Devices
-from daq.actuation.servos import Plan, plan_of
+from daq.actuation.servos import ServoManoeuvre, plan_of
 from daq.clock import SimulatedClock
 from daq.contract.manoeuvre import Manoeuvre
 from daq.contract.sequencing import Reason, State
@@ -58,7 +58,7 @@ class AutopilotRig:
         self.throttle = 1600
         self.plane = ArduPlane(self.receiver, parameters)
         self.port = SimulatedSerial(self.plane, self.clock.monotonic_ns)
-        self.plan: Plan = plan_of(manoeuvre or short_manoeuvre(), self.config)
+        self.plan: ServoManoeuvre = plan_of(manoeuvre or short_manoeuvre(), self.config)
         self.book = Book()
         self.flying = Flying()
         self.link_s: float | None = 0.1

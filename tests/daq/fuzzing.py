@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.contract.errors import UserError
 from daq.contract.recordings.accounting import info_mcap, recover, verify
-from daq.contract.recordings.recording import Entry, RecordingWriter
+from daq.contract.recordings.recording import RecordedMessage, RecordingWriter
 from daq.contract.scan import encode_scan
 from daq.contract.seal import SEAL_SIZE, seal
 from daq.transport.mavlink_codec import FrameEncoder
@@ -74,7 +74,7 @@ def forged(data: bytes, rng: random.Random) -> bytes:
     for n in range(30):
         content = MUTATIONS[rng.choice(("flip", "length", "cut"))](encode_scan(make_scan(n))[:-SEAL_SIZE], rng)
         number, time = (rng.choice((n, 0, 2**32 - 1)), rng.choice((n, 0, 2**64 - 1)))
-        writer.write(Entry("/scan", time, time, number, seal("sideslip.Scan", content)))
+        writer.write(RecordedMessage("/scan", time, time, number, seal("sideslip.Scan", content)))
     writer.finish()
     return stream.getvalue()
 

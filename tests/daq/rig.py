@@ -16,7 +16,7 @@ from firmware_sim.hardware.faults import FaultSet, parse_faults
 from firmware_sim.hardware.sensing.instruments import TruthSource
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import SimulatedSerial
-from firmware_sim.runs.flight import Aircraft, build_aircraft
+from firmware_sim.runs.flight import SimulatedHardware, build_aircraft
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.truth import Truth
 from firmware_sim.world.world import World
@@ -44,7 +44,7 @@ class Rig:
 
     sampler: Sampler
     clock: SimulatedClock
-    aircraft: Aircraft
+    aircraft: SimulatedHardware
     rate_hz: float
     events: list[EventMark]
     number: int = 0

@@ -8,11 +8,11 @@ from types import MappingProxyType
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.config import SequencerConfig
 from daq.actuation.devices import Devices
-from daq.actuation.pwm.heartbeat import Heartbeat
-from daq.actuation.servos import Plan, plan_of
+from daq.actuation.pwm.heartbeat import HeartbeatLine
+from daq.actuation.servos import ServoManoeuvre, plan_of
 from daq.clock import SimulatedClock
 from daq.contract.manoeuvre import Manoeuvre
-from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame
+from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
 from daq.contract.sequencing import Reason, State
 from daq.sensors.config import SensorsConfig, cdfp_sensors
@@ -20,7 +20,7 @@ from daq.sensors.ms4525do import nominal_transfer
 from firmware_sim.hardware.bus import BusModel, Disturbance, SimulatedBus
 from firmware_sim.hardware.cockpit import Cockpit, CockpitTable
 from firmware_sim.hardware.multiplexer import Monostable
-from firmware_sim.hardware.registers.capture import Capture
+from firmware_sim.hardware.registers.capture import CaptureChip
 from firmware_sim.physics.plant import Commands
 
 PERIOD_NS = 20_000_000
@@ -75,9 +75,9 @@ class Book:
         if level >= LogLevel.WARNING:
             self.warnings.append(text)
 
-    def mark_event(self, text: str, origin: str) -> Event:
+    def mark_event(self, text: str, origin: str) -> EventMessage:
         self.words.append(text)
-        return Event(0, 0, 0, origin, text)
+        return EventMessage(0, 0, 0, origin, text)
 
     def record_sequencer(self, frame: SequencerFrame, *, send: bool) -> bool:
         self.frames.append(frame)
@@ -119,16 +119,16 @@ class Rig:
         manoeuvre: Manoeuvre | None = None,
         oscillator_error: float = 0.004,
         disturb: Callable[[int, int], Disturbance | None] = lambda address, now_ns: None,
-        also: Callable[[Monostable], Heartbeat] = lambda monostable: monostable,
+        also: Callable[[Monostable], HeartbeatLine] = lambda monostable: monostable,
     ) -> None:
         self.clock = SimulatedClock()
         self.config = config or sequencer_config()
         self.monostable = Monostable(self.clock.monotonic_ns)
         self.cabin = Cabin(self.monostable, switch_us, oscillator_error)
-        self.receiver = Capture(self.cabin.receiver)
+        self.receiver = CaptureChip(self.cabin.receiver)
         chips = {0x41: self.cabin.chip, 0x42: self.receiver}
         self.bus = SimulatedBus(self.clock, chips, BusModel(), disturb)
-        self.plan: Plan = plan_of(manoeuvre or short_manoeuvre(), self.config)
+        self.plan: ServoManoeuvre = plan_of(manoeuvre or short_manoeuvre(), self.config)
         self.book = Book()
         self.flying = Flying()
         self.sticks = (0.0, 0.0, 0.0)

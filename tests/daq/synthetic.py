@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.clock import NS, Clock
 from daq.contract.channels import CHANNELS, GROUP_NAMES
-from daq.contract.recordings.messages import Event, LogLevel, LogLine, Statistics
+from daq.contract.recordings.messages import EventMessage, LogLevel, LogLine, Statistics
 from daq.contract.recordings.recording import RecordingInfo, RecordingWriter
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.storage import RealStorage, StorageFile
@@ -96,7 +96,7 @@ def write_recording(path: Path, *, compress: bool = False, scans: int = SCANS) -
             if n % PER_CHUNK == PER_CHUNK - 1:
                 writer.flush()
         end = scans * PERIOD_NS
-        writer.write_message(Event(end, 0, scans - 1, "switch", "end of run"))
+        writer.write_message(EventMessage(end, 0, scans - 1, "switch", "end of run"))
         writer.write_message(LogLine(end, 0, LogLevel.INFO, "logger", "recording ends"))
         writer.write_message(Statistics(end, 0, "s1", 0, 0, scans, scans, final=True))
         writer.finish()

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from daq.actuation.devices import Devices
-from daq.actuation.finding import Finding
+from daq.actuation.finding import TrialFinding
 from daq.actuation.trials import findings
 from firmware_sim.hardware.autopilots.px4 import Px4
 from firmware_sim.hardware.serial import SimulatedSerial
@@ -14,7 +14,7 @@ from tests.daq.autopilot_rig import AutopilotRig, autopilot_config
 from tests.daq.sequencer_rig import OFF, Flying, scan_of, switch_plan
 
 
-def tried(rig: AutopilotRig, manoeuvre: Path = MANOEUVRE_FILE) -> dict[str, Finding]:
+def tried(rig: AutopilotRig, manoeuvre: Path = MANOEUVRE_FILE) -> dict[str, TrialFinding]:
     """What the trial finds of a rig's autopilot."""
     config = rig.config.model_copy(update={"manoeuvre": manoeuvre})
     devices = Devices(None, None, rig.clock, rig.port)

@@ -9,12 +9,12 @@ import pytest
 
 from daq.companion.config import IdentificationConfig
 from daq.companion.process import BACKLOG, Companion
-from daq.companion.wire import Answer, read_answer
+from daq.companion.wire import CompanionReply, read_answer
 from daq.config import ConfigError, parse_config
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan
-from daq.identification.stretches import Stretches
+from daq.identification.stretches import ManoeuvreDetector
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import Calibrator
@@ -66,7 +66,7 @@ def test_numbers_are_those_of_the_ground_from_the_same_scans(scans: list[Scan]) 
     companion.close()
     alignment = ScanAlignment()
     live = LiveIdentification(
-        live_aircraft("cdfp"), Calibrator(load_calibration(CALIBRATION)), 0.05, alignment, Stretches(9.0, 2.0)
+        live_aircraft("cdfp"), Calibrator(load_calibration(CALIBRATION)), 0.05, alignment, ManoeuvreDetector(9.0, 2.0)
     )
     for scan in scans:
         alignment.add(scan)
@@ -134,11 +134,11 @@ def test_one_that_does_not_read_leaves_the_loop_alone(scans: list[Scan], monkeyp
 
 
 def test_an_answer_holds_what_can_be_shown() -> None:
-    line = Answer(3.0, {"Cl_p": (-0.5, 0.01), "much too long a name": (1.0, 1.0)}, "words").line()
+    line = CompanionReply(3.0, {"Cl_p": (-0.5, 0.01), "much too long a name": (1.0, 1.0)}, "words").line()
     got = read_answer(line)
     assert got is not None
     assert got.values == {"Cl_p": (-0.5, 0.01)}
-    assert read_answer(b'{"time": 1, "values": {"Cl_p": [NaN, 1]}, "words": "", "trouble": ""}') == Answer(1.0)
+    assert read_answer(b'{"time": 1, "values": {"Cl_p": [NaN, 1]}, "words": "", "trouble": ""}') == CompanionReply(1.0)
     for nonsense in (b"", b"[]", b"{}", b'{"time": "x", "values": 3, "words": "", "trouble": ""}', b"\xff"):
         assert read_answer(nonsense) is None
 

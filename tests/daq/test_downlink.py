@@ -12,7 +12,7 @@ from daq.contract.link.wire import SCAN_FAST_ID, layouts, unpack_scan
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.telemetry.config import HEARTBEAT_BYTES, SCAN_FRAME_BYTES, DisplayConfig, DownlinkConfig
 from daq.telemetry.downlink import Downlink
-from daq.transport.mavlink_codec import Frame, FrameDecoder, frames_of, padded
+from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame, frames_of, padded
 from daq.transport.signing import Signer
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
 from tests.link_rig import PERIOD_NS, quiet_scan, random_scan
@@ -57,12 +57,12 @@ def fly(downlink: Downlink, clock: SimulatedClock, seconds: float, *, worst: boo
         downlink.service(now)
 
 
-def number_of(frame: Frame) -> int:
+def number_of(frame: MavlinkFrame) -> int:
     layout = layouts()[frame.msg_id]
     return unpack_scan(layout, padded(frame.payload, layout.size)).number
 
 
-def frames(wire: Wire) -> list[Frame]:
+def frames(wire: Wire) -> list[MavlinkFrame]:
     return frames_of(FrameDecoder().feed(wire.data))
 
 

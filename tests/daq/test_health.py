@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from daq.acquisition.health import GroupHealth, HealthSummary, Watch
+from daq.acquisition.health import GroupHealth, GroupWatch, HealthSummary
 from daq.contract.scan import SensorState
 from daq.sensors.config import AnalogConfig, HealthConfig, ImuConfig, MagConfig, SensorsConfig, cdfp_sensors
 from daq.sensors.mounting import rotation
@@ -11,18 +11,18 @@ from daq.sensors.mounting import rotation
 PERIOD = 50_000_000
 
 
-def verdicts(watch: Watch, channel: str, values: list[int]) -> list[SensorState]:
+def verdicts(watch: GroupWatch, channel: str, values: list[int]) -> list[SensorState]:
     return [watch.judge({channel: v}, i * PERIOD).state for i, v in enumerate(values)]
 
 
 def test_stuck_only_after_its_time_and_free_at_the_first_change() -> None:
-    watch = Watch(("beta_vane",), HealthConfig(stuck_s={"beta_vane": 0.5}))
+    watch = GroupWatch(("beta_vane",), HealthConfig(stuck_s={"beta_vane": 0.5}))
     seen = verdicts(watch, "beta_vane", [100] * 15 + [101, 101])
     assert seen == [SensorState.OK] * 11 + [SensorState.STUCK] * 4 + [SensorState.OK] * 2
 
 
 def test_one_stuck_channel_among_moving_ones_is_named() -> None:
-    watch = Watch(("alpha_vane", "beta_vane"), HealthConfig(stuck_s={"alpha_vane": 0.2, "beta_vane": 0.2}))
+    watch = GroupWatch(("alpha_vane", "beta_vane"), HealthConfig(stuck_s={"alpha_vane": 0.2, "beta_vane": 0.2}))
     verdict = None
     for i in range(10):
         verdict = watch.judge({"alpha_vane": i, "beta_vane": 7}, i * PERIOD)
@@ -31,24 +31,24 @@ def test_one_stuck_channel_among_moving_ones_is_named() -> None:
 
 
 def test_channel_without_a_limit_may_stand_still() -> None:
-    watch = Watch(("pwm_1",), HealthConfig())
+    watch = GroupWatch(("pwm_1",), HealthConfig())
     assert set(verdicts(watch, "pwm_1", [15000] * 1000)) == {SensorState.OK}
 
 
 def test_spike_is_marked_alone() -> None:
-    watch = Watch(("alpha_vane",), HealthConfig(max_step={"alpha_vane": 100.0}, stuck_s={}))
+    watch = GroupWatch(("alpha_vane",), HealthConfig(max_step={"alpha_vane": 100.0}, stuck_s={}))
     seen = verdicts(watch, "alpha_vane", [0, 10, 5000, 20, 30])
     assert [s is SensorState.OUT_OF_RANGE for s in seen] == [False, False, True, False, False]
 
 
 def test_new_level_is_accepted_at_its_second_sample() -> None:
-    watch = Watch(("alpha_vane",), HealthConfig(max_step={"alpha_vane": 100.0}, stuck_s={}))
+    watch = GroupWatch(("alpha_vane",), HealthConfig(max_step={"alpha_vane": 100.0}, stuck_s={}))
     seen = verdicts(watch, "alpha_vane", [0, 5000, 5010, 5020])
     assert [s is SensorState.OUT_OF_RANGE for s in seen] == [False, True, False, False]
 
 
 def test_configured_limits() -> None:
-    watch = Watch(("supply",), HealthConfig(plausible={"supply": (10000, 20000)}))
+    watch = GroupWatch(("supply",), HealthConfig(plausible={"supply": (10000, 20000)}))
     assert verdicts(watch, "supply", [9999, 10000, 20000, 20001]) == [
         SensorState.OUT_OF_RANGE,
         SensorState.OK,

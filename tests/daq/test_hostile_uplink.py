@@ -28,7 +28,7 @@ from daq.telemetry.refusals import Refusals
 from daq.telemetry.send_queue import SendQueue, item
 from daq.telemetry.uplink import FRAMES, READ_BYTES, TURN_NS, Uplink
 from daq.telemetry.uplink_limits import Bucket, CommandBudget, SenderLimits
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, frames_of, message_types
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of, message_types
 from daq.transport.ports import BytePort, SerialPort, UdpPort
 from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan
 
@@ -85,7 +85,7 @@ class Aircraft:
             self.link.uplink.service(self.clock.monotonic_ns(), self.logger)
             self.link.service(self.clock.monotonic_ns())
 
-    def heard(self) -> list[Frame]:
+    def heard(self) -> list[MavlinkFrame]:
         """All that the aircraft has sent."""
         return frames_of(FrameDecoder().feed(bytes(self.port.sent)))  # type: ignore[attr-defined]
 
@@ -230,7 +230,7 @@ def test_datagrams_that_were_not_read_are_told_of() -> None:
         assert port.dropped == 70  # type: ignore[attr-defined]
         sender.setblocking(False)
         heard = FrameDecoder()
-        frames: list[Frame] = []
+        frames: list[MavlinkFrame] = []
         with suppress(BlockingIOError):
             while True:
                 frames += frames_of(heard.feed(sender.recv(2048)))

@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 
 from daq.clock import NS, SimulatedClock
 from daq.contract.recordings.accounting import recover, verify
-from daq.contract.recordings.messages import Event, LogLevel
+from daq.contract.recordings.messages import EventMessage, LogLevel
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import LogTime, RecordingWriter
 from daq.contract.scan import Scan, encode_scan
@@ -41,7 +41,7 @@ def record(folder: Path, system_utc_ns: int, gps: Any, scans: int = SCANS) -> li
     for n in range(scans):
         clock.sleep_until(n * PERIOD_NS)
         recorder.scan(scan_of(n, gps(n)))
-    recorder.event(Event(scans * PERIOD_NS, 0, scans - 1, "switch", "mark"))
+    recorder.event(EventMessage(scans * PERIOD_NS, 0, scans - 1, "switch", "mark"))
     recorder.close()
     return sorted(folder.glob("*.mcap"))
 

@@ -9,10 +9,10 @@ import pytest
 
 from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.sampler import EventMark, UnfinishedScan
-from daq.acquisition.supervisor import Outcome
+from daq.acquisition.supervisor import GroupOutcome
 from daq.clock import NS, RealClock, SimulatedClock
 from daq.contract.recordings.accounting import verify
-from daq.contract.recordings.messages import Event, LogLevel, Statistics
+from daq.contract.recordings.messages import EventMessage, LogLevel, Statistics
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.logger import Control, Logger, Opening
@@ -44,7 +44,7 @@ class FakeSampler:
         self.starts.append(now)
         self.numbers.append(number)
         self._clock.sleep_until(now + self._duration(number))
-        outcomes = {"imu": Outcome(self.state, values={"accel_x": number % 100})}
+        outcomes = {"imu": GroupOutcome(self.state, values={"accel_x": number % 100})}
         return UnfinishedScan(number, now, START_UTC_NS + now, 30, (now - deadline_ns) // 1000, outcomes)
 
     def finish(self, taken: UnfinishedScan) -> Scan:
@@ -66,7 +66,7 @@ class FakeLink:
 
     def __init__(self, broken: range = range(0)) -> None:
         self.scans: list[int] = []
-        self.events: list[Event] = []
+        self.events: list[EventMessage] = []
         self.texts: list[tuple[int, str]] = []
         self.served: list[int] = []  # how many scans had been offered at each service
         self._broken = broken
@@ -79,7 +79,7 @@ class FakeLink:
         if self.scans and self.scans[-1] in self._broken:
             raise OSError(5, "Input/output error")
 
-    def event(self, event: Event) -> None:
+    def event(self, event: EventMessage) -> None:
         self.events.append(event)
 
     def text(self, severity: int, words: str, /) -> None:

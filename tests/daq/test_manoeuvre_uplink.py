@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.actuation.servos import Plan, plan_of
+from daq.actuation.servos import ServoManoeuvre, plan_of
 from daq.contract import manoeuvre_wire as wire
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.contract.sequencing import State
@@ -31,14 +31,14 @@ class Deck:
     """Takes plans as the logger does. why: what it says against them."""
 
     def __init__(self) -> None:
-        self.plans: list[Plan] = []
+        self.plans: list[ServoManoeuvre] = []
         self.why = ""
 
     def weigh(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
         plan = plan_of(manoeuvre, CONFIG)
         return lambda: self._put(plan)
 
-    def _put(self, plan: Plan) -> str:
+    def _put(self, plan: ServoManoeuvre) -> str:
         if not self.why:
             self.plans.append(plan)
         return self.why

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import pytest
 
 from daq.actuation.config import ChipConfig
-from daq.actuation.pwm.part import RETRY_NS, Part
+from daq.actuation.pwm.part import RETRY_NS, ChipState
 from daq.actuation.pwm.pca9685 import OSCILLATOR_START, Pca9685, prescale
 from daq.clock import SimulatedClock
 from daq.sensors.base import SelfTestError
 from firmware_sim.hardware.bus import SimulatedBus
-from firmware_sim.hardware.registers.pca9685 import Pca9685 as Chip
+from firmware_sim.hardware.registers.pca9685 import Pca9685Chip as Chip
 
 
 class Wire:
@@ -115,7 +115,7 @@ def test_a_dip_of_its_supply_shows() -> None:
 def test_a_part_is_set_up_again_after_a_pause_and_says_why_not() -> None:
     chip = Chip()
     clock = SimulatedClock()
-    part = Part(Pca9685(ChipConfig(), SimulatedBus(clock, {0x41: chip}), 0, 4).initialise)
+    part = ChipState(Pca9685(ChipConfig(), SimulatedBus(clock, {0x41: chip}), 0, 4).initialise)
     chip.set_power(False, 0)
     assert not part.attend(clock.monotonic_ns())
     assert part.fault == "Remote I/O error"

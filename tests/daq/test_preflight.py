@@ -10,7 +10,7 @@ import pytest
 
 from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.sampler import EventMark, UnfinishedScan
-from daq.acquisition.supervisor import Outcome
+from daq.acquisition.supervisor import GroupOutcome
 from daq.actuation.devices import Devices
 from daq.clock import NS, SimulatedClock
 from daq.config import LoggerConfig, PreflightConfig
@@ -18,7 +18,7 @@ from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
 from daq.recorder.storage import RealStorage, in_memory
 from daq.sensors.config import ImuConfig, SensorsConfig
-from daq.service.checks import Verdict
+from daq.service.checks import PreflightVerdict
 from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
@@ -53,7 +53,7 @@ class Sensors:
     def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
         now = self._clock.monotonic_ns()
         utc = START_UTC_NS + now if self._accuracy else 0
-        outcomes = {g: Outcome(s) for g, (s, _) in self._states.items()}
+        outcomes = {g: GroupOutcome(s) for g, (s, _) in self._states.items()}
         return UnfinishedScan(number, now, utc, self._accuracy, 0, outcomes)
 
     def finish(self, taken: UnfinishedScan) -> Scan:
@@ -91,14 +91,14 @@ def table(
     return run_preflight(config, clock, sensors, storage or RealStorage(), lambda: radio)
 
 
-def verdict(result: Preflight, name: str) -> Verdict:
+def verdict(result: Preflight, name: str) -> PreflightVerdict:
     return next(c.verdict for c in result.checks if c.name == name)
 
 
 def test_all_well_is_go(tmp_path: Path) -> None:
     result = table(tmp_path)
     assert result.go
-    assert {c.verdict for c in result.checks} == {Verdict.GO}
+    assert {c.verdict for c in result.checks} == {PreflightVerdict.GO}
     assert {c.name for c in result.checks} == {"imu", "timing", "clock", "card", "calibration", "radio"}
     assert list(tmp_path.iterdir()) == [], "the probe leaves nothing behind"
     assert result.text().endswith("GO")
@@ -114,17 +114,17 @@ def test_a_required_sensor_that_is_not_well_forbids(tmp_path: Path, state: Senso
     assert [c.name for c in result.failed] == ["pitot"]
     assert state.words in result.failed[0].text
     assert "why" in result.failed[0].text
-    assert verdict(result, "thrust") is Verdict.CAUTION
+    assert verdict(result, "thrust") is PreflightVerdict.CAUTION
 
 
 def test_time_must_be_known_well_enough(tmp_path: Path) -> None:
-    assert verdict(table(tmp_path, accuracy_ns=0), "clock") is Verdict.NO_GO
-    assert verdict(table(tmp_path, accuracy_ns=0, require_time=False), "clock") is Verdict.CAUTION
-    assert verdict(table(tmp_path, accuracy_ns=40_000_000), "clock") is Verdict.NO_GO
-    assert verdict(table(tmp_path, accuracy_ns=40_000_000, time_accuracy_ms=50.0), "clock") is Verdict.GO
+    assert verdict(table(tmp_path, accuracy_ns=0), "clock") is PreflightVerdict.NO_GO
+    assert verdict(table(tmp_path, accuracy_ns=0, require_time=False), "clock") is PreflightVerdict.CAUTION
+    assert verdict(table(tmp_path, accuracy_ns=40_000_000), "clock") is PreflightVerdict.NO_GO
+    assert verdict(table(tmp_path, accuracy_ns=40_000_000, time_accuracy_ms=50.0), "clock") is PreflightVerdict.GO
     wrong = SimulatedClock(START_UTC_NS - 86400 * NS)
     result = table(tmp_path, clock=wrong)
-    assert verdict(result, "clock") is Verdict.CAUTION
+    assert verdict(result, "clock") is PreflightVerdict.CAUTION
     assert "-86400 s" in result.text()
 
 
@@ -133,25 +133,25 @@ def test_card_space_speed_and_faults(tmp_path: Path) -> None:
         def free_bytes(self, directory: Path) -> int:
             return 1_000_000
 
-    assert verdict(table(tmp_path, storage=Full()), "card") is Verdict.NO_GO
+    assert verdict(table(tmp_path, storage=Full()), "card") is PreflightVerdict.NO_GO
     clock = SimulatedClock(START_UTC_NS)
     slow = FaultyStorage(lambda operation, size: clock.advance(NS) if operation == "sync" else None)
     result = table(tmp_path, storage=slow, clock=clock)
-    assert verdict(result, "card") is Verdict.CAUTION
+    assert verdict(result, "card") is PreflightVerdict.CAUTION
     assert "1000 ms" in result.text()
 
     def broken(operation: str, size: int) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
     result = table(tmp_path, storage=FaultyStorage(broken))
-    assert verdict(result, "card") is Verdict.NO_GO
+    assert verdict(result, "card") is PreflightVerdict.NO_GO
     assert "Read-only file system" in result.text()
 
 
 def test_recordings_that_would_go_with_the_power(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.service.preflight.in_memory", lambda directory: True)
     result = table(tmp_path)
-    assert verdict(result, "card") is Verdict.NO_GO
+    assert verdict(result, "card") is PreflightVerdict.NO_GO
     assert "goes with the power: is the card mounted?" in result.text()
 
 
@@ -176,10 +176,10 @@ def test_memory_is_told_from_a_card_by_the_mounts(kind: str, upper: str, expecte
 
 
 def test_radio_silence_and_margin(tmp_path: Path) -> None:
-    assert verdict(table(tmp_path, radio=None), "radio") is Verdict.CAUTION
-    assert verdict(table(tmp_path, radio=None, require_radio=True), "radio") is Verdict.NO_GO
+    assert verdict(table(tmp_path, radio=None), "radio") is PreflightVerdict.CAUTION
+    assert verdict(table(tmp_path, radio=None, require_radio=True), "radio") is PreflightVerdict.NO_GO
     weak = RadioReport(-60, -100, -95, -100, 95)
-    assert verdict(table(tmp_path, radio=weak, require_radio=True), "radio") is Verdict.NO_GO
+    assert verdict(table(tmp_path, radio=weak, require_radio=True), "radio") is PreflightVerdict.NO_GO
 
 
 def test_refused_unless_overridden_and_the_reason_is_kept(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def sequencer_scenario_config(tmp_path: Path) -> LoggerConfig:
         return flight.config
 
 
-def lines(result: Preflight) -> dict[str, tuple[Verdict, str]]:
+def lines(result: Preflight) -> dict[str, tuple[PreflightVerdict, str]]:
     return {c.name: (c.verdict, c.text) for c in result.checks}
 
 
@@ -254,7 +254,7 @@ OFF_ALL_THE_TIME = {"switch": [[0.0, "off"]]}
 def test_the_sequencer_is_tried_out(tmp_path: Path) -> None:
     found = lines(sequencer_table(tmp_path, sequencer=OFF_ALL_THE_TIME))
     for name in ("manoeuvre", "servo driver", "pilot's signals", "output frequency", "multiplexer", "heartbeat"):
-        assert found[name][0] is Verdict.GO, found[name]
+        assert found[name][0] is PreflightVerdict.GO, found[name]
     assert "without it the servo driver is dead" in found["heartbeat"][1]
 
 
@@ -294,7 +294,7 @@ def test_what_is_wrong_with_the_sequencer_is_a_no_go(
     tmp_path: Path, changes: dict[str, object], name: str, words: str
 ) -> None:
     found = lines(sequencer_table(tmp_path, **changes))
-    assert found[name][0] is Verdict.NO_GO, found
+    assert found[name][0] is PreflightVerdict.NO_GO, found
     assert re.search(words, found[name][1]), found[name]
 
 
@@ -313,17 +313,17 @@ def test_a_no_go_of_the_sequencer_cannot_be_overridden(tmp_path: Path) -> None:
 def test_a_driver_that_does_not_answer_is_a_no_go(tmp_path: Path) -> None:
     gone = [{"kind": "absent", "device": "servo_driver", "start_s": 0.0}]
     found = lines(sequencer_table(tmp_path, sequencer=OFF_ALL_THE_TIME, faults=gone))
-    assert found["servo driver"][0] is Verdict.NO_GO
+    assert found["servo driver"][0] is PreflightVerdict.NO_GO
     assert "check wiring, strap and supply" in found["servo driver"][1]
 
 
 def test_an_oe_that_is_not_wired_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from firmware_sim.hardware.registers.pca9685 import Pca9685
+    from firmware_sim.hardware.registers.pca9685 import Pca9685Chip
 
-    plain = Pca9685.__init__
-    monkeypatch.setattr(Pca9685, "__init__", lambda self, error=0.0, enabled=None: plain(self, error))
+    plain = Pca9685Chip.__init__
+    monkeypatch.setattr(Pca9685Chip, "__init__", lambda self, error=0.0, enabled=None: plain(self, error))
     found = lines(sequencer_table(tmp_path, sequencer=OFF_ALL_THE_TIME))
     assert found["heartbeat"] == (
-        Verdict.NO_GO,
+        PreflightVerdict.NO_GO,
         "servo driver goes on without it: OE is not wired to the monostable",
     )

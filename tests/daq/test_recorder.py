@@ -8,7 +8,7 @@ import pytest
 
 from daq.clock import NS, SimulatedClock
 from daq.contract.recordings.accounting import verify
-from daq.contract.recordings.messages import Event, LogLevel, Statistics
+from daq.contract.recordings.messages import EventMessage, LogLevel, Statistics
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import encode_scan
 from daq.recorder.config import RecorderConfig
@@ -199,7 +199,7 @@ def test_events_details_and_log_lines_are_recorded(tmp_path: Path) -> None:
     recorder = Recorder(RecorderConfig(directories=(tmp_path,), segment_s=5), make_info(), clock)
     clock.follow(recorder.busy)
     recorder.start()
-    event = Event(3 * NS, 0, 60, "switch", "manoeuvre begins")
+    event = EventMessage(3 * NS, 0, 60, "switch", "manoeuvre begins")
     for n in range(200):
         clock.sleep_until(n * PERIOD_NS)
         recorder.scan(make_scan(n))

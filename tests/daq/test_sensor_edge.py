@@ -19,7 +19,7 @@ from smbus2 import SMBus
 
 from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
-from daq.sensors.bus import I2cBus, SerialPort
+from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
 from daq.sensors.open import REOPEN_AFTER_NS, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
 from daq.sensors.registry import DriverConfigError
@@ -167,7 +167,7 @@ def test_serial_port_comes_back_after_its_plug_was_pulled(tmp_path: Path) -> Non
     link.symlink_to(os.ttyname(far))
     os.close(far)
     port = ReopeningPort(str(link), 115200, clock)
-    assert isinstance(port, SerialPort)
+    assert isinstance(port, SerialPortCalls)
     os.write(near, b"abc")
     assert received(port, 3) == b"abc"
     os.close(near)  # unplugged

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from daq.actuation.servos import Plan, plan_of, servos_of
+from daq.actuation.servos import ServoManoeuvre, plan_of, servos_of
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch, switch_position
 from firmware_sim.hardware.bus import Disturbance
@@ -341,7 +341,7 @@ def test_slew_and_limits_of_a_servo() -> None:
 
 
 def test_a_plan_is_straight_between_samples_and_zero_outside() -> None:
-    plan = Plan("", 0.02, ((0.0, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.0)))
+    plan = ServoManoeuvre("", 0.02, ((0.0, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.0)))
     assert plan.at(0.005)[1] == pytest.approx(0.025)
     assert plan.at(0.02)[1] == pytest.approx(0.1)
     assert plan.at(0.03)[1] == pytest.approx(0.05)

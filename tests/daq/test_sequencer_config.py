@@ -9,7 +9,7 @@ import pytest
 from daq.actuation.autopilot.link import AutopilotError
 from daq.actuation.config import HeartbeatConfig
 from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatError
-from daq.assembly import Edge, assemble
+from daq.assembly import HardwareEdge, assemble
 from daq.clock import SimulatedClock
 from daq.config import ConfigError, LoggerConfig, parse_config
 from firmware_sim.toml_text import toml_text
@@ -106,7 +106,7 @@ def test_one_port_is_not_read_twice() -> None:
 
 def test_without_a_port_to_the_autopilot_nothing_is_assembled() -> None:
     with pytest.raises(AutopilotError, match="no port to it is open"):
-        assemble(read(through_an_autopilot()), "", Edge(SimulatedClock(), None, None, "simulated"))
+        assemble(read(through_an_autopilot()), "", HardwareEdge(SimulatedClock(), None, None, "simulated"))
 
 
 def test_an_output_without_the_pilots_signal_is_named() -> None:
@@ -126,7 +126,7 @@ def test_what_is_watched_must_be_fitted() -> None:
 def test_without_a_heartbeat_line_nothing_is_assembled(tmp_path: Path) -> None:
     config = read(table())
     with pytest.raises(HeartbeatError, match="heartbeat line"):
-        assemble(config, "", Edge(SimulatedClock(), None, None, "simulated"))
+        assemble(config, "", HardwareEdge(SimulatedClock(), None, None, "simulated"))
 
 
 class TestHeartbeatFile:

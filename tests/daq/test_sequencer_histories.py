@@ -3,7 +3,7 @@
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from daq.actuation.motion import Motion
+from daq.actuation.motion import MotionState
 from daq.actuation.proof import FrequencyProof
 from daq.actuation.seen import Glimpse, Seen
 from daq.actuation.sequencer import Sequencer
@@ -34,7 +34,7 @@ def test_such_histories_do_fly() -> None:
 
 
 motions = st.builds(
-    Motion,
+    MotionState,
     bank=st.none() | st.floats(-3.1, 3.1),
     load_factor=st.just(1.0) | st.none() | st.floats(-5.0, 5.0),
     airspeed=st.just(17.0) | st.none() | st.floats(0.0, 60.0),
@@ -62,7 +62,7 @@ def test_whatever_is_seen_gives_a_frame_in_its_limits(glimpsed: list[tuple], cal
     servos = servos_of(config)
     sequencer = Sequencer(config, plan_of(short_manoeuvre(), config), servos, 0.02, FrequencyProof(1500.0, 50.0, 0.02))
     now, state, last = 0, State.IDLE, None
-    well = Motion(0.0, 1.0, 17.0, 0.05, 60.0)
+    well = MotionState(0.0, 1.0, 17.0, 0.05, 60.0)
     still = (1500.0, 1500.0, 1500.0)
     to_armed = [Switch.OFF] * 4 + [Switch.ARM] * 45 + [Switch.GO] * (10 + calm)
     seen = [(20, s, still, well, 1500.0, True, "", 0) for s in to_armed] + glimpsed

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.assembly import Edge
+from daq.assembly import HardwareEdge
 from daq.clock import RealClock
 from daq.config import ConfigError, ScanConfig, parse_config
 from daq.contract.recordings.accounting import verify
@@ -108,7 +108,7 @@ def test_a_signal_ends_the_recording_in_order(tmp_path: Path, number: signal.Sig
 
     timer = threading.Thread(target=when_it_has_recorded, name="signal")
     timer.start()
-    outcome = run_until_signal(config, text, Edge(RealClock(), None, None, "simulated"), [])
+    outcome = run_until_signal(config, text, HardwareEdge(RealClock(), None, None, "simulated"), [])
     timer.join()
     assert signal.getsignal(number) is before
     assert outcome.signal_name == number.name
@@ -138,7 +138,7 @@ def test_systemd_is_told_of_the_end_before_the_recording_is_ended(
 
         monkeypatch.setattr(Recorder, "close", closing)
         clock = EndsItself()
-        run_until_signal(config, "", Edge(clock, None, None, "simulated"), [])
+        run_until_signal(config, "", HardwareEdge(clock, None, None, "simulated"), [])
     assert told[0].startswith("READY=1")
     assert told[1].startswith("WATCHDOG=1\nSTATUS=")
     assert told[-1] == "STOPPING=1"
@@ -168,7 +168,7 @@ def test_the_scan_loop_has_the_interpreter_back_soon_while_it_runs_and_nothing_i
             super().sleep_until(monotonic_ns)
 
     before = sys.getswitchinterval()
-    run_until_signal(config, "", Edge(Looks(), None, None, "simulated"), [])
+    run_until_signal(config, "", HardwareEdge(Looks(), None, None, "simulated"), [])
     assert max(seen) < 0.001 < before
     assert sys.getswitchinterval() == before
 

@@ -177,7 +177,7 @@ def test_an_old_fix_is_no_position() -> None:
 def test_pressure_is_that_of_the_ground_s_calibration() -> None:
     nvm = calibration_bytes()
     found = shown(messages(nvm=nvm.hex()), "SCALED_PRESSURE", scan(**EVERYTHING))
-    pressure, temperature = air_data.Bmp390.from_nvm(nvm).compensate(6_400_000.0, 8_400_000.0)
+    pressure, temperature = air_data.Bmp390Compensation.from_nvm(nvm).compensate(6_400_000.0, 8_400_000.0)
     assert found is not None
     assert found["press_abs"] == pytest.approx(pressure / 100, rel=1e-6)
     assert found["temperature"] == round((temperature - 273.15) * 100)

@@ -8,7 +8,7 @@ from typing import cast
 
 from daq.clock import SimulatedClock
 from daq.contract.recordings.recording import scan_entry
-from daq.recorder.segment import Segment, Syncer
+from daq.recorder.segment import OpenRecording, Syncer
 from daq.recorder.storage import StorageFile
 from tests.daq.synthetic import make_info, make_scan
 
@@ -30,7 +30,7 @@ def test_a_sync_after_a_failed_one_confirms_nothing() -> None:
     failed: list[bool] = []
     failing = threading.Event()
 
-    def on_failure(segment: Segment, error: OSError, finished: bool) -> None:
+    def on_failure(segment: OpenRecording, error: OSError, finished: bool) -> None:
         failed.append(finished)
         if not finished:
             segment.failure = error
@@ -39,7 +39,7 @@ def test_a_sync_after_a_failed_one_confirms_nothing() -> None:
     syncer = Syncer(on_failure, SimulatedClock(), sync=True)
     syncer.start()
     file = cast(StorageFile, ForgetfulFile())
-    segment = Segment(Path("s1_000.mcap"), file, make_info(), compress=False, keep=100)
+    segment = OpenRecording(Path("s1_000.mcap"), file, make_info(), compress=False, keep=100)
     entries = [scan_entry(make_scan(n)) for n in range(10)]
     for entry in entries:
         segment.add(entry)

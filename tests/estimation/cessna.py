@@ -5,10 +5,10 @@ of this house, + rolls left). Span, area, chord, mass and inertia: the same tabl
 """
 
 from estimation.aircraft import Aircraft
-from estimation.aircraft.handbook import Shape
+from estimation.aircraft.handbook import HandbookShape
 
 CESSNA_172 = Aircraft("c172", 10.97, 16.17, 1.49, 1202.0, 1285.0, 1825.0, 2667.0, 0.0)
-SHAPE = Shape(
+SHAPE = HandbookShape(
     speed=66.8, taper=0.68, dihedral=0.03, aileron=(0.53, 0.97), aileron_flap=0.2,
     tail_area=3.6, tail_span=3.45, tail_arm=4.6, elevator_flap=0.42,
     fin_area=1.73, fin_span=1.5, fin_arm=4.7, fin_height=0.75, rudder_flap=0.4,

@@ -18,7 +18,7 @@ from daq.config import ConfigError, parse_config
 from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from estimation.aircraft import Aircraft, PriorDerivative, built_in_aircraft, load_aircraft, unknown_aircraft
-from estimation.aircraft.handbook import Shape, beliefs, flap_effectiveness, lift_slope, wing_moment
+from estimation.aircraft.handbook import HandbookShape, beliefs, flap_effectiveness, lift_slope, wing_moment
 from estimation.aircraft.of_flight import aircraft_of
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.commands.aircraft import aircraft as verb
@@ -312,7 +312,9 @@ def test_beliefs_stated_go_before_those_computed_and_need_geometry() -> None:
     assert "Cn_dr" not in found  # no fin, no rudder
     with pytest.raises(AircraftError, match=r"geometry\.span, .*\[shape\] cannot do without"):
         made(shape)
-    assert beliefs(CESSNA_172, Shape(speed=50.0))["Cm_alpha"].value == 0.0  # a wing alone on its aerodynamic centre
+    assert (
+        beliefs(CESSNA_172, HandbookShape(speed=50.0))["Cm_alpha"].value == 0.0
+    )  # a wing alone on its aerodynamic centre
 
 
 def test_an_aircraft_of_which_nothing_is_known_has_no_number() -> None:

@@ -10,21 +10,21 @@ from estimation.answers.estimate_lines import session_lines
 from estimation.models import load_model
 from estimation.report.conventions import conventions_table
 from estimation.report.model_export import export_estimates
-from estimation.report.tables import CANNOT_TELL, Table
+from estimation.report.tables import CANNOT_TELL, ReportTable
 from estimation.session import runner
-from estimation.session.session import Session
+from estimation.session.session import EstimationSession
 from tests.estimation.truth import NOISE, Case, fly
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
+def session() -> EstimationSession:
     """A flight without any rudder, whose derivatives cannot be told."""
     flights = fly(Case(noise=NOISE, rudder=0.0), np.random.default_rng(8))[0]
     aircraft = load_aircraft("cdfp")
     return runner.estimate(load_model("lateral", aircraft), flights, aircraft, ["ml"])
 
 
-def test_the_printed_answer_and_the_page_state_conventions_and_constants(session: Session) -> None:
+def test_the_printed_answer_and_the_page_state_conventions_and_constants(session: EstimationSession) -> None:
     text = "\n".join(session_lines(session))
     for words in (
         "per rad",
@@ -44,7 +44,7 @@ def test_the_printed_answer_and_the_page_state_conventions_and_constants(session
 
 
 def test_a_latex_table_has_no_number_for_what_cannot_be_told_and_the_belief_beside_what_can(
-    session: Session, tmp_path: Path
+    session: EstimationSession, tmp_path: Path
 ) -> None:
     export_estimates(session.to_json(), tmp_path / "t.tex")
     lines = (tmp_path / "t.tex").read_text().splitlines()
@@ -57,7 +57,9 @@ def test_a_latex_table_has_no_number_for_what_cannot_be_told_and_the_belief_besi
 
 def test_a_group_that_ends_in_cannot_tell_says_only_that() -> None:
     row = ("Cn_dr", "0.12", "0.01", CANNOT_TELL, "0.13", "0.02", "0.03")
-    table = Table("t", "c", ("", *("estimate", "bound", "corrected") * 2), (row,), (("", 1), ("ml", 3), ("ls", 3)))
+    table = ReportTable(
+        "t", "c", ("", *("estimate", "bound", "corrected") * 2), (row,), (("", 1), ("ml", 3), ("ls", 3))
+    )
     (line,) = (text for text in table.latex().splitlines() if "cannot tell" in text)
     assert "0.12" not in line
     assert "0.13" in line

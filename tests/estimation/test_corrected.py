@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimation.compatibility.correct import corrected
-from estimation.compatibility.result import Compatibility, Factor
+from estimation.compatibility.result import Compatibility, FactorEstimate
 from groundstation.flight import Flight
 
 TIME = np.arange(600) * 0.04
@@ -45,7 +45,7 @@ def as_shown() -> Flight:
 
 
 def result(factors: dict[str, float], known: dict[str, float]) -> Compatibility:
-    found = {n: Factor(n, "m", v, 0.01, 0.01, True) for n, v in factors.items()}
+    found = {n: FactorEstimate(n, "m", v, 0.01, 0.01, True) for n, v in factors.items()}
     return Compatibility(found, np.eye(len(found)), (), True, "converged", 1, 0.1, known)
 
 

@@ -6,7 +6,7 @@ import pytest
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.kernel import Array
 from estimation.models import load_model
-from estimation.signals.feedback import Piece, following, gains
+from estimation.signals.feedback import ControlStretch, following, gains
 from estimation.signals.preprocess import denoise
 from groundstation.flight import Flight
 
@@ -30,7 +30,7 @@ def test_what_follows_the_motion_is_kept() -> None:
     for seed in range(10):
         values, true, q = control(np.random.default_rng(seed), GAIN)
         smooth = denoise(values).values
-        piece = Piece(values, smooth, q[:, None])
+        piece = ControlStretch(values, smooth, q[:, None])
         found = gains([piece], NOISE)
         assert found is not None
         back, errors = following(piece, found, NOISE, 24, np.random.default_rng(1))
@@ -48,16 +48,16 @@ def test_a_control_that_follows_nothing_is_left_alone() -> None:
     found = 0
     for seed in range(40):
         values, _, q = control(np.random.default_rng(seed), 0.0)
-        found += gains([Piece(values, denoise(values).values, q[:, None])], NOISE) is not None
+        found += gains([ControlStretch(values, denoise(values).values, q[:, None])], NOISE) is not None
     assert found <= 1  # one in a thousand by chance
 
 
 def test_nothing_to_go_by() -> None:
     flat = np.zeros(30)
-    assert gains([Piece(flat, flat, np.zeros((30, 2)))], NOISE) is None
+    assert gains([ControlStretch(flat, flat, np.zeros((30, 2)))], NOISE) is None
     assert gains([], NOISE) is None
     short = np.random.default_rng(1).standard_normal(7) * NOISE
-    assert gains([Piece(short, short, short[:, None])], NOISE) is None
+    assert gains([ControlStretch(short, short, short[:, None])], NOISE) is None
 
 
 @pytest.mark.parametrize("draws", [0, 24])

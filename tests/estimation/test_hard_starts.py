@@ -17,13 +17,13 @@ from estimation.estimators.arithmetic import NumericalFailure, believable, numer
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.estimator import Estimator, Task
 from estimation.estimators.filter_error import ProcessNoiseProblem
-from estimation.estimators.gauss_newton import Status, Step, minimise
+from estimation.estimators.gauss_newton import SolverStep, Status, minimise
 from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
 from estimation.session import runner
-from estimation.session.structured import Wish
+from estimation.session.structured import StructureWish
 from groundstation.flight import Flight
 from tests.estimation.truth import NOISE, TRUE, Case, Craft, fly
 
@@ -112,9 +112,9 @@ def test_a_hard_start_ends_in_a_result_or_a_sentence(kind: str, method: str) -> 
     flight, model = HARD[kind]()
     if kind in REFUSED:
         with pytest.raises(UserError, match=r"^.{20,}$"):
-            runner.estimate(model, [flight], load_aircraft("cdfp"), [method], structure=Wish.OFF)
+            runner.estimate(model, [flight], load_aircraft("cdfp"), [method], structure=StructureWish.OFF)
         return
-    session = runner.estimate(model, [flight], load_aircraft("cdfp"), [method], structure=Wish.OFF)
+    session = runner.estimate(model, [flight], load_aircraft("cdfp"), [method], structure=StructureWish.OFF)
     (of_flight,) = session.flights
     for why in of_flight.failures.values():
         assert "\n" not in why
@@ -154,7 +154,7 @@ def test_arithmetic_that_fails_in_any_method_is_one_sentence(name: str, monkeypa
     monkeypatch.setattr(runner, "find", lambda method: _with(ARITHMETIC[name]))
     easy, model = _sound()
     flights = [replace(easy, name="hard"), replace(easy, name="easy")]
-    session = runner.estimate(model, flights, load_aircraft("cdfp"), ["own"], structure=Wish.OFF)
+    session = runner.estimate(model, flights, load_aircraft("cdfp"), ["own"], structure=StructureWish.OFF)
     hard, sound = session.flights
     assert "failed in its arithmetic" in hard.failures["own"]
     assert "check units" in hard.failures["own"]
@@ -235,8 +235,8 @@ class _HollowBowl:
         x = float(unknowns[0])
         return _Place(np.inf if derivatives and abs(x) <= 1.0 else 0.5 * x * x)
 
-    def step(self, unknowns: np.ndarray, point: _Place, damping: float) -> Step:
-        return Step(-2.2 * unknowns / (1.0 + damping), point.cost)
+    def step(self, unknowns: np.ndarray, point: _Place, damping: float) -> SolverStep:
+        return SolverStep(-2.2 * unknowns / (1.0 + damping), point.cost)
 
     def clip(self, unknowns: np.ndarray) -> np.ndarray:
         return unknowns

@@ -88,7 +88,7 @@ def _sizes(monkeypatch: pytest.MonkeyPatch, flights: list[FlightData]) -> np.nda
     found = []
     inner = input_error.common_error
 
-    def spy(told: list[input_error.Evidence], edges: float) -> np.ndarray:
+    def spy(told: list[input_error.InputErrorEvidence], edges: float) -> np.ndarray:
         result = inner(told, edges)
         found.append(result)
         return result

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
+from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
 
 TRUE = np.array([3.0, -40.0, 0.02])
 SCALE = np.array([1.0, 10.0, 0.01])
@@ -26,9 +26,9 @@ class Quadratic:
     def evaluate(self, unknowns: np.ndarray, derivatives: bool) -> Point:
         return Point(0.5 * float(np.sum(((unknowns - TRUE) / SCALE) ** 2)))
 
-    def step(self, unknowns: np.ndarray, point: Point, damping: float) -> Step:
+    def step(self, unknowns: np.ndarray, point: Point, damping: float) -> SolverStep:
         away = TRUE - unknowns
-        return Step(SHORT * away, 0.5 * float(np.sum(SHORT * (away / SCALE) ** 2)), self.weight)
+        return SolverStep(SHORT * away, 0.5 * float(np.sum(SHORT * (away / SCALE) ** 2)), self.weight)
 
     def clip(self, unknowns: np.ndarray) -> np.ndarray:
         return unknowns
@@ -54,9 +54,11 @@ def test_far_away_steps_are_taken_as_they_are() -> None:
 class Exact(Quadratic):
     """Steps that fall short and yet give just what they promise, as those of a bent cost do where its errors change sign."""
 
-    def step(self, unknowns: np.ndarray, point: Point, damping: float) -> Step:
+    def step(self, unknowns: np.ndarray, point: Point, damping: float) -> SolverStep:
         step = super().step(unknowns, point, damping)
-        return Step(step.direction, point.cost - self.evaluate(unknowns + step.direction, False).cost, step.weight)
+        return SolverStep(
+            step.direction, point.cost - self.evaluate(unknowns + step.direction, False).cost, step.weight
+        )
 
 
 @pytest.mark.parametrize("away", [2.0, 8.0, 40.0])

@@ -13,7 +13,7 @@ from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
 from estimation.estimators.frequency_domain.estimate import FrequencyOptions, frequency_output_error
 from estimation.estimators.frequency_domain.problem import FrequencyProblem
-from estimation.estimators.frequency_domain.transformed import Band, Stretch
+from estimation.estimators.frequency_domain.transformed import Band, SpectralSegment
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
 from estimation.models.base import InputTransform, Model, Parameter, Signal
@@ -95,7 +95,7 @@ def test_slopes_are_those_of_the_outputs(made_flights: list[Flight], kind: str) 
         looked_at = ("Cl_p", "late_a", "late_p")
     simulator = Simulator.build(model)
     data = prepare(model, made_flights[0])
-    stretch = Stretch(simulator, data, data.segments[0], Band(0.1, 2.0))
+    stretch = SpectralSegment(simulator, data, data.segments[0], Band(0.1, 2.0))
     values, ends = model.starts(), np.array([0.01, 0.1, -0.05, 0.02])
     at = stretch.response(values, ends)
     for name in looked_at:

@@ -13,9 +13,9 @@ from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton import NgnOptions, estimate_campaign, estimate_ngn, training
 from estimation.estimators.neural_gauss_newton.axes import LateralAxis, LongitudinalAxis
 from estimation.estimators.neural_gauss_newton.device import usable_device
-from estimation.estimators.neural_gauss_newton.formulation import Unknowns
+from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns
 from estimation.estimators.neural_gauss_newton.network import (
-    Shape,
+    NetworkShape,
     forward,
     initial_weights,
     input_slopes,
@@ -23,7 +23,7 @@ from estimation.estimators.neural_gauss_newton.network import (
 )
 from estimation.estimators.neural_gauss_newton.options import default_options
 from estimation.estimators.neural_gauss_newton.samples import stretches, window_mean
-from estimation.estimators.neural_gauss_newton.solve import Problem
+from estimation.estimators.neural_gauss_newton.solve import NeuralProblem
 from estimation.estimators.neural_gauss_newton.training import Job, TrainingOptions, mean_square, train_jobs
 from estimation.models import load_model
 from estimation.session.runner import joint_model
@@ -55,7 +55,7 @@ def network(shape, nets=1):
 
 @pytest.mark.parametrize("skip", [False, True])
 def test_normal_equations_are_those_of_autograd(skip):
-    shape = Shape(5, 4, 3, skip)
+    shape = NetworkShape(5, 4, 3, skip)
     generator = torch.Generator().manual_seed(1)
     w = network(shape, 2)
     u, z = (torch.randn(7, n, generator=generator, dtype=torch.float64) for n in (5, 3))
@@ -70,7 +70,7 @@ def test_normal_equations_are_those_of_autograd(skip):
 
 @pytest.mark.parametrize("skip", [False, True])
 def test_slopes_by_the_inputs_are_differences(skip):
-    shape = Shape(5, 4, 3, skip)
+    shape = NetworkShape(5, 4, 3, skip)
     w = network(shape)[0]
     u = torch.randn(7, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     out, slopes = input_slopes(shape, w, u)
@@ -84,7 +84,7 @@ def test_slopes_by_the_inputs_are_differences(skip):
 
 
 def test_an_ensemble_is_its_members():
-    shape = Shape(5, 4, 3, True)
+    shape = NetworkShape(5, 4, 3, True)
     w = network(shape, 3)
     u = torch.randn(7, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     torch.testing.assert_close(forward(shape, w, u), torch.stack([forward(shape, v, u) for v in w]))
@@ -95,7 +95,7 @@ def smooth_map(count):
     generator = torch.Generator().manual_seed(count)
     u = torch.randn(count, 2, generator=generator, dtype=torch.float64)
     z = torch.stack([torch.tanh(u[:, 0] - 0.5 * u[:, 1]), 0.3 * u[:, 1]], dim=1)
-    shape = Shape(2, 5, 2, True)
+    shape = NetworkShape(2, 5, 2, True)
     seen = (torch.arange(count) % 5 != 0).double()
     return Job(shape, u, z, seen, initial_weights(shape, generator)[0])
 
@@ -113,7 +113,11 @@ def test_side_by_side_is_as_alone(optimiser, monkeypatch):
     """Whatever the company and the size of the batches: rows of other lengths, rows that are shared, one more shape."""
     jobs = [smooth_map(200), smooth_map(120), smooth_map(160)]
     jobs.append(replace(jobs[0], start=1.1 * jobs[0].start))
-    jobs.append(replace(jobs[1], shape=Shape(2, 3, 2), start=initial_weights(Shape(2, 3, 2), torch.Generator())[0]))
+    jobs.append(
+        replace(
+            jobs[1], shape=NetworkShape(2, 3, 2), start=initial_weights(NetworkShape(2, 3, 2), torch.Generator())[0]
+        )
+    )
     options = TrainingOptions(optimiser, iterations=6)
     alone = [train_jobs([j], options)[0] for j in jobs]
     for rows in (40_000, 420):
@@ -247,7 +251,7 @@ def test_density_is_derived_where_other_methods_derive_it(ordinary):
 
 
 def test_an_end_where_the_network_predicts_nothing_is_not_called_converged(ordinary, monkeypatch):
-    monkeypatch.setattr(Problem, "regression", property(lambda self: self.unknowns.start))
+    monkeypatch.setattr(NeuralProblem, "regression", property(lambda self: self.unknowns.start))
     assert published_longitudinal(ordinary, 30.0).status is Status.STALLED
 
 
@@ -336,7 +340,7 @@ def test_fixed_parameter_stays(made_flights):
     model = load_model("lateral", AIRCRAFT).fixed(CY_p=-0.05)
     result = estimate_ngn(AIRCRAFT, made_flights[0], model=model, options=NgnOptions(ensemble=1, bootstraps=0))
     assert "CY_p" not in result.parameters
-    assert Unknowns.of(model, LateralAxis(AIRCRAFT), 1).base[0, 2] == -0.05
+    assert FlightUnknowns.of(model, LateralAxis(AIRCRAFT), 1).base[0, 2] == -0.05
 
 
 def test_campaign_gives_what_flights_give_one_by_one(made_flights):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.engine.compiled import CompiledKernel
-from estimation.engine.kernel import Columns
+from estimation.engine.kernel import SensitivityColumns
 from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
 from estimation.estimators.filter_error import filter_error, process_noise_error
@@ -70,7 +70,7 @@ def test_a_gain_laid_out_by_columns_is_the_same_gain() -> None:
     segment, values = data.segments[0], LATERAL.starts()
     runs = [simulator.run(segment, values, segment.x0, gain=g) for g in (gain, np.asfortranarray(gain))]
     np.testing.assert_array_equal(runs[0].y, runs[1].y)
-    assert isinstance(simulator.columns(), Columns)
+    assert isinstance(simulator.columns(), SensitivityColumns)
 
 
 def errors(result: Result, truth: Mapping[str, float]) -> np.ndarray:

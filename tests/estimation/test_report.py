@@ -20,9 +20,9 @@ from estimation.report.check_page import write_check_report
 from estimation.report.front import write_front_page
 from estimation.report.modes import modes, modes_with_spread, state_matrix, trim
 from estimation.report.page import write_estimate_report
-from estimation.report.tables import Table, number, rounded
+from estimation.report.tables import ReportTable, number, rounded
 from estimation.session import runner
-from estimation.session.session import Session
+from estimation.session.session import EstimationSession
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.quality.report import quality_report
 
@@ -61,14 +61,14 @@ def flight(name: str, seed: int, rudder: float) -> Flight:
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
+def session() -> EstimationSession:
     return runner.estimate(
         LATERAL, [flight("cdfp_ld1", 1, 0.0), flight("cdfp_ld4", 2, 1.0)], CRAFT, ("ml",), joint=True
     )
 
 
 @pytest.fixture(scope="module")
-def report(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(session: EstimationSession, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The written page of the session; of the figures that each flight has, those of the first are drawn."""
     savefig, drawn = Figure.savefig, set()
 
@@ -121,7 +121,9 @@ def test_page_is_one_file_with_every_part(report: Path) -> None:
     assert not list(report.parent.glob("*.part"))
 
 
-def test_rudder_derivatives_of_the_aileron_flight_are_not_numbers_but_words(session: Session, report: Path) -> None:
+def test_rudder_derivatives_of_the_aileron_flight_are_not_numbers_but_words(
+    session: EstimationSession, report: Path
+) -> None:
     text = report.read_text(encoding="utf-8")
     with (report.parent / "tables" / "estimates_cdfp_ld1.csv").open(encoding="utf-8") as file:
         rows = {row[0]: row for row in csv.reader(file)}
@@ -142,7 +144,7 @@ def test_published_columns_are_those_of_the_same_flight(report: Path) -> None:
     assert published.counterpart("cdfp_ld12") is None
 
 
-def test_modes_are_eigenvalues_of_an_independent_linearisation(session: Session) -> None:
+def test_modes_are_eigenvalues_of_an_independent_linearisation(session: EstimationSession) -> None:
     """Straight flight, Ixz kept, built by hand from the stability derivatives."""
     f, result = session.flights[1].flight, session.joint["ml"]
     state, inputs = trim(LATERAL, f)
@@ -196,7 +198,7 @@ def kinematic_flight() -> Flight:
     return Flight.build("level", t, columns, provenance=Provenance(aircraft="cdfp"))
 
 
-def test_front_page_links_what_is_there_and_nothing_else(session: Session, report: Path) -> None:
+def test_front_page_links_what_is_there_and_nothing_else(session: EstimationSession, report: Path) -> None:
     folder = report.parent.parent
     (folder / "estimate.json").write_text(json.dumps(session.to_json()), encoding="utf-8")
     text = write_front_page(folder).read_text(encoding="utf-8")
@@ -230,7 +232,7 @@ def test_names_from_a_file_cannot_break_the_page() -> None:
 
 
 def test_latex_table_escapes_and_aligns() -> None:
-    text = Table("t", "50 % & more", ("", "a_b"), (("Cl_p", "±1"),)).latex()
+    text = ReportTable("t", "50 % & more", ("", "a_b"), (("Cl_p", "±1"),)).latex()
     assert r"50 \% \& more" in text
     assert r"$C_{l_{p}}$ & $\pm$1 \\" in text
     assert text.count(" & ") == 2

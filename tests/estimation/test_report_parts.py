@@ -13,15 +13,15 @@ from estimation.report.flight_card import flight_card, mean_wind
 from estimation.report.markup.fold import SHEET, label, needs_width, pieces, width, words
 from estimation.report.markup.html import render
 from estimation.report.notes import notes_table
-from estimation.report.tables import Table, pair, rounded
+from estimation.report.tables import ReportTable, pair, rounded
 from groundstation.flight import Flight, Provenance
 
 
-def table(groups: int, span: int = 3) -> Table:
+def table(groups: int, span: int = 3) -> ReportTable:
     """One column of names and `groups` groups of numbers of nine letters."""
     head = ("", *(f"h{i}" for i in range(groups * span)))
     rows = tuple((name, *["-0.123456"] * groups * span) for name in ("Cl_p", "Cn_r"))
-    return Table("t", "caption", head, rows, (("", 1), *((f"g{i}", span) for i in range(groups))))
+    return ReportTable("t", "caption", head, rows, (("", 1), *((f"g{i}", span) for i in range(groups))))
 
 
 def test_a_narrow_table_is_one_piece() -> None:
@@ -64,7 +64,7 @@ def test_every_cell_of_the_page_has_its_head_and_failed_ones_are_marked() -> Non
 
 
 def test_columns_without_numbers_are_words() -> None:
-    mixed = Table("t", "", ("a", "b", "c", "d"), (("x", "-1.2", "pass", ""), ("y", "cannot tell", "FAIL", "")))
+    mixed = ReportTable("t", "", ("a", "b", "c", "d"), (("x", "-1.2", "pass", ""), ("y", "cannot tell", "FAIL", "")))
     assert words(mixed) == {0, 2}
 
 

@@ -11,8 +11,8 @@ from estimation.aircraft import Aircraft, PriorDerivative
 from estimation.models import load_model
 from estimation.session import runner
 from estimation.session.sanity_checks import DoubtKind
-from estimation.session.session import Session
-from estimation.session.structured import Wish
+from estimation.session.session import EstimationSession
+from estimation.session.structured import StructureWish
 from groundstation.flight import Flight
 from tests.studies.random_aeroplanes import Aeroplane, Situation, fly
 
@@ -35,7 +35,9 @@ def flown(situation: Situation, flights: int = 1) -> tuple[list[Flight], Aircraf
     return fly(craft, situation, np.random.default_rng(SEED + 2), flights), aircraft, craft.derivatives
 
 
-def estimated(flights: list[Flight], aircraft: Aircraft, wish: Wish = Wish.TEST, model: str = "lateral") -> Session:
+def estimated(
+    flights: list[Flight], aircraft: Aircraft, wish: StructureWish = StructureWish.TEST, model: str = "lateral"
+) -> EstimationSession:
     joint = len(flights) > 1
     return runner.estimate(load_model(model, aircraft), flights, aircraft, ("ml",), joint=joint, structure=wish)
 
@@ -100,7 +102,7 @@ def test_a_lag_or_a_scale_is_named_and_auto_brings_the_estimates_back(situation:
     assert found.verdict.recommended.method == "none"
     assert term in found.verdict.recommended.lacks
     assert "--structure auto" in found.verdict.recommended.why
-    auto = estimated(flights, aircraft, Wish.AUTO).flights[0]
+    auto = estimated(flights, aircraft, StructureWish.AUTO).flights[0]
     assert auto.structure is not None
     assert term in auto.structure.added
     told = auto.results["ml"].parameters
@@ -153,6 +155,6 @@ def test_a_rudder_of_the_other_sign_is_no_aeroplane_s() -> None:
 
 def test_off_tests_nothing() -> None:
     flights, aircraft, _ = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
-    found = estimated(flights, aircraft, Wish.OFF)
+    found = estimated(flights, aircraft, StructureWish.OFF)
     assert found.flights[0].structure is None
     assert "structure" not in found.to_json()["flights"][0]

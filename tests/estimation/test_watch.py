@@ -10,7 +10,7 @@ import pytest
 import sideslip
 from daq.contract.errors import UserError
 from daq.identification.monitor import threshold
-from daq.identification.monitor.nulls import Conditions
+from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
@@ -70,7 +70,7 @@ def known_thresholds(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """All three flights have the same air and instruments: the thresholds of one do for the others."""
 
     def known(*asked: object, rng: np.random.Generator, hours: float, rate: float) -> Calibration:
-        conditions = next(a for a in asked if isinstance(a, Conditions))
+        conditions = next(a for a in asked if isinstance(a, NullConditions))
         assert (conditions.rate, hours, rate) == (pytest.approx(20.0), 1.0, 1.0)
         assert conditions.beta == pytest.approx(ORDINARY_NOISE.beta, rel=0.2)
         return quiet.calibration

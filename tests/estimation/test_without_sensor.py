@@ -10,8 +10,8 @@ from estimation.aircraft import load_aircraft
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.session import runner
-from estimation.session.session import Session
-from estimation.session.structured import Wish
+from estimation.session.session import EstimationSession
+from estimation.session.structured import StructureWish
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight, MissingColumnError
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
@@ -24,7 +24,9 @@ def made(seed: int, *lacking: str, count: int = 1) -> list[Flight]:
     return [f.with_columns(**{n: np.full(len(f), np.nan) for n in lacking}) for f in flights]
 
 
-def estimated(flights: Sequence[Flight], methods: Sequence[str] = ("ml",), structure: Wish = Wish.OFF) -> Session:
+def estimated(
+    flights: Sequence[Flight], methods: Sequence[str] = ("ml",), structure: StructureWish = StructureWish.OFF
+) -> EstimationSession:
     return runner.estimate(
         LATERAL, flights, load_aircraft("cdfp"), methods, structure=structure, joint=len(flights) > 1
     )
@@ -63,7 +65,7 @@ def test_flights_with_and_without_a_vane_together() -> None:
 
 @pytest.mark.parametrize("lacking", ["beta", "ay"])
 def test_every_method_and_the_structure_test_end_in_a_result_or_a_sentence(lacking: str) -> None:
-    session = estimated(made(35, lacking), ("ml", "ls", "ngn-improved"), Wish.TEST)
+    session = estimated(made(35, lacking), ("ml", "ls", "ngn-improved"), StructureWish.TEST)
     (flight,) = session.flights
     assert flight.results["ml"].converged
     assert set(flight.results) | set(flight.failures) == {"ml", "ls", "ngn-improved"}
@@ -78,7 +80,7 @@ def test_an_aircraft_of_which_nothing_is_believed_has_starts_from_the_kinematics
     model, _ = without_sensor(unknown, flights)
     start = model.starts()
     assert all(start[n] * TRUE[n] > 0.0 for n in ("CY_beta", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_dr"))
-    session = runner.estimate(unknown, flights, load_aircraft("cdfp"), ["ml"], structure=Wish.OFF)
+    session = runner.estimate(unknown, flights, load_aircraft("cdfp"), ["ml"], structure=StructureWish.OFF)
     assert np.abs(misses(session.flights[0].results["ml"])).max() < 4.0
 
 

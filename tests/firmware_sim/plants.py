@@ -5,7 +5,7 @@ import numpy as np
 from estimation.aircraft import load_aircraft
 from firmware_sim.physics.aerodynamics import true_derivatives
 from firmware_sim.physics.atmosphere import Site
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import FLOATS, State
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.plant import ARMS, ATTITUDE, POSITION, THRUST, Commands, Plant
@@ -14,7 +14,7 @@ from firmware_sim.physics.trim import Trim, level_trim
 QUIET = [0.0] * 4
 
 
-def plain_plant(*effects: Effect, **derivatives: float) -> Plant:
+def plain_plant(*effects: HiddenEffect, **derivatives: float) -> Plant:
     """The CDFP in still air; `derivatives` override the truth."""
     aircraft = load_aircraft("cdfp")
     return Plant(

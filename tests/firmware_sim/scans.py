@@ -10,7 +10,7 @@ from daq.sensors.config import SensorsConfig, cdfp_sensors
 from firmware_sim.hardware.faults import FaultSet, parse_faults
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import SimulatedSerial
-from firmware_sim.runs.flight import START_UTC_NS, Aircraft, build_aircraft
+from firmware_sim.runs.flight import START_UTC_NS, SimulatedHardware, build_aircraft
 from tests.firmware_sim.hardware import Still
 
 ON_BUS = ("imu", "mag", "analog_a", "analog_b", "analog_c", "pitot", "static", "thrust", "capture")
@@ -24,7 +24,7 @@ def standing(
     config: SensorsConfig | None = None,
     rate_hz: float = 20.0,
     seed: int = 1,
-) -> tuple[list[Scan], Aircraft, Sampler]:
+) -> tuple[list[Scan], SimulatedHardware, Sampler]:
     """Scans of `duration_s` from power-up, the aircraft they were made on, and the sampler."""
     clock = SimulatedClock(START_UTC_NS)
     faults = FaultSet(parse_faults(lines, "test"), 0, seed)

@@ -7,7 +7,7 @@ import pytest
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, parse_cockpit, switch_for
 from firmware_sim.hardware.multiplexer import MONOSTABLE_NS, SEL_LOST_NS, Monostable, Multiplexer
-from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685
+from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
 from firmware_sim.physics.plant import Commands
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
@@ -16,7 +16,7 @@ MS = 1_000_000
 AWAKE = bytes([0x00, 0x20])
 
 
-def registers(chip: Pca9685, first: int, count: int) -> list[int]:
+def registers(chip: Pca9685Chip, first: int, count: int) -> list[int]:
     chip.write(bytes([first]), 0)
     return list(chip.read(count, 0))
 
@@ -25,8 +25,8 @@ def pulse(channel: int, steps: int) -> bytes:
     return bytes([6 + 4 * channel, 0, 0, steps & 255, steps >> 8])
 
 
-def awake(now_ns: int = 0) -> Pca9685:
-    chip = Pca9685()
+def awake(now_ns: int = 0) -> Pca9685Chip:
+    chip = Pca9685Chip()
     chip.write(bytes([0xFE, 121]), now_ns)
     chip.write(AWAKE, now_ns)
     return chip
@@ -34,7 +34,7 @@ def awake(now_ns: int = 0) -> Pca9685:
 
 class TestPca9685:
     def test_reset_values(self) -> None:
-        chip = Pca9685()
+        chip = Pca9685Chip()
         assert registers(chip, 0x00, 1) == [0x11]
         assert registers(chip, 0x01, 1) == [0x04]
         assert [registers(chip, r, 1)[0] for r in (2, 3, 4, 5)] == [0xE2, 0xE4, 0xE8, 0xE0]
@@ -42,7 +42,7 @@ class TestPca9685:
         assert registers(chip, 0xFE, 1) == [0x1E]
 
     def test_without_auto_increment_the_pointer_stays(self) -> None:
-        chip = Pca9685()
+        chip = Pca9685Chip()
         chip.write(bytes([6, 1, 2, 3]), 0)
         assert registers(chip, 6, 3) == [3, 3, 3]
         chip.write(AWAKE, 0)
@@ -50,7 +50,7 @@ class TestPca9685:
         assert registers(chip, 6, 3) == [1, 2, 3]
 
     def test_prescale_changes_in_sleep_only_and_is_at_least_3(self) -> None:
-        chip = Pca9685()
+        chip = Pca9685Chip()
         chip.write(bytes([0xFE, 1]), 0)
         assert registers(chip, 0xFE, 1) == [3]
         chip.write(AWAKE, 0)
@@ -103,7 +103,7 @@ class TestPca9685:
         assert chip.width_us(0, 120 * MS) == pytest.approx(1000.4)
 
     def test_all_call_answers_until_it_is_turned_off(self) -> None:
-        chip = Pca9685()
+        chip = Pca9685Chip()
         everybody = AllCall(chip)
         assert ALLCALL_ADDRESS == 0x70
         assert everybody.answers(0)
@@ -124,7 +124,7 @@ class TestPca9685:
         assert chip.width_us(0, 80 * MS) == 0.0
 
     def test_oe_and_the_oscillator(self) -> None:
-        chip = Pca9685(0.05, lambda time_ns: time_ns < 30 * MS)
+        chip = Pca9685Chip(0.05, lambda time_ns: time_ns < 30 * MS)
         chip.write(bytes([0xFE, 121]), 0)
         chip.write(AWAKE, 0)
         chip.write(pulse(0, 307), 0)

@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from firmware_sim.hardware.autopilots.arduplane import ArduPlane
-from firmware_sim.hardware.autopilots.line import Line
+from firmware_sim.hardware.autopilots.line import LossyLine
 from firmware_sim.hardware.autopilots.px4 import MAVLINK, RECEIVER, Px4
 
 MS = 1_000_000
@@ -250,7 +250,7 @@ class TestPx4:
 
 
 def test_a_line_takes_its_time() -> None:
-    line = Line(baud=10_000)  # a byte a millisecond
+    line = LossyLine(baud=10_000)  # a byte a millisecond
     line.send(b"abcd", 0)
     line.send(b"ef", 1 * MS)
     assert line.arrived(2 * MS) == b"ab"

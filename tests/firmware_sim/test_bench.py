@@ -11,13 +11,13 @@ from daq.contract.recordings.reading import read_recording
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
-from firmware_sim.runs.bench_recordings import Bench, BenchRig, Pose, bench_titles, bench_truth, record_bench
+from firmware_sim.runs.bench_recordings import BenchRig, Pose, SimulatedBench, bench_titles, bench_truth, record_bench
 from firmware_sim.world.ground import direction_cosines
 from groundstation.calibration.bench_work.plan import load_plan
 
 
 def test_the_rig_moves_between_poses_and_stands_on_them() -> None:
-    bench = Bench("test", (Pose(left=0.0), Pose(left=0.2)), ())
+    bench = SimulatedBench("test", (Pose(left=0.0), Pose(left=0.2)), ())
     rig = BenchRig(bench, SensorModels())
     start, stop = bench.window(1)
     assert rig.advance(bench.window(0)[0]).left_elevon == 0.0
@@ -27,7 +27,7 @@ def test_the_rig_moves_between_poses_and_stands_on_them() -> None:
 
 def test_turning_by_hand_shows_in_the_rates() -> None:
     """The rates of the rig, integrated, turn one attitude into the next."""
-    bench = Bench("test", (Pose(), Pose(attitude=(0.6, -0.4, 1.0))), (), tumbling=True)
+    bench = SimulatedBench("test", (Pose(), Pose(attitude=(0.6, -0.4, 1.0))), (), tumbling=True)
     rig = BenchRig(bench, SensorModels())
     start = 1.5 + bench.dwell_s + 1.0
     step = 0.001
@@ -63,12 +63,12 @@ def test_load_bench_recording_and_plan_agree(tmp_path: Path) -> None:
 
 def test_every_bench_has_a_plan_that_the_fitting_reads() -> None:
     from firmware_sim.runs.bench_recordings import _BENCHES, _plan_text
-    from groundstation.calibration.bench_work.plan import Plan
+    from groundstation.calibration.bench_work.plan import BenchPlan
 
     assert len(bench_titles()) == 7
     for make in _BENCHES.values():
         bench = make(np.random.default_rng(1))
-        plan = Plan.model_validate(tomllib.loads(_plan_text(bench, 0.3)))
+        plan = BenchPlan.model_validate(tomllib.loads(_plan_text(bench, 0.3)))
         assert max(d.stop for fit in plan.fit for d in fit.dwell) < bench.duration_s
 
 

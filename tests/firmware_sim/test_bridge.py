@@ -4,7 +4,7 @@ from daq.clock import SimulatedClock
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder
 from daq.transport.ports import MemoryPort, memory_pair
 from firmware_sim.hardware.bridge import PortBridge
-from firmware_sim.hardware.radio import RadioLink, RadioModel
+from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink
 
 
 class UnreliablePort:
@@ -29,7 +29,7 @@ class UnreliablePort:
 
 def test_bytes_go_both_ways_and_a_port_that_is_away_costs_only_what_is_sent_meanwhile() -> None:
     clock = SimulatedClock(0)
-    radio = RadioLink(RadioModel(status_period_s=0), clock.monotonic_ns)
+    radio = SimulatedRadioLink(RadioModel(status_period_s=0), clock.monotonic_ns)
     ours, theirs = memory_pair()
     port = UnreliablePort(ours)
     bridge = PortBridge(radio.ground, port)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from firmware_sim.errors import ScenarioError
-from firmware_sim.physics.effects.actuator import History
-from firmware_sim.physics.effects.base import Effect, Sensed
+from firmware_sim.physics.effects.actuator import DelayedHistory
+from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.effects.registry import EFFECTS, make_effects
 from firmware_sim.physics.maths import FLOATS, array_maths
 from firmware_sim.physics.motion import Motion
@@ -32,7 +32,7 @@ gust wind_shear
 """.split()
 
 
-def at_state(effect: Effect | None, **change: float) -> tuple[Plant, Motion, list[float], list[float]]:
+def at_state(effect: HiddenEffect | None, **change: float) -> tuple[Plant, Motion, list[float], list[float]]:
     """Plant, motion, state and rates of trimmed flight with some states changed; effect states as at the start."""
     plant = plain_plant(*([] if effect is None else [effect]))
     x, commands, _ = level_state(plant)
@@ -52,7 +52,7 @@ def added(name: str, quantity: str, **change: float) -> tuple[float, Motion]:
     return getattr(with_effect, quantity) - getattr(plain, quantity), plain
 
 
-def sensed(effect: Effect, m: Motion, x: list[float]) -> Sensed:
+def sensed(effect: HiddenEffect, m: Motion, x: list[float]) -> Sensed:
     """What instruments are shown with the effect."""
     phi, theta, psi = math.atan2(m.c23, m.c33), math.asin(-m.c13), math.atan2(m.c12, m.c11)
     s = Sensed(m.ax, m.ay, m.az, m.p, m.q, m.r, phi, theta, psi, m.alpha, m.beta, m.V, m.arm_left, m.arm_right, m.arm_r)
@@ -203,11 +203,11 @@ def test_vane_lag_is_a_first_order_lag_of_the_sideslip() -> None:
 
 class TestMemory:
     def test_history_gives_back_the_past_between_grid_points(self) -> None:
-        past = History(0.1, 0.005, 0.0, FLOATS)
+        past = DelayedHistory(0.1, 0.005, 0.0, FLOATS)
         for k in range(1, 60):
             past.push(k * 0.005, 3.0 * k * 0.005)
         assert past.at(0.295 - 0.0712) == pytest.approx(3.0 * (0.295 - 0.0712))
-        many = History(0.1, 0.005, np.zeros(3), array_maths(3))
+        many = DelayedHistory(0.1, 0.005, np.zeros(3), array_maths(3))
         for k in range(1, 60):
             many.push(k * 0.005, np.array([1.0, 2.0, 3.0]) * k * 0.005)
         delays = np.array([0.0, 0.0123, 0.06])

@@ -14,7 +14,7 @@ from daq.contract.scan import SensorState
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.truth_log import TruthFile, TruthLog
-from firmware_sim.runs.bench_recordings import Bench, BenchRig, Pose, bench_truth
+from firmware_sim.runs.bench_recordings import BenchRig, Pose, SimulatedBench, bench_truth
 from firmware_sim.runs.flight import START_UTC_NS, FlightFiles, prepare_flight
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
@@ -37,7 +37,7 @@ def truth_of(files: FlightFiles) -> dict[str, NDArray[np.float64]]:
 def standing(tmp_path: Path, *lines: dict[str, object], seconds: float) -> tuple[Recording, FlightFiles, int]:
     """A recording of an aircraft that stands still, and the number of frames its radio took."""
     scenario = scenario_from({"name": "still", "faults": lines, "logger": {"recorder": {"sync": False}}}, "test")
-    rig = BenchRig(Bench("still", (Pose(),), ()), SensorModels())
+    rig = BenchRig(SimulatedBench("still", (Pose(),), ()), SensorModels())
     with prepare_flight(scenario, tmp_path, source=rig, duration_s=seconds) as flight:
         flight.each_scan = lambda now_ns: flight.radio.ground.read() and None
         files = flight.run()

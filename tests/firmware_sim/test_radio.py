@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common
 
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.bridge import PtyBridge, UdpBridge
-from firmware_sim.hardware.radio import RadioLink, RadioModel, expected_loss, parse_radio, radio_status, x25
+from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink, expected_loss, parse_radio, radio_status, x25
 from tests.firmware_sim.hardware import CountingClock
 
 PERFECT = {"latency_ms": 0.0, "jitter_ms": 0.0, "status_period_s": 0.0}
@@ -27,9 +27,9 @@ def heartbeat() -> bytes:
 
 def sent_through(
     model: RadioModel, packets: list[bytes], spacing_ms: float = 50.0, seed: int = 1
-) -> tuple[RadioLink, bytes]:
+) -> tuple[SimulatedRadioLink, bytes]:
     clock = CountingClock()
-    link = RadioLink(model, clock.monotonic_ns, seed)
+    link = SimulatedRadioLink(model, clock.monotonic_ns, seed)
     received = b""
     for packet in packets:
         assert link.air.write(packet) == len(packet)
@@ -90,7 +90,7 @@ def test_bursts_lose_neighbours() -> None:
 
 def test_latency_and_order() -> None:
     clock = CountingClock()
-    link = RadioLink(RadioModel(latency_ms=100.0, jitter_ms=200.0, status_period_s=0.0), clock.monotonic_ns, 3)
+    link = SimulatedRadioLink(RadioModel(latency_ms=100.0, jitter_ms=200.0, status_period_s=0.0), clock.monotonic_ns, 3)
     packets = frames(100)
     received = b""
     link.air.write(packets[0])
@@ -107,7 +107,7 @@ def test_latency_and_order() -> None:
 def test_air_rate_limits_and_the_buffer_overflows() -> None:
     clock = CountingClock()
     model = RadioModel(latency_ms=0.0, jitter_ms=0.0, status_period_s=0.0, air_bytes_per_s=1000.0, buffer_bytes=1000)
-    link = RadioLink(model, clock.monotonic_ns)
+    link = SimulatedRadioLink(model, clock.monotonic_ns)
     data = b"".join(frames(200))
     taken = link.air.write(data)
     assert taken == 4096  # the operating system's buffer of the serial line
@@ -122,7 +122,9 @@ def test_air_rate_limits_and_the_buffer_overflows() -> None:
 def test_status_only_after_a_heartbeat_and_readable_by_pymavlink() -> None:
     for protocol in (1, 2):
         clock = CountingClock()
-        link = RadioLink(RadioModel(latency_ms=0.0, jitter_ms=0.0, status_protocol=protocol), clock.monotonic_ns)
+        link = SimulatedRadioLink(
+            RadioModel(latency_ms=0.0, jitter_ms=0.0, status_protocol=protocol), clock.monotonic_ns
+        )
         link.air.write(frames(1)[0])
         clock.wait_ms(2000)
         parser = common.MAVLink(None)
@@ -139,7 +141,7 @@ def test_status_only_after_a_heartbeat_and_readable_by_pymavlink() -> None:
 def test_status_reports_a_filling_buffer() -> None:
     clock = CountingClock()
     model = RadioModel(latency_ms=0.0, jitter_ms=0.0, air_bytes_per_s=400.0)
-    link = RadioLink(model, clock.monotonic_ns)
+    link = SimulatedRadioLink(model, clock.monotonic_ns)
     for packet in frames(60):
         link.air.write(packet)
         clock.wait_ms(20)
@@ -152,7 +154,7 @@ def test_status_reports_a_filling_buffer() -> None:
 
 def test_outage_of_a_scenario() -> None:
     clock = CountingClock()
-    link = RadioLink(RadioModel(**PERFECT), clock.monotonic_ns, lost=lambda now: 1e9 <= now < 2e9)
+    link = SimulatedRadioLink(RadioModel(**PERFECT), clock.monotonic_ns, lost=lambda now: 1e9 <= now < 2e9)
     for packet in frames(60):
         link.air.write(packet)
         clock.wait_ms(50)
@@ -173,7 +175,7 @@ def test_checksum_check_value() -> None:
 
 def test_over_a_pseudo_terminal() -> None:
     clock = CountingClock()
-    link = RadioLink(RadioModel(**PERFECT), clock.monotonic_ns)
+    link = SimulatedRadioLink(RadioModel(**PERFECT), clock.monotonic_ns)
     bridge = PtyBridge(link.ground)
     device = serial.Serial(bridge.path, 57_600, timeout=2.0)
     try:
@@ -194,7 +196,7 @@ def test_over_a_pseudo_terminal() -> None:
 
 def test_over_udp() -> None:
     clock = CountingClock()
-    link = RadioLink(RadioModel(**PERFECT), clock.monotonic_ns)
+    link = SimulatedRadioLink(RadioModel(**PERFECT), clock.monotonic_ns)
     ground = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     ground.bind(("127.0.0.1", 0))
     ground.settimeout(2.0)

@@ -11,14 +11,14 @@ from smbus2 import i2c_msg
 
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.registers import ads1115, bmp390, capture, icm20948, ublox
-from firmware_sim.hardware.registers.ads1115 import Ads1115
-from firmware_sim.hardware.registers.ak09916 import Ak09916
-from firmware_sim.hardware.registers.bmp390 import Bmp390, Trimming, calibration_bytes
-from firmware_sim.hardware.registers.capture import Capture, crc8
+from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
+from firmware_sim.hardware.registers.ak09916 import Ak09916Chip
+from firmware_sim.hardware.registers.bmp390 import Bmp390Chip, Trimming, calibration_bytes
+from firmware_sim.hardware.registers.capture import CaptureChip, crc8
 from firmware_sim.hardware.registers.chip import Inputs
-from firmware_sim.hardware.registers.icm20948 import Icm20948
-from firmware_sim.hardware.registers.ms4525do import Ms4525do
-from firmware_sim.hardware.registers.nau7802 import Nau7802
+from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
+from firmware_sim.hardware.registers.ms4525do import Ms4525doChip
+from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
 from tests.firmware_sim.hardware import CountingClock, on_bus, quiet_rng, steady
 
 AT_REST = (0.0, 0.0, 9.80665, 0.0, 0.0, 0.0, 294.15)
@@ -28,7 +28,7 @@ def woken_imu(
     clock: CountingClock, inputs: Inputs | None = None, noise: tuple[float, ...] = (0.0,) * 6
 ) -> SimulatedBus:
     """An ICM-20948 woken up, in bank 0, gyro and accelerometer at +-500 deg/s and +-8 g with their filters off."""
-    bus = on_bus(0x68, Icm20948(inputs or steady(*AT_REST), noise, np.random.default_rng(1)), clock)
+    bus = on_bus(0x68, Icm20948Chip(inputs or steady(*AT_REST), noise, np.random.default_rng(1)), clock)
     clock.wait_ms(20)
     bus.write_byte_data(0x68, 0x06, 0x01)
     bus.write_byte_data(0x68, 0x7F, 0x20)
@@ -45,7 +45,7 @@ def imu_counts(bus: SimulatedBus) -> tuple[int, ...]:
 
 class TestIcm20948:
     def test_identity_and_sleep_after_power_up(self) -> None:
-        bus = on_bus(0x68, Icm20948(steady(*AT_REST), (0.0,) * 6, quiet_rng()))
+        bus = on_bus(0x68, Icm20948Chip(steady(*AT_REST), (0.0,) * 6, quiet_rng()))
         assert bus.read_byte_data(0x68, 0x00) == 0xEA
         assert bus.read_byte_data(0x68, 0x06) == 0x41
         assert imu_counts(bus) == (0,) * 7
@@ -114,7 +114,7 @@ class TestIcm20948:
 
     def test_loss_of_power_brings_reset_values_back(self) -> None:
         clock = CountingClock()
-        chip = Icm20948(steady(*AT_REST), (0.0,) * 6, quiet_rng())
+        chip = Icm20948Chip(steady(*AT_REST), (0.0,) * 6, quiet_rng())
         bus = on_bus(0x68, chip, clock)
         clock.wait_ms(20)
         bus.write_byte_data(0x68, 0x06, 0x01)
@@ -127,8 +127,8 @@ class TestIcm20948:
 
 class TestAk09916:
     def on_bus(self, clock: CountingClock, *field: float) -> SimulatedBus:
-        host = Icm20948(steady(*AT_REST), (0.0,) * 6, quiet_rng())
-        mag = Ak09916(host, steady(*field), 0.0, quiet_rng())
+        host = Icm20948Chip(steady(*AT_REST), (0.0,) * 6, quiet_rng())
+        mag = Ak09916Chip(host, steady(*field), 0.0, quiet_rng())
         bus = SimulatedBus(clock, {0x68: host, 0x0C: mag})
         clock.wait_ms(20)
         return bus
@@ -173,12 +173,12 @@ class TestAds1115:
         return int.from_bytes(bytes(bus.read_i2c_block_data(0x48, 0x00, 2)), "big", signed=True)
 
     def test_reset_configuration(self) -> None:
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: 0.0))
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: 0.0))
         assert bus.read_i2c_block_data(0x48, 0x01, 2) == [0x85, 0x83]
 
     def test_single_shot_takes_its_time(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: 1.024 * (channel + 1)), clock, overhead_us=0.0)
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: 1.024 * (channel + 1)), clock, overhead_us=0.0)
         self.convert(bus, 0xC3E3)  # AIN0, 4.096 V, single shot, 860 SPS
         started = clock.now_ns
         while not bus.read_i2c_block_data(0x48, 0x01, 2)[0] & 0x80:
@@ -188,7 +188,7 @@ class TestAds1115:
 
     def test_result_belongs_to_the_middle_of_the_conversion(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: time_ns * 1e-9 * 20.0), clock, overhead_us=0.0)
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: time_ns * 1e-9 * 20.0), clock, overhead_us=0.0)
         clock.wait_ms(100)
         self.convert(bus, 0xC303)  # 8 SPS: 125 ms
         started = clock.now_ns
@@ -198,7 +198,7 @@ class TestAds1115:
 
     def test_slow_clock(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: 1.0, clock_error=0.1), clock, overhead_us=0.0)
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: 1.0, clock_error=0.1), clock, overhead_us=0.0)
         self.convert(bus, 0xC3E3)
         clock.wait_ms(1.163 + 0.025)
         assert not bus.read_i2c_block_data(0x48, 0x01, 2)[0] & 0x80
@@ -208,7 +208,7 @@ class TestAds1115:
     @given(st.floats(-8.0, 8.0), st.integers(0, 5))
     def test_every_range_scales_and_clips(self, volts: float, gain: int) -> None:
         clock = CountingClock()
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: volts), clock)
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: volts), clock)
         self.convert(bus, 0x8000 | 0x4000 | gain << 9 | 0x0100 | 0x00E3)
         clock.wait_ms(2)
         exact = volts / ads1115.RANGE_V[gain] * 32768.0
@@ -216,7 +216,7 @@ class TestAds1115:
 
     def test_continuous_mode_gives_one_stale_result_after_a_change_of_input(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: float(channel)), clock)
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: float(channel)), clock)
         self.convert(bus, 0x42E3)  # AIN0 continuous
         clock.wait_ms(5)
         self.convert(bus, 0x52E3)  # AIN1
@@ -227,7 +227,7 @@ class TestAds1115:
 
     def test_general_call_resets(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: 0.0), clock)
+        bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: 0.0), clock)
         self.convert(bus, 0x42E3)
         bus.write_byte(0x00, 0x06)
         assert bus.read_i2c_block_data(0x48, 0x01, 2) == [0x85, 0x83]
@@ -236,7 +236,7 @@ class TestAds1115:
 class TestMs4525do:
     @pytest.mark.parametrize(("psi", "count"), [(-1.0, 1638), (0.0, 8192), (1.0, 14745), (1.25, 16383), (-1.25, 0)])
     def test_transfer_function(self, psi: float, count: int) -> None:
-        bus = on_bus(0x28, Ms4525do(steady(psi * 6894.757293, 298.15)), CountingClock(10**9))
+        bus = on_bus(0x28, Ms4525doChip(steady(psi * 6894.757293, 298.15)), CountingClock(10**9))
         message = i2c_msg.read(0x28, 4)
         bus.i2c_rdwr(message)
         data = bytes(message)
@@ -245,14 +245,14 @@ class TestMs4525do:
         assert data[0] >> 6 == 0
 
     def test_second_read_is_stale(self) -> None:
-        bus = on_bus(0x28, Ms4525do(steady(0.0, 298.15)), CountingClock(10**9), overhead_us=0.0)
+        bus = on_bus(0x28, Ms4525doChip(steady(0.0, 298.15)), CountingClock(10**9), overhead_us=0.0)
         first, second = i2c_msg.read(0x28, 4), i2c_msg.read(0x28, 4)
         bus.i2c_rdwr(first)
         bus.i2c_rdwr(second)
         assert [bytes(m)[0] >> 6 for m in (first, second)] == [0, 2]
 
     def test_fault_bit(self) -> None:
-        chip = Ms4525do(steady(0.0, 298.15))
+        chip = Ms4525doChip(steady(0.0, 298.15))
         chip.faulty = True
         message = i2c_msg.read(0x28, 2)
         on_bus(0x28, chip, CountingClock(10**9)).i2c_rdwr(message)
@@ -272,7 +272,7 @@ def compensate(nvm: bytes, raw_p: int, raw_t: int) -> tuple[float, float]:
 
 class TestBmp390:
     def running(self, clock: CountingClock, pascal: float, kelvin: float, osr: int = 5 | 5 << 3) -> SimulatedBus:
-        bus = on_bus(0x77, Bmp390(steady(pascal, kelvin), (0.0, 0.0), quiet_rng()), clock)
+        bus = on_bus(0x77, Bmp390Chip(steady(pascal, kelvin), (0.0, 0.0), quiet_rng()), clock)
         bus.write_byte_data(0x77, 0x1C, osr)
         bus.write_byte_data(0x77, 0x1D, 5)
         bus.write_byte_data(0x77, 0x1B, 0x33)
@@ -310,12 +310,12 @@ class TestBmp390:
         assert bus.read_byte_data(0x77, 0x03) & 0x60 == 0x60
 
     def test_skipped_value_before_the_first_measurement(self) -> None:
-        bus = on_bus(0x77, Bmp390(steady(95_000.0, 280.0), (0.0, 0.0), quiet_rng()))
+        bus = on_bus(0x77, Bmp390Chip(steady(95_000.0, 280.0), (0.0, 0.0), quiet_rng()))
         assert bus.read_i2c_block_data(0x77, 0x04, 6) == [0, 0, 0x80, 0, 0, 0x80]
 
     def test_impossible_rate_is_a_configuration_error(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x77, Bmp390(steady(95_000.0, 280.0), (0.0, 0.0), quiet_rng()), clock)
+        bus = on_bus(0x77, Bmp390Chip(steady(95_000.0, 280.0), (0.0, 0.0), quiet_rng()), clock)
         bus.write_byte_data(0x77, 0x1C, 5)
         bus.write_byte_data(0x77, 0x1B, 0x33)  # 32-fold oversampling at 200 Hz
         assert bus.read_byte_data(0x77, 0x02) & 0x04
@@ -340,7 +340,7 @@ class TestBmp390:
 
 class TestNau7802:
     def started(self, clock: CountingClock, bridge: float) -> SimulatedBus:
-        bus = on_bus(0x2A, Nau7802(steady(bridge)), clock)
+        bus = on_bus(0x2A, Nau7802Chip(steady(bridge)), clock)
         bus.write_byte_data(0x2A, 0x00, 0x01)
         bus.write_byte_data(0x2A, 0x00, 0x06)
         clock.wait_ms(1)
@@ -367,7 +367,7 @@ class TestNau7802:
         assert abs(count) < 0.5 * 1e-3 * 128 / 0.5 * 2**23
 
     def test_revision(self) -> None:
-        assert on_bus(0x2A, Nau7802(steady(0.0))).read_byte_data(0x2A, 0x1F) & 0x0F == 0x0F
+        assert on_bus(0x2A, Nau7802Chip(steady(0.0))).read_byte_data(0x2A, 0x1F) & 0x0F == 0x0F
 
 
 class TestCapture:
@@ -381,7 +381,7 @@ class TestCapture:
 
     def test_widths_levels_and_reset_flag(self) -> None:
         clock = CountingClock()
-        bus = on_bus(0x40, Capture(steady(1.5e-3, 1.0e-3, 2.0e-3, 0.0, 3.0e-3, 1.2345e-3, 0, 1, 0, 0, 1)), clock)
+        bus = on_bus(0x40, CaptureChip(steady(1.5e-3, 1.0e-3, 2.0e-3, 0.0, 3.0e-3, 1.2345e-3, 0, 1, 0, 0, 1)), clock)
         clock.wait_ms(100)
         assert bus.read_i2c_block_data(0x40, 0x00, 2) == [0x5C, 1]
         sequence, *rest = self.snapshot(bus)
@@ -405,7 +405,7 @@ class TestCapture:
             return (1.5e-3,) * 6 + (float(pressed),) + (0.0,) * 4
 
         clock = CountingClock()
-        bus = on_bus(0x40, Capture(inputs), clock)
+        bus = on_bus(0x40, CaptureChip(inputs), clock)
         clock.wait_ms(60)
         self.snapshot(bus)
         for _ in range(8):
@@ -462,7 +462,7 @@ class TestUblox:
             ublox.frame((0x06, 0x01), bytes((0x01, 0x07, 1))),
             ublox.frame((0x06, 0x8A), bytes((0, 1, 0, 0)) + (0x20910007).to_bytes(4, "little") + b"\x01"),
         ):
-            receiver = ublox.Ublox()
+            receiver = ublox.UbloxReceiver()
             assert receiver.report(self.FIX) == b""
             assert receiver.command(message) == ublox.frame((0x05, 0x01), message[2:4])
             assert len(receiver.report(self.FIX)) == 100
@@ -471,7 +471,7 @@ class TestUblox:
         good = ublox.frame((0x06, 0x08), (200).to_bytes(2, "little") + bytes(4))
         bad = bytearray(good)
         bad[7] ^= 0x10
-        receiver = ublox.Ublox()
+        receiver = ublox.UbloxReceiver()
         assert receiver.command(bytes(bad) + b"noise" + good) == ublox.frame((0x05, 0x01), b"\x06\x08")
         assert receiver.period_ms == 200
 

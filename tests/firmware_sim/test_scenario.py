@@ -12,7 +12,7 @@ from estimation.aircraft import load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.physics.effects.registry import EFFECTS
-from firmware_sim.pilot.manoeuvres import MANOEUVRE_SETS, SHAPES, Manoeuvre
+from firmware_sim.pilot.manoeuvres import MANOEUVRE_SETS, SHAPES, StickInput
 from firmware_sim.world.scenario import Scenario, built_in_scenarios, load_scenario, scenario_from
 from firmware_sim.world.simulation import derivatives_of, manoeuvres_of
 
@@ -130,7 +130,7 @@ class TestManoeuvres:
             assert one != other
 
     def test_a_3211_holds_its_steps_for_three_two_one_and_one_widths(self) -> None:
-        m = Manoeuvre("aileron", "3211", 1.0, 4.0, 0.5)
+        m = StickInput("aileron", "3211", 1.0, 4.0, 0.5)
         time = np.arange(0.0, 6.0, 0.01) + 0.005
         values = m.values(time)
         edges = time[1:][np.abs(np.diff(values)) > 1e-9]
@@ -147,7 +147,7 @@ class TestManoeuvres:
     def test_nothing_is_flown_outside_nor_beyond_the_amplitude(
         self, shape: str, start: float, amplitude: float, width: float
     ) -> None:
-        m = Manoeuvre("rudder", shape, start, amplitude, width)  # type: ignore[arg-type]
+        m = StickInput("rudder", shape, start, amplitude, width)  # type: ignore[arg-type]
         time = np.arange(-1.0, 40.0, 0.05)
         values = m.values(time)
         assert np.all(np.abs(values) <= abs(amplitude) + 1e-9)

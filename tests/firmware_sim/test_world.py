@@ -9,7 +9,7 @@ import pytest
 
 from firmware_sim.errors import ScenarioError
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
-from firmware_sim.world.simulation import Simulation
+from firmware_sim.world.simulation import WorldSimulation
 from firmware_sim.world.truth import TRUTH_COLUMNS
 from firmware_sim.world.world import World, simulate_many, simulate_truth, write_truth_csv
 
@@ -82,7 +82,7 @@ def test_many_flights_keep_the_order_asked_for_whatever_is_hidden() -> None:
 
 def test_flights_that_share_nothing_are_not_flown_on_one_array() -> None:
     with pytest.raises(ScenarioError, match="share"):
-        Simulation([short(), short(hidden=[{"name": "Cn_da"}])], [1, 1], many=True)
+        WorldSimulation([short(), short(hidden=[{"name": "Cn_da"}])], [1, 1], many=True)
 
 
 class TestKinematics:

@@ -10,7 +10,7 @@ from daq.contract.recordings.reading import join, read_segments
 from daq.contract.scan import GroupStatus, Scan, SensorState, encode_scan
 from daq.telemetry.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
 from daq.telemetry.config import DownlinkConfig
-from groundstation.receiver.kept.session_log import Kind, SessionLog
+from groundstation.receiver.kept.session_log import RecordKind, SessionLog
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.sending.backfill import group_numbers, unpack_scans
 from tests.link_rig import Rig, quiet_scan, random_scan
@@ -172,7 +172,7 @@ def test_journal_survives_a_torn_end(tmp_path: Path, cut: int) -> None:
     scans = [random_scan(n, rng) for n in range(10)]
     for s in scans:
         journal.add_complete(encode_scan(s))
-    journal.add(Kind.LINK, b"{}")
+    journal.add(RecordKind.LINK, b"{}")
     journal.close()
     data = path.read_bytes()
     path.write_bytes(data[: -cut - 20])

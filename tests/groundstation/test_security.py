@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from daq.telemetry.config import DownlinkConfig
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame
 from daq.transport.signing import (
+    SignatureVerdict,
     Signer,
     SigningError,
     SigningState,
-    Verdict,
     load_key,
     load_state,
     save_state,
@@ -27,13 +27,13 @@ KEY = bytes(range(32))
 NOW = 1_795_000_000_000_000_000
 
 
-def frame_of(data: bytes) -> Frame:
+def frame_of(data: bytes) -> MavlinkFrame:
     found = FrameDecoder().feed(data)[0]
-    assert isinstance(found, Frame)
+    assert isinstance(found, MavlinkFrame)
     return found
 
 
-def judge(signer: Signer, data: bytes) -> Verdict:
+def judge(signer: Signer, data: bytes) -> SignatureVerdict:
     f = frame_of(data)
     return signer.judge(f.signed_part, (f.system, f.component), f.signature)
 
@@ -52,7 +52,7 @@ def test_stock_implementation_accepts_our_signature_and_we_accept_its() -> None:
     stock.signing.timestamp = stamp_of(NOW)
     stock.signing.link_id = 1
     theirs = stock.heartbeat_encode(1, 0, 0, 0, 4, 3).pack(stock)
-    assert judge(Signer(KEY, lambda: NOW), bytes(theirs)) is Verdict.GOOD
+    assert judge(Signer(KEY, lambda: NOW), bytes(theirs)) is SignatureVerdict.GOOD
     listener = sideslip_dialect.MAVLink(None)
     listener.signing.secret_key = KEY
     assert listener.parse_buffer(signed(1)[0])[0].get_type() == "HEARTBEAT"
@@ -62,8 +62,8 @@ def test_one_forged_far_future_packet_locks_nobody_out() -> None:
     receiver = Signer(KEY, lambda: NOW)
     good = signed(51)
     forged = good[0][:-12] + (2**48 - 1).to_bytes(6, "little") + bytes(6)
-    assert judge(receiver, forged) is Verdict.FORGED
-    assert [judge(receiver, f) for f in good] == [Verdict.GOOD] * 51
+    assert judge(receiver, forged) is SignatureVerdict.FORGED
+    assert [judge(receiver, f) for f in good] == [SignatureVerdict.GOOD] * 51
 
 
 def test_replays_are_refused_also_after_a_restart_of_the_receiver(tmp_path: Path) -> None:
@@ -71,18 +71,18 @@ def test_replays_are_refused_also_after_a_restart_of_the_receiver(tmp_path: Path
     recorded = signed(5)
     receiver = Signer(KEY, lambda: NOW, state_path=state)
     assert all(judge(receiver, f).accepted for f in recorded)
-    assert judge(receiver, recorded[2]) is Verdict.REPLAYED
+    assert judge(receiver, recorded[2]) is SignatureVerdict.REPLAYED
     receiver.save()
     later = Signer(KEY, lambda: NOW + 3_600 * 10**9, state_path=state)
-    assert [judge(later, f) for f in recorded] == [Verdict.REPLAYED] * 5
-    assert judge(later, signed(1, NOW + 10**9)[0]) is Verdict.GOOD
+    assert [judge(later, f) for f in recorded] == [SignatureVerdict.REPLAYED] * 5
+    assert judge(later, signed(1, NOW + 10**9)[0]) is SignatureVerdict.GOOD
 
 
 def test_a_recorded_stream_under_another_sender_does_not_pass(tmp_path: Path) -> None:
     receiver = Signer(KEY, lambda: NOW)
-    assert judge(receiver, signed(1)[0]) is Verdict.GOOD
+    assert judge(receiver, signed(1)[0]) is SignatureVerdict.GOOD
     old = FrameEncoder(7, 1, Signer(KEY, lambda: NOW - 120 * 10**9)).message("HEARTBEAT", type=1)
-    assert judge(receiver, old) is Verdict.REPLAYED
+    assert judge(receiver, old) is SignatureVerdict.REPLAYED
 
 
 def test_any_changed_bit_of_a_signed_frame_is_noticed() -> None:
@@ -93,7 +93,7 @@ def test_any_changed_bit_of_a_signed_frame_is_noticed() -> None:
         data[at // 8] ^= 1 << at % 8
         receiver = Signer(KEY, lambda: NOW)
         verdict = receiver.judge(bytes(data[:-13]), (f.system, f.component), bytes(data[-13:]))
-        assert verdict is Verdict.FORGED, at
+        assert verdict is SignatureVerdict.FORGED, at
         assert receiver.state.streams == {}
 
 
@@ -103,9 +103,9 @@ def test_outgoing_timestamps_rise_across_restarts_even_with_a_clock_at_zero(tmp_
     first.save()
     receiver = Signer(KEY, lambda: NOW)
     encoder = FrameEncoder(1, 1, first)
-    assert judge(receiver, encoder.message("HEARTBEAT", type=1)) is Verdict.GOOD
+    assert judge(receiver, encoder.message("HEARTBEAT", type=1)) is SignatureVerdict.GOOD
     dead_clock = FrameEncoder(1, 1, Signer(KEY, lambda: 0, state_path=state))
-    assert judge(receiver, dead_clock.message("HEARTBEAT", type=1)) is Verdict.GOOD
+    assert judge(receiver, dead_clock.message("HEARTBEAT", type=1)) is SignatureVerdict.GOOD
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o644, 0o660])
@@ -161,7 +161,7 @@ def test_forged_frames_do_nothing_at_the_ground_and_every_one_is_told_of(tmp_pat
         rig.fly(scans, lambda n: quiet_scan(n, rng, time_ns=rig.clock.monotonic_ns()))
 
     fly(100)
-    for frame in (m.raw for data in overheard[:20] for m in FrameDecoder().feed(data) if isinstance(m, Frame)):
+    for frame in (m.raw for data in overheard[:20] for m in FrameDecoder().feed(data) if isinstance(m, MavlinkFrame)):
         rig._ground.write(frame)  # replayed
     far = Signer(bytes(32), lambda: NOW + 10**18, link_id=1)
     for _ in range(7):
@@ -244,8 +244,8 @@ def test_an_unsound_state_is_set_aside_with_a_sentence_and_opens_no_door(tmp_pat
     receiver = Signer(KEY, lambda: NOW, state_path=state)
     assert "set aside" in receiver.notice
     assert (tmp_path / "state.unusable").read_bytes() == text
-    assert judge(receiver, signed(1, NOW - 120 * 10**9)[0]) is Verdict.REPLAYED
-    assert judge(receiver, signed(1, NOW + 1)[0]) is Verdict.GOOD
+    assert judge(receiver, signed(1, NOW - 120 * 10**9)[0]) is SignatureVerdict.REPLAYED
+    assert judge(receiver, signed(1, NOW + 1)[0]) is SignatureVerdict.GOOD
     receiver.save()
     assert Signer(KEY, lambda: NOW, state_path=state).notice == ""
 
@@ -309,7 +309,7 @@ def test_after_a_crash_recorded_frames_count_for_seconds_only(tmp_path: Path) ->
                 at
                 for at, data in heard
                 for f in FrameDecoder().feed(data)
-                if isinstance(f, Frame) and judge(after_crash, f.raw).accepted
+                if isinstance(f, MavlinkFrame) and judge(after_crash, f.raw).accepted
             )
             worst = max(worst, (rig.clock.utc_ns() - next(counts, rig.clock.utc_ns())) * 1e-9)
     rig.close()

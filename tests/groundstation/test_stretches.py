@@ -7,11 +7,16 @@ from groundstation.flight import Flight, Provenance
 from groundstation.flight.airborne import airborne
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import DEEPEST, ExpressionError, parse, parse_condition
-from groundstation.flight.marks import Mark, Marks, Mode, marks_of
+from groundstation.flight.marks import FlightMode, Mark, Marks, marks_of
 from groundstation.flight.stretches import is_times, where
 
 MODES = Marks(
-    (Mode("FBWA", 0.0, 20.0), Mode("MANUAL", 20.0, 31.0), Mode("FBWA", 31.0, 70.0), Mode("MANUAL", 70.0, 81.0))
+    (
+        FlightMode("FBWA", 0.0, 20.0),
+        FlightMode("MANUAL", 20.0, 31.0),
+        FlightMode("FBWA", 31.0, 70.0),
+        FlightMode("MANUAL", 70.0, 81.0),
+    )
 )
 
 
@@ -125,7 +130,7 @@ def test_marks_of_a_flight_from_anybody_are_what_they_should_be() -> None:
     }
     flight = Flight.build("x", np.arange(3.0), {"V": np.ones(3)}, provenance=Provenance(detail=detail))
     found = marks_of(flight)
-    assert found.modes == (Mode("A", 1.0, 2.0),)
+    assert found.modes == (FlightMode("A", 1.0, 2.0),)
     assert [m.time for m in found.events] == [1.0]
     assert "\n" not in found.events[0].text
     assert found.messages == ()

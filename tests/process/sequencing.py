@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from daq.actuation.config import HeartbeatConfig
-from daq.actuation.pwm.heartbeat import FileHeartbeat, Heartbeat
+from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatLine
 from firmware_sim.hardware.multiplexer import Monostable
 from tests.daq.sequencer_rig import PERIOD_NS, USUAL, Rig, short_manoeuvre, switch_plan
 
@@ -13,7 +13,7 @@ from tests.daq.sequencer_rig import PERIOD_NS, USUAL, Rig, short_manoeuvre, swit
 class Both:
     """The simulated monostable, and the line to the parent process."""
 
-    def __init__(self, monostable: Monostable, line: Heartbeat) -> None:
+    def __init__(self, monostable: Monostable, line: HeartbeatLine) -> None:
         self._all = (monostable, line)
 
     def beat(self) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.assembly import Edge
+from daq.assembly import HardwareEdge
 from daq.clock import RealClock
 from daq.config import parse_config
 from daq.contract.recordings.accounting import verify
@@ -51,7 +51,7 @@ def test_told_to_end_it_ends_though_the_flood_goes_on(tmp_path: Path, kind: str)
     port = Watched(local=("127.0.0.1", 0))
     command = [sys.executable, "-m", "tests.hostile_sender", str(port.address[1]), kind, str(LASTS_S)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL) as sender:
-        edge = Edge(Ends(port), None, None, "simulated", radio=port)
+        edge = HardwareEdge(Ends(port), None, None, "simulated", radio=port)
         outcome = run_until_signal(config, text, edge, [])
         flooding = sender.poll() is None
         sender.terminate()

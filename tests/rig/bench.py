@@ -14,9 +14,9 @@ from types import TracebackType
 from daq.clock import SimulatedClock
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.faults import ADDRESSES, FaultSet
-from firmware_sim.hardware.registers.ads1115 import Ads1115
+from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
 from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
-from firmware_sim.runs.flight import Aircraft, build_aircraft
+from firmware_sim.runs.flight import SimulatedHardware, build_aircraft
 from firmware_sim.world.scenario import Scenario, load_scenario
 from firmware_sim.world.truth import Truth
 from firmware_sim.world.world import World
@@ -79,7 +79,7 @@ class Bench:
         self._origin_ns = time.monotonic_ns()
         self.truth = Waiting(loaded)
         models: SensorModels = parse_sensors(loaded.sensors, loaded.name)
-        self.aircraft: Aircraft = build_aircraft(self.truth, models, FaultSet((), 0, seed), self._clock, seed)
+        self.aircraft: SimulatedHardware = build_aircraft(self.truth, models, FaultSet((), 0, seed), self._clock, seed)
         self.adapter = TinyUsb(self.aircraft.bus, self._catch_up)
         self.readings: dict[bytes, float] = {}
         self.adapter.on_read = self._note
@@ -190,7 +190,7 @@ class Bench:
             return
         self._next_look_ns = now + _LOOK_NS
         for chip in self.aircraft.board.chips.values():
-            if isinstance(chip, Ads1115):
+            if isinstance(chip, Ads1115Chip):
                 chip.read(2, now)
 
     def _drop(self, line: _Line) -> None:

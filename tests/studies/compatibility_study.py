@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from estimation.compatibility.bounds import USEFUL, normal
-from estimation.compatibility.problem import Problem
+from estimation.compatibility.problem import CompatibilityProblem
 from estimation.compatibility.reconstruction import compatibility
-from estimation.compatibility.result import Factor
+from estimation.compatibility.result import FactorEstimate
 from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from firmware_sim.runs.direct import DirectNoise, direct_flights
 from firmware_sim.runs.flight import simulate_flight
@@ -71,7 +71,9 @@ def plant(
     return Flight.build(name, time, columns)
 
 
-def score(results: list[Mapping[str, Factor]], truth: Mapping[str, float]) -> dict[str, tuple[float, float, float]]:
+def score(
+    results: list[Mapping[str, FactorEstimate]], truth: Mapping[str, float]
+) -> dict[str, tuple[float, float, float]]:
     """Factor -> (mean error, rms error over corrected bound, coverage of the 95 % interval)."""
     table = {}
     for name in results[0]:
@@ -141,7 +143,7 @@ def first_steps(seeds: Sequence[int], wanted: int) -> None:
     sizes = np.array([1e-3 * USEFUL[q.unit] for q in model.parameters])
     ratios = []
     for flight in planted_flights(list(seeds), truth):
-        problem = Problem(model, [flight])
+        problem = CompatibilityProblem(model, [flight])
         problem.settle_turbulence(p)
         runs = problem.relax(p, 3)
         information, gradient = normal(runs, problem.slopes(p, sizes))

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.contract.recordings.reading import join, read_segments
 from daq.contract.scan import encode_scan
-from daq.transport.mavlink_codec import Frame, FrameDecoder
+from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
 from groundstation.receiver.link_config import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
@@ -36,7 +36,7 @@ class DamagingLink:
     _burst: int = 0
 
     def __call__(self, data: bytes) -> bytes:
-        found = [item.raw for item in self._splitter.feed(data) if isinstance(item, Frame)]
+        found = [item.raw for item in self._splitter.feed(data) if isinstance(item, MavlinkFrame)]
         assert sum(map(len, found)) == len(data), "the aircraft's own stream is not whole frames"
         return b"".join(self._through(raw) for raw in found)
 

@@ -18,7 +18,7 @@ import numpy as np
 from daq.contract.manoeuvre import Manoeuvre
 from estimation.aircraft import load_aircraft
 from estimation.answers.designs import write_manoeuvre
-from estimation.design.design import Design, Task, design
+from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.predict import fly, information
 from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
 from estimation.models import load_model
@@ -36,8 +36,8 @@ EXACT_INPUTS = DirectNoise(surfaces=0.0, V=0.0, alpha=0.0, theta=0.0)
 CROWD = 50
 
 
-def designed() -> Design:
-    return design(MODEL, AIRCRAFT, Task("multisine", DURATION, SPEED, noise=NOISE))
+def designed() -> InputDesign:
+    return design(MODEL, AIRCRAFT, DesignTask("multisine", DURATION, SPEED, noise=NOISE))
 
 
 def direct(manoeuvre: Manoeuvre, flights: int, gust_deg: float, noise: DirectNoise) -> Iterator[Flight]:
@@ -52,7 +52,7 @@ def direct(manoeuvre: Manoeuvre, flights: int, gust_deg: float, noise: DirectNoi
             yield _part(columns["time"], {k: v for k, v in columns.items() if k != "time"}, START)
 
 
-def chained(first: Design, flights: int, gust_deg: float) -> Iterator[Flight]:
+def chained(first: InputDesign, flights: int, gust_deg: float) -> Iterator[Flight]:
     """The same through the simulated bus and the onboard sequencer, calibrated from the recording."""
     from firmware_sim.runs.flight import prepare_flight
     from groundstation.calibration.recording import calibrate_recording
@@ -105,7 +105,7 @@ def fitted(flights: Iterator[Flight]) -> Fits:
     )
 
 
-def again(first: Design, fits: Fits) -> Design:
+def again(first: InputDesign, fits: Fits) -> InputDesign:
     """The same input as `design --from` would predict it: means of the estimates, noise as the residuals show it."""
     bench = first.bench
     means = {n: float(np.mean(v)) for n, v in fits.estimates.items() if n in bench.values}
@@ -115,7 +115,7 @@ def again(first: Design, fits: Fits) -> Design:
     return replace(first, bench=changed, best=best)
 
 
-def table(title: str, first: Design, flights: Iterator[Flight], exact: bool = False) -> None:
+def table(title: str, first: InputDesign, flights: Iterator[Flight], exact: bool = False) -> None:
     fits = fitted(flights)
     count = len(next(iter(fits.estimates.values())))
     after = again(first, fits)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.contract.manoeuvre import Manoeuvre
-from estimation.design.design import Design, Task, design
+from estimation.design.design import DesignTask, InputDesign, design
 from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
 from estimation.estimators.result import Result
 from firmware_sim.runs.direct import ORDINARY_NOISE, Injected, direct_flights
@@ -39,11 +39,11 @@ def joint(flights: Sequence[Flight]) -> Result:
     return output_error(MODEL, prepared(MODEL, list(flights)), options=OutputErrorOptions())
 
 
-def next_design(result: Result, seed: int) -> Design:
+def next_design(result: Result, seed: int) -> InputDesign:
     """The optimal input at what has been estimated."""
     noise = {s.name: float(np.sqrt(result.R[i, i])) for i, s in enumerate(MODEL.outputs)}
     values = {n: p.estimate for n, p in result.parameters.items()}
-    task = Task("optimal", DURATION, SPEED, values=values, noise=noise, noise_of_residuals=True, seed=seed)
+    task = DesignTask("optimal", DURATION, SPEED, values=values, noise=noise, noise_of_residuals=True, seed=seed)
     return design(MODEL, AIRCRAFT, task)
 
 
@@ -54,7 +54,7 @@ def relative(result: Result, sizes: dict[str, float]) -> np.ndarray:
 
 def designed_series(seed: int, gust_deg: float) -> tuple[list[np.ndarray], dict[str, float]]:
     """Relative bounds after each designed flight."""
-    plan = design(MODEL, AIRCRAFT, Task("optimal", DURATION, SPEED, noise=NOISE, seed=seed))
+    plan = design(MODEL, AIRCRAFT, DesignTask("optimal", DURATION, SPEED, noise=NOISE, seed=seed))
     sizes = dict(plan.sizes)
     flights: list[Flight] = []
     bounds = []
@@ -68,7 +68,7 @@ def designed_series(seed: int, gust_deg: float) -> tuple[list[np.ndarray], dict[
 
 def doublet_series(seed: int, gust_deg: float, count: int, sizes: dict[str, float]) -> list[np.ndarray]:
     """Relative bounds after each flight of doublets."""
-    manoeuvre = design(MODEL, AIRCRAFT, Task("doublet", DURATION, SPEED, noise=NOISE)).manoeuvre()
+    manoeuvre = design(MODEL, AIRCRAFT, DesignTask("doublet", DURATION, SPEED, noise=NOISE)).manoeuvre()
     flights = [flown(manoeuvre, 1000 * seed + 500 + i, gust_deg) for i in range(count)]
     return [relative(joint(flights[: i + 1]), sizes) for i in range(count)]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from estimation.gap.effects import catalogue
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
-from firmware_sim.runs.campaign import Campaign, fly_campaigns
+from firmware_sim.runs.campaign import CampaignFlights, fly_campaigns
 from groundstation.flight import Flight, read_flight
 from sideslip import fly_scenario
 from tests.studies.gap_benchmark import flights as from_columns
@@ -47,7 +47,7 @@ def flown(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, pla
     """Four calibrated flights of one aircraft."""
     flights = []
     with tempfile.TemporaryDirectory() as folder:
-        campaign = Campaign(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)
+        campaign = CampaignFlights(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)
         for number, (scenario, own) in enumerate(campaign.scenarios()):
             done = fly_scenario(scenario, Path(folder) / str(number), seed=own, backfill=False)
             flights.append(read_flight(done.onboard))
@@ -56,7 +56,7 @@ def flown(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, pla
 
 def direct(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, plan: str = "rich") -> list[Flight]:
     """The same flights as the sensors alone would show them."""
-    (done,) = fly_campaigns([Campaign(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)])
+    (done,) = fly_campaigns([CampaignFlights(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)])
     return from_columns([*done.training, *done.holdout])
 
 

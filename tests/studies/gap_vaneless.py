@@ -19,7 +19,7 @@ import numpy as np
 import sideslip
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
-from firmware_sim.runs.campaign import Campaign
+from firmware_sim.runs.campaign import CampaignFlights
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import Flight, read_flight
 from tests.chain.autopilot_logs import BOOT, dataflash
@@ -33,7 +33,9 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "import.md"
 def reconstructed(folder: Path, model: str, effects: Sequence[str], seed: int) -> list[Flight]:
     """Four flights, from their logs."""
     write_files(files_of(PAGE), folder)
-    campaign = Campaign(hidden=tuple((e, 1.0) for e in effects), seed=seed, gust_deg=0.15, manoeuvres=PLANS[model])
+    campaign = CampaignFlights(
+        hidden=tuple((e, 1.0) for e in effects), seed=seed, gust_deg=0.15, manoeuvres=PLANS[model]
+    )
     made = []
     for n, (scenario, own) in enumerate(campaign.scenarios()):
         truth = simulate_many([scenario.altered(wind=WIND)], [own], 50.0)[0]

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimation import load_model, output_error
 from firmware_sim.physics.effects.registry import EFFECTS
-from firmware_sim.runs.campaign import Campaign, fly_campaigns
+from firmware_sim.runs.campaign import CampaignFlights, fly_campaigns
 from firmware_sim.runs.direct import ORDINARY_NOISE
 from groundstation.flight import Flight
 
@@ -21,7 +21,7 @@ OUTPUTS = ("beta", "p", "r", "phi", "ay")
 
 def visibility(hidden: tuple[tuple[str, float], ...], seed: int) -> dict[str, float]:
     """rms of residual / noise per output after the refit; empty when the fit did not converge."""
-    (flown,) = fly_campaigns([Campaign(hidden=hidden, seed=seed)])
+    (flown,) = fly_campaigns([CampaignFlights(hidden=hidden, seed=seed)])
     flights = [
         Flight(
             f"f{k}", c["time"], {n: v for n, v in c.items() if n != "time"}, np.zeros(len(c["time"]), dtype=np.int64)

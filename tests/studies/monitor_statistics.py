@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
-from daq.identification.monitor.bank import CHANNELS, Effect, bank
-from daq.identification.monitor.innovations import Scan
+from daq.identification.monitor.bank import CHANNELS, MonitoredEffect, bank
+from daq.identification.monitor.innovations import FlightsScan
 from daq.identification.monitor.monitor import NAMED_WITHIN_S, GapMonitor
-from daq.identification.monitor.nulls import Conditions, fly
+from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, calibrated, scores
 from firmware_sim.physics.effects.sudden import BEGINS_S
 from firmware_sim.runs.direct import direct_flights
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 USUAL = (1.0, 1.0)
 FLIGHT_S, BEGINS = 60.0, BEGINS_S
-CONDITIONS = {"20hz": Conditions(), "link": Conditions(rate=11.5, loss=0.05)}
+CONDITIONS = {"20hz": NullConditions(), "link": NullConditions(rate=11.5, loss=0.05)}
 CHANGES = {
     "Cn_da": -0.008,
     "Cl_da": 0.03,
@@ -56,8 +56,8 @@ class Set:
 
     airframe: Airframe
     values: dict[str, float]
-    effects: tuple[Effect, ...]
-    conditions: Conditions
+    effects: tuple[MonitoredEffect, ...]
+    conditions: NullConditions
     calibration: Calibration
 
 
@@ -69,7 +69,7 @@ def made(rate: str, hours: float) -> Set:
     return Set(airframe, values, effects, conditions, found)
 
 
-def alarms(s: Set, scans: Sequence[Scan]) -> tuple[Array, Array]:
+def alarms(s: Set, scans: Sequence[FlightsScan]) -> tuple[Array, Array]:
     """(times, 1 + flights) times, and whether either statistic is beyond its threshold; (times, flights, effects) what the
     longest window says of each effect, from which names come: zero where that is below the threshold."""
     above, known, times = [], [], []
@@ -132,7 +132,7 @@ def noticed(s: Set, name: str, size: float, n: int) -> str:
     return row(name, f"{size:g}", first, shown, what, lambda w: w == name)
 
 
-def first_shown(time: Array, changed: Array, c: Conditions) -> Array:
+def first_shown(time: Array, changed: Array, c: NullConditions) -> Array:
     """(flights,) times of the first scan, of those at `time` (scans,), that an effect moves by the noise of a channel; inf where
     none. changed: (scans, 5, flights) what it does to the measured channels."""
     noise = np.array([c.beta, c.p, c.r, c.phi, c.ay])[:, None]

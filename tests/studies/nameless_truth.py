@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.gap.answer.shape import Curve, Happened, Held, Late, Swinging
+from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from tests.studies import second_truth as truth
@@ -92,16 +92,16 @@ def one(
         "named": [s.effect for s in result.steps if s.effect != "unknown"],
         "unknown": any(s.effect == "unknown" for s in result.steps),
         "form": said(shape),
-        "closed": round(shape.closed, 3) if isinstance(shape, Curve) else None,
+        "closed": round(shape.closed, 3) if isinstance(shape, ShapeCurve) else None,
         "before": None if last is None or last.holdout is None else round(last.holdout.before, 3),
         "after": None if last is None or last.holdout is None else round(last.holdout.after, 3),
         "held": None if last is None or last.holdout is None else round(last.holdout.closed, 3),
     }
 
 
-def said(shape: Curve | Late | Swinging | Happened | Held | None) -> str:
+def said(shape: ShapeCurve | Late | Swinging | Happened | HeldInstrument | None) -> str:
     """A shape in few words."""
-    if isinstance(shape, Curve):
+    if isinstance(shape, ShapeCurve):
         return f"{shape.output} by {' times '.join(shape.variables)}" + (
             f"; {shape.analytic}" if shape.analytic else ""
         )
@@ -111,7 +111,7 @@ def said(shape: Curve | Late | Swinging | Happened | Held | None) -> str:
         return f"{shape.output} swings at {shape.frequency:.2g} rad/s"
     if isinstance(shape, Happened):
         return "; ".join(dict.fromkeys(f"{e.what} {e.channel} {e.start:.1f} s" for e in shape.events))
-    if isinstance(shape, Held):
+    if isinstance(shape, HeldInstrument):
         return f"{shape.channel} held for {shape.every:.2g} s"
     return ""
 

@@ -17,7 +17,7 @@ from daq.actuation.autopilot.messages import (
 )
 from daq.actuation.devices import AutopilotPort
 from daq.contract.errors import UserError
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, frames_of
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of
 
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 ASK_NS = 300_000_000  # between two requests of what has not been answered
@@ -95,7 +95,7 @@ class AutopilotLink:
             return 0.0
         return (len(self._arrivals) - 1) * 1e9 / max(now_ns - self._arrivals[0], 1)
 
-    def _take(self, frame: Frame, now_ns: int) -> None:
+    def _take(self, frame: MavlinkFrame, now_ns: int) -> None:
         if frame.msg_id == RC_CHANNELS:
             self._take_channels(frame, now_ns)
         elif frame.name == "HEARTBEAT":
@@ -107,7 +107,7 @@ class AutopilotLink:
             if isinstance(value, float):
                 self.parameters = {**self.parameters, str(fields["param_id"]): value}
 
-    def _take_channels(self, frame: Frame, now_ns: int) -> None:
+    def _take_channels(self, frame: MavlinkFrame, now_ns: int) -> None:
         boot_ms, widths = read_channels(frame.payload)
         offset = now_ns - boot_ms * 1e6
         if self._offset_ns is None or boot_ms < self._boot_ms - _ANEW_MS:
@@ -156,6 +156,6 @@ class AutopilotLink:
         return True
 
 
-def _whole(frame: Frame, field: str) -> int:
+def _whole(frame: MavlinkFrame, field: str) -> int:
     value = frame.fields()[field]
     return value if isinstance(value, int) else 0

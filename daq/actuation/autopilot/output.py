@@ -14,7 +14,7 @@ from daq.actuation.autopilot.proof import OverrideProof
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
 from daq.actuation.devices import AutopilotPort
 from daq.actuation.seen import Glimpse
-from daq.actuation.sequencer import Frame
+from daq.actuation.sequencer import SequencerCommand
 from daq.contract.scan import Scan
 from daq.contract.sequencing import State, switch_position
 
@@ -63,7 +63,7 @@ class ArduPilotOutput:
             return False
         return sampled_ns - self._overridden_ns <= round(self._config.longest_override_s * 1e9) + LINGERS_NS
 
-    def put(self, frame: Frame, now_ns: int) -> tuple[float, ...] | None:
+    def put(self, frame: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
         """Override, or release for some frames after the last override."""
         if frame.state is State.IDLE and self._asked_in is not State.IDLE:
             self.link.forget()  # somebody may change parameters between two manoeuvres

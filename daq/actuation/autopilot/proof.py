@@ -9,7 +9,7 @@ from collections import deque
 from enum import Enum, auto
 from statistics import median
 
-from daq.actuation.proof import Proven
+from daq.actuation.proof import OutputTrialResult
 from daq.actuation.seen import Seen
 from daq.contract.sequencing import Reason
 
@@ -26,7 +26,7 @@ BACK_US = 20.0
 BASE_S = 1.5
 
 
-class Step(Enum):
+class TrialStep(Enum):
     """Where the trial is."""
 
     BASE = auto()
@@ -40,7 +40,7 @@ class Step(Enum):
     DONE = auto()
 
 
-_PROBING = (Step.REFUSED, Step.TAKEN, Step.AGAIN)
+_PROBING = (TrialStep.REFUSED, TrialStep.TAKEN, TrialStep.AGAIN)
 
 
 class OverrideProof:
@@ -52,7 +52,7 @@ class OverrideProof:
     def __init__(self, longest_s: float) -> None:
         self.scale = 1.0
         self._longest_s = longest_s
-        self._step, self._since_ns = Step.BASE, 0
+        self._step, self._since_ns = TrialStep.BASE, 0
         self._visible: deque[tuple[float, ...]] = deque(maxlen=BASE_FRAMES)
         self._base: tuple[float, ...] = ()
         self._seconds = 0.0  # in this step
@@ -60,12 +60,12 @@ class OverrideProof:
     @property
     def trying(self) -> str:
         """What is still being tried at go."""
-        return "" if self._step is Step.DONE else "overrides are being tried out"
+        return "" if self._step is TrialStep.DONE else "overrides are being tried out"
 
     @property
     def silent(self) -> bool:
         """Nothing at all may be sent, not even releases: silence alone must end an override."""
-        return self._step is Step.SILENCE
+        return self._step is TrialStep.SILENCE
 
     def note(self, seen: Seen) -> None:
         """Keep the pilot's signals of late."""
@@ -77,68 +77,70 @@ class OverrideProof:
 
     def begin(self) -> None:
         """From the beginning."""
-        self._step, self._since_ns = Step.BASE, -1
+        self._step, self._since_ns = TrialStep.BASE, -1
         self._visible.clear()
 
-    def check(self, seen: Seen, elapsed_s: float) -> Proven | None:
+    def check(self, seen: Seen, elapsed_s: float) -> OutputTrialResult | None:
         """At arm: see the sticks, then see an override refused."""
-        if self._step is Step.BASE:
+        if self._step is TrialStep.BASE:
             if len(self._visible) == BASE_FRAMES:
-                self._probe_at(Step.REFUSED, seen)
+                self._probe_at(TrialStep.REFUSED, seen)
                 return None
-            return Proven(Reason.OVERRIDES, "no steady RC_CHANNELS") if elapsed_s > BASE_S else None
+            return OutputTrialResult(Reason.OVERRIDES, "no steady RC_CHANNELS") if elapsed_s > BASE_S else None
         if self._shows_probe(seen):
             words = "they are taken though the switch is not at go: leave it at off for half a second"
-            return Proven(Reason.OVERRIDES, words)
+            return OutputTrialResult(Reason.OVERRIDES, words)
         if self._seconds <= REFUSED_S:
             return None
-        self._go(Step.CLOSED, seen)
-        return Proven(detail="autopilot refuses overrides off go")
+        self._go(TrialStep.CLOSED, seen)
+        return OutputTrialResult(detail="autopilot refuses overrides off go")
 
     def rest(self) -> None:
         """The switch has left go: all over again."""
-        self._step = Step.CLOSED
+        self._step = TrialStep.CLOSED
 
-    def at_go(self, seen: Seen) -> Proven | None:
+    def at_go(self, seen: Seen) -> OutputTrialResult | None:
         """At go: taken, gone by silence, taken again, gone by release, and the sticks seen anew."""
         step = self._step
-        if step is Step.DONE:
-            return Proven()
-        if step is Step.CLOSED:
+        if step is TrialStep.DONE:
+            return OutputTrialResult()
+        if step is TrialStep.CLOSED:
             if len(self._visible) < BASE_FRAMES:
                 return None  # still hidden by what was tried before
-            self._probe_at(Step.TAKEN, seen)
-        elif step is Step.TAKEN:
-            return self._until(self._shows_probe(seen), OPENS_S, Step.SILENCE, "they are not taken at go", seen)
-        elif step is Step.SILENCE:
+            self._probe_at(TrialStep.TAKEN, seen)
+        elif step is TrialStep.TAKEN:
+            return self._until(self._shows_probe(seen), OPENS_S, TrialStep.SILENCE, "they are not taken at go", seen)
+        elif step is TrialStep.SILENCE:
             limit = self._longest_s + SHOWN_S
-            return self._until(self._back(seen), limit, Step.AGAIN, "one outlived RC_OVERRIDE_TIME", seen)
-        elif step is Step.AGAIN:
-            return self._until(self._shows_probe(seen), SHOWN_S, Step.RELEASE, "they are not taken again", seen)
-        elif step is Step.RELEASE:
+            return self._until(self._back(seen), limit, TrialStep.AGAIN, "one outlived RC_OVERRIDE_TIME", seen)
+        elif step is TrialStep.AGAIN:
+            return self._until(self._shows_probe(seen), SHOWN_S, TrialStep.RELEASE, "they are not taken again", seen)
+        elif step is TrialStep.RELEASE:
             self._visible.clear()
-            return self._until(self._back(seen), SHOWN_S, Step.SETTLE, "one was not released", seen)
+            return self._until(self._back(seen), SHOWN_S, TrialStep.SETTLE, "one was not released", seen)
         elif len(self._visible) == BASE_FRAMES:
-            self._go(Step.DONE, seen)
-            return Proven()
+            self._go(TrialStep.DONE, seen)
+            return OutputTrialResult()
         return None
 
     def pulses(self, seen: Seen) -> tuple[float, ...] | None:
         """The probe, while one is tried."""
         return tuple(b + PROBE_US for b in self._base) if self._step in _PROBING else None
 
-    def _probe_at(self, step: Step, seen: Seen) -> None:
+    def _probe_at(self, step: TrialStep, seen: Seen) -> None:
         self._base = tuple(float(round(median(c))) for c in zip(*self._visible, strict=True))
         self._go(step, seen)
 
-    def _go(self, step: Step, seen: Seen) -> None:
+    def _go(self, step: TrialStep, seen: Seen) -> None:
         self._step, self._since_ns = step, seen.now_ns
 
-    def _until(self, there: bool, limit_s: float, then: Step, words: str, seen: Seen) -> Proven | None:
+    def _until(self, there: bool, limit_s: float, then: TrialStep, words: str, seen: Seen) -> OutputTrialResult | None:
         if there:
             self._go(then, seen)
             return None
-        return Proven(Reason.OVERRIDES, f"{words} within {limit_s:.2g} s") if self._seconds > limit_s else None
+        return (
+            OutputTrialResult(Reason.OVERRIDES, f"{words} within {limit_s:.2g} s") if self._seconds > limit_s else None
+        )
 
     def _shows_probe(self, seen: Seen) -> bool:
         return all(w == b + PROBE_US for w, b in zip(seen.output.readback, self._base, strict=True))

@@ -11,7 +11,7 @@ from daq.actuation.autopilot.output import ArduPilotOutput
 from daq.actuation.autopilot.proof import PROBE_US, REFUSED_S
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
 from daq.actuation.devices import AutopilotPort
-from daq.actuation.finding import Finding, try_manoeuvre
+from daq.actuation.finding import TrialFinding, try_manoeuvre
 from daq.actuation.seen import Glimpse
 from daq.clock import Clock
 from daq.contract.scan import Scan
@@ -33,7 +33,7 @@ class AutopilotTrial:
         self._output = ArduPilotOutput(config, port)
         self._stale_ns = round(config.limits.stale_ms * MS)
 
-    def findings(self) -> Iterator[Finding]:
+    def findings(self) -> Iterator[TrialFinding]:
         """Everything, in order; what depends on a thing that fails is left out."""
         yield try_manoeuvre(self._config)
         link, autopilot = self._output.link, self._config.autopilot
@@ -42,9 +42,9 @@ class AutopilotTrial:
         if link.heard is not None and not link.missing:
             wrong = wrong_parameter(link, autopilot)
             told = ", ".join(f"{name} {value:g}" for name, value in sorted(link.parameters.items()))
-            yield Finding("parameters", not wrong, wrong or told)
+            yield TrialFinding("parameters", not wrong, wrong or told)
         fault = unmet(link, autopilot, self._clock.monotonic_ns(), self._stale_ns)
-        yield Finding("autopilot", not fault, fault or "an ArduPlane in MANUAL")
+        yield TrialFinding("autopilot", not fault, fault or "an ArduPlane in MANUAL")
         if fault:
             return
         yield self._rate()
@@ -60,23 +60,25 @@ class AutopilotTrial:
         self._clock.sleep_until(start + PERIOD_NS)
         return glimpse
 
-    def _rate(self) -> Finding:
+    def _rate(self) -> TrialFinding:
         rate = self._output.link.rate_hz(self._clock.monotonic_ns())
         if rate < 0.9 * LEAST_RATE_HZ:
             words = (
                 f"RC_CHANNELS comes {rate:.0f} times a second; raise baud rate or SRn_RC_CHAN to {LEAST_RATE_HZ:.0f}"
             )
-            return Finding("autopilot stream", False, words)
-        return Finding("autopilot stream", True, f"RC_CHANNELS {rate:.0f} times a second")
+            return TrialFinding("autopilot stream", False, words)
+        return TrialFinding("autopilot stream", True, f"RC_CHANNELS {rate:.0f} times a second")
 
-    def _switch(self, glimpse: Glimpse) -> Finding:
+    def _switch(self, glimpse: Glimpse) -> TrialFinding:
         if glimpse.pilot is None:
-            return Finding("pilot's signals", False, "a stick's channel is not in RC_CHANNELS; is the transmitter on?")
+            return TrialFinding(
+                "pilot's signals", False, "a stick's channel is not in RC_CHANNELS; is the transmitter on?"
+            )
         if glimpse.switch is not Switch.OFF:
-            return Finding("pilot's signals", False, f"switch is at {glimpse.switch.name.lower()}; put it to off")
-        return Finding("pilot's signals", True, "all there, switch at off")
+            return TrialFinding("pilot's signals", False, f"switch is at {glimpse.switch.name.lower()}; put it to off")
+        return TrialFinding("pilot's signals", True, "all there, switch at off")
 
-    def _refusal(self) -> Finding:
+    def _refusal(self) -> TrialFinding:
         outputs = list(self._config.output.values())
         sticks = self._frame().pilot or ()
         probe = {o.channel: round(w) + PROBE_US for o, w in zip(outputs, sticks, strict=True)}
@@ -89,5 +91,5 @@ class AutopilotTrial:
         self._output.link.override(dict.fromkeys(probe, 0))
         if taken:
             words = "takes overrides though the switch is at off; is its channel the one with RCn_OPTION 46?"
-            return Finding("override gate", False, words)
-        return Finding("override gate", True, "at off the autopilot refuses overrides")
+            return TrialFinding("override gate", False, words)
+        return TrialFinding("override gate", True, "at off the autopilot refuses overrides")

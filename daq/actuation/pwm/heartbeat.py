@@ -16,7 +16,7 @@ class HeartbeatError(UserError):
     """A heartbeat line that cannot be used."""
 
 
-class Heartbeat(Protocol):
+class HeartbeatLine(Protocol):
     """What the sequencer needs of the line. Raises OSError when it fails."""
 
     def beat(self) -> None:

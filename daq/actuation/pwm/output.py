@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from daq.actuation.config import SequencerConfig
 from daq.actuation.proof import FrequencyProof
-from daq.actuation.pwm.heartbeat import Heartbeat
-from daq.actuation.pwm.part import Part
+from daq.actuation.pwm.heartbeat import HeartbeatLine
+from daq.actuation.pwm.part import ChipState
 from daq.actuation.pwm.pca9685 import Pca9685
 from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs
 from daq.actuation.seen import Glimpse
-from daq.actuation.sequencer import Frame
+from daq.actuation.sequencer import SequencerCommand
 from daq.clock import Clock
 from daq.contract.scan import Scan, SensorState
 from daq.sensors.base import SensorError
@@ -30,7 +30,7 @@ class ServoDriver:
         channels = [*self._places, self._loopback]
         self._first, self._count = min(channels), max(channels) - min(channels) + 1
         self.chip = Pca9685(config.chip, bus, self._first, self._count)
-        self.part = Part(self.chip.initialise)
+        self.part = ChipState(self.chip.initialise)
         step = self.chip.step_us
         self.loopback_us = round(LOOPBACK_US / step) * step
         """What the loopback pulse is, given the oscillator is as configured [us]."""
@@ -65,7 +65,7 @@ class ServoDriver:
 class PwmOutput:
     """Driver, pilot's signals and heartbeat of one aircraft."""
 
-    def __init__(self, config: SequencerConfig, bus: I2cBus, heartbeat: Heartbeat, clock: Clock) -> None:
+    def __init__(self, config: SequencerConfig, bus: I2cBus, heartbeat: HeartbeatLine, clock: Clock) -> None:
         self._outputs = tuple(config.output.values())
         self._heartbeat = heartbeat
         self._pilot = PilotInputs(
@@ -95,7 +95,7 @@ class PwmOutput:
             readback=tuple(None if c is None else c * US_PER_COUNT for c in counts),
         )
 
-    def put(self, frame: Frame, now_ns: int) -> tuple[float, ...] | None:
+    def put(self, frame: SequencerCommand, now_ns: int) -> tuple[float, ...] | None:
         """Write, then beat; whatever fails on the way lets go."""
         if not frame.state.beats:
             self.close(now_ns)

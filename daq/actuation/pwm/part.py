@@ -7,7 +7,7 @@ from daq.sensors.base import SECOND, SensorError, Wait
 RETRY_NS = SECOND
 
 
-class Part:
+class ChipState:
     """Whether the chip can be used, and why not. initialise: its set-up, yielding waits as drivers do."""
 
     def __init__(self, initialise: Callable[[], Generator[Wait, None, None]]) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq.actuation.config import PilotConfig
-from daq.actuation.pwm.part import Part
+from daq.actuation.pwm.part import ChipState
 from daq.contract.scan import RawValue, SensorState
 from daq.contract.sequencing import Switch, switch_position
 from daq.sensors.base import NO_VALUES, SensorError
@@ -33,7 +33,7 @@ class PilotInputs:
         # None of the inputs has to be alive for a reading: a receiver that is off, or a chip that is, shows by its channel.
         capture = CaptureConfig(address=config.address, timeout_ms=config.timeout_ms, pwm_inputs=0)
         self._driver = Capture(capture, bus, now_ns)
-        self.part = Part(self._driver.initialise)
+        self.part = ChipState(self._driver.initialise)
         self._config = config
         self._inputs = tuple(inputs)
         self._stale_ns = stale_ns

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from statistics import fmean
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.finding import Finding, try_manoeuvre
-from daq.actuation.pwm.heartbeat import Heartbeat
+from daq.actuation.finding import TrialFinding, try_manoeuvre
+from daq.actuation.pwm.heartbeat import HeartbeatLine
 from daq.actuation.pwm.output import ServoDriver
 from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
 from daq.clock import Clock
@@ -33,7 +33,7 @@ class Trial:
         self,
         config: SequencerConfig,
         bus: I2cBus,
-        heartbeat: Heartbeat,
+        heartbeat: HeartbeatLine,
         clock: Clock,
         take_scan: Callable[[], Scan],
     ) -> None:
@@ -42,13 +42,13 @@ class Trial:
         inputs = [o.pilot_input for o in config.output.values()]
         self._pilot = PilotInputs(config.pilot, inputs, bus, clock.monotonic_ns, 100 * MS)
 
-    def findings(self) -> Iterator[Finding]:
+    def findings(self) -> Iterator[TrialFinding]:
         """Everything, in order; what depends on a thing that fails is left out. The heartbeat is released at the end."""
         yield try_manoeuvre(self._config)
         try:
             beating = [self._frame(beat=True) for _ in range(FRAMES)][FRAMES // 2 :]
         except OSError as error:
-            yield Finding("heartbeat", False, f"line cannot be written ({error.strerror or error})")
+            yield TrialFinding("heartbeat", False, f"line cannot be written ({error.strerror or error})")
             return
         finally:
             self._release()
@@ -77,33 +77,35 @@ class Trial:
         except OSError:
             return  # said already; the monostable ends by itself
 
-    def _chip(self) -> Finding:
+    def _chip(self) -> TrialFinding:
         if not self._driver.part.up:
-            return Finding("servo driver", False, f"{self._driver.part.fault}; check wiring, strap and supply")
-        return Finding("servo driver", True, f"answers at 0x{self._config.chip.address:02x} and keeps its settings")
+            return TrialFinding("servo driver", False, f"{self._driver.part.fault}; check wiring, strap and supply")
+        return TrialFinding(
+            "servo driver", True, f"answers at 0x{self._config.chip.address:02x} and keeps its settings"
+        )
 
-    def _switch(self, frames: list[tuple[PilotSignals, Scan]]) -> Finding:
+    def _switch(self, frames: list[tuple[PilotSignals, Scan]]) -> TrialFinding:
         signals = frames[-1][0]
         if signals.sticks is None:
             why = self._pilot.part.fault or "no pulses on an input; is the transmitter on?"
-            return Finding("pilot's signals", False, why)
+            return TrialFinding("pilot's signals", False, why)
         if signals.switch is not Switch.OFF:
-            return Finding("pilot's signals", False, f"switch is at {signals.switch.name.lower()}; put it to off")
-        return Finding("pilot's signals", True, "all there, switch at off")
+            return TrialFinding("pilot's signals", False, f"switch is at {signals.switch.name.lower()}; put it to off")
+        return TrialFinding("pilot's signals", True, "all there, switch at off")
 
-    def _frequency(self, frames: list[tuple[PilotSignals, Scan]]) -> Finding:
+    def _frequency(self, frames: list[tuple[PilotSignals, Scan]]) -> TrialFinding:
         found = [s.loopback_us for s, _ in frames if s.loopback_us is not None]
         if len(found) < len(frames) // 2:
-            return Finding(
+            return TrialFinding(
                 "output frequency", False, "no pulses come back on the loopback; check its wire, OE and heartbeat"
             )
         error = self._driver.loopback_us / fmean(found) - 1.0
         limit = self._config.limits.frequency_error
         text = f"{100 * error:+.2f} % off (limit {100 * limit:g} %)"
         advice = "" if abs(error) <= limit else "; set sequencer.chip.oscillator_hz to what is measured"
-        return Finding("output frequency", abs(error) <= limit, text + advice)
+        return TrialFinding("output frequency", abs(error) <= limit, text + advice)
 
-    def _multiplexer(self, frames: list[tuple[PilotSignals, Scan]]) -> Finding:
+    def _multiplexer(self, frames: list[tuple[PilotSignals, Scan]]) -> TrialFinding:
         worst = 0.0
         for index, (name, output) in enumerate(self._config.output.items()):
             if not output.readback:
@@ -114,20 +116,22 @@ class Trial:
                 if s.sticks is not None and f"pwm_{output.readback}" in scan.values
             ]
             if not pairs:
-                return Finding("multiplexer", False, f"no pulses of {name} behind it, though the switch is at off")
+                return TrialFinding("multiplexer", False, f"no pulses of {name} behind it, though the switch is at off")
             worst = max(worst, abs(fmean(a for a, _ in pairs) - fmean(b for _, b in pairs)))
         if worst > SAME_US:
-            return Finding(
+            return TrialFinding(
                 "multiplexer", False, f"servo pulses are {worst:.0f} us off the pilot's, though his switch is at off"
             )
-        return Finding("multiplexer", True, f"passes the pilot's signals, within {worst:.0f} us")
+        return TrialFinding("multiplexer", True, f"passes the pilot's signals, within {worst:.0f} us")
 
-    def _gate(self) -> Finding:
+    def _gate(self) -> TrialFinding:
         """With the heartbeat over, the driver's outputs must be dead."""
         until = self._clock.monotonic_ns() + FADE_MS * MS
         signals, _ = self._frame(beat=False)
         while self._clock.monotonic_ns() < until:
             signals, _ = self._frame(beat=False)
         if signals.loopback_us is not None:
-            return Finding("heartbeat", False, "servo driver goes on without it: OE is not wired to the monostable")
-        return Finding("heartbeat", True, "without it the servo driver is dead")
+            return TrialFinding(
+                "heartbeat", False, "servo driver goes on without it: OE is not wired to the monostable"
+            )
+        return TrialFinding("heartbeat", True, "without it the servo driver is dead")

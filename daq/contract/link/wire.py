@@ -115,7 +115,7 @@ class _Unpacker:
 
 
 @dataclass(frozen=True)
-class Layout:
+class ScanLayout:
     """A packed scan message: which channels it carries and where each byte is."""
 
     msg_id: int
@@ -180,7 +180,7 @@ def _limits(channel: Channel) -> tuple[float, float]:
 
 def _layout(
     msg_id: int, name: str, meaning: str, extra: Sequence[WireField], channels: Sequence[Channel], groups: Sequence[str]
-) -> Layout:
+) -> ScanLayout:
     bits = tuple(c for c in channels if c.raw_type == "bit")
     fields = [*_HEADER, *extra, *(f for c in channels if c.raw_type != "bit" for f in _channel_fields(c))]
     listed = ", ".join(groups)
@@ -206,7 +206,7 @@ def _layout(
         at += f.count or 1
     plain = tuple(c.name for c in channels if c.name in scalars)
     pick = itemgetter(*(scalars[n] for n in plain)) if len(plain) > 1 else _pick_all(tuple(scalars[n] for n in plain))
-    return Layout(
+    return ScanLayout(
         msg_id,
         name,
         meaning,
@@ -298,7 +298,7 @@ def _pick_all(places: tuple[int, ...]) -> Callable[[Sequence[RawValue]], tuple[R
 
 
 @cache
-def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, Layout]:
+def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, ScanLayout]:
     """The packed scan messages of a channel table, by message id."""
     own = [c for c in channels if c.downlink != "none" and c.package]
     sent = [c for c in channels if c.downlink != "none" and not c.package]
@@ -325,7 +325,7 @@ def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, Layout]:
     return {layout.msg_id: layout for layout in (*made, *laboratory)}
 
 
-def _laboratory_layout(channels: Sequence[Channel], seen: Iterable[str]) -> Layout:
+def _laboratory_layout(channels: Sequence[Channel], seen: Iterable[str]) -> ScanLayout:
     """SCAN_LABORATORY; UserError when it would be too long for a frame."""
     text = "One scan: the channels that laboratory packages bring."
     groups = list(dict.fromkeys(c.group for c in channels if c.group not in set(seen)))
@@ -339,7 +339,7 @@ def _laboratory_layout(channels: Sequence[Channel], seen: Iterable[str]) -> Layo
     return replace(made, table=zlib.crc32(repr(rows).encode()) & 0xFFFF)
 
 
-def pack_scan(layout: Layout, scan: Scan, boot: int) -> bytes:
+def pack_scan(layout: ScanLayout, scan: Scan, boot: int) -> bytes:
     """The payload of one packed message of a scan; never raises for values a Scan can hold."""
     packer = layout.packer
     found = dict(packer.blank)
@@ -370,7 +370,7 @@ def pack_scan(layout: Layout, scan: Scan, boot: int) -> bytes:
 
 
 def _pack_groups(
-    layout: Layout, groups: Mapping[str, GroupStatus], found: dict[str, RawValue | bytes]
+    layout: ScanLayout, groups: Mapping[str, GroupStatus], found: dict[str, RawValue | bytes]
 ) -> Sequence[str]:
     """Put states and offsets into `found`; returns the groups whose offset does not fit."""
     if not layout.groups:
@@ -407,7 +407,7 @@ class ScanPart(NamedTuple):
     lateness_us: int = 0
 
 
-def unpack_scan(layout: Layout, payload: bytes) -> ScanPart:
+def unpack_scan(layout: ScanLayout, payload: bytes) -> ScanPart:
     """The inverse of `pack_scan`; `payload` has its trailing zeros restored.
 
     Raises ValueError for a payload of the wrong length or mark: a frame made from another channel table.

@@ -17,7 +17,7 @@ from daq.contract.durable import make_directories, replacing
 from daq.contract.plain_words import visible
 from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
-from daq.contract.recordings.reading import Recording, Segment, by_session, join, read_segments
+from daq.contract.recordings.reading import Recording, RecordingWalk, by_session, join, read_segments
 from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter, utc_of
 from daq.contract.recordings.salvage import Damage
 from daq.contract.recordings.summary import info_mcap
@@ -86,7 +86,7 @@ def verify(path: str | Path) -> Verification:
     return verify_segments(path, read_segments(path))
 
 
-def verify_segments(path: Path, segments: list[Segment]) -> Verification:
+def verify_segments(path: Path, segments: list[RecordingWalk]) -> Verification:
     """`verify` of segments that have been walked through already."""
     if path.is_dir() or len(segments) == 1:
         groups = [segments]
@@ -98,7 +98,7 @@ def verify_segments(path: Path, segments: list[Segment]) -> Verification:
     return _together(found)
 
 
-def _verify_group(path: Path, segments: list[Segment]) -> tuple[str, Verification]:
+def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verification]:
     if all(s.info is None and not s.entries and (s.foreign or s.metadata) for s in segments):
         return "no recording", _verify_foreign(segments)
     recording = join(path, segments)
@@ -245,7 +245,7 @@ def _sentence(
     return ("sound: " if ok else "not sound: ") + "; ".join(parts)
 
 
-def _verify_foreign(segments: Sequence[Segment]) -> Verification:
+def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
     """A calibrated flight or another MCAP file: bytes and structure only."""
     damages = tuple((s.path, d) for s in segments for d in s.damages)
     closed = all(s.closed for s in segments)
@@ -304,7 +304,7 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
     return Recovery(out, sum(n for *_, n in saved), verify_segments(path, segments), saved)
 
 
-def _with_messages(path: Path, segments: list[Segment]) -> list[Recording]:
+def _with_messages(path: Path, segments: list[RecordingWalk]) -> list[Recording]:
     """The recordings in a file or directory that hold a message."""
     groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
     raw = [g for g in groups if any(s.entries for s in g)]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
 
-from daq.contract.recordings.recording import Entry
+from daq.contract.recordings.recording import RecordedMessage
 from daq.contract.scan import SCAN_TOPIC
 
 NEAR_NS = 2_000_000_000
@@ -20,7 +20,7 @@ MOST = 64
 """Sessions told apart within one part of a file: a card has some hundred files, and not all of them in one."""
 
 
-def sessions_apart(entries: Sequence[Entry]) -> list[tuple[Entry, ...]]:
+def sessions_apart(entries: Sequence[RecordedMessage]) -> list[tuple[RecordedMessage, ...]]:
     """Entries in order of the file, taken apart by session, the one that comes first in the file first; in one piece where
     nothing contradicts that they are of one session. What is no scan goes with the scan before it."""
     scans = [e for e in entries if e.topic == SCAN_TOPIC]
@@ -28,7 +28,7 @@ def sessions_apart(entries: Sequence[Entry]) -> list[tuple[Entry, ...]]:
         return [tuple(entries)]
     period = _period(scans)
     lines: list[float] = []  # of each session, where its line was met last: time less number times period
-    groups: list[list[Entry]] = []
+    groups: list[list[RecordedMessage]] = []
     current = 0
     for entry in entries:
         if entry.topic == SCAN_TOPIC:
@@ -46,15 +46,15 @@ def sessions_apart(entries: Sequence[Entry]) -> list[tuple[Entry, ...]]:
     return [tuple(group) for group in groups]
 
 
-def _contradict(scans: Sequence[Entry]) -> bool:
+def _contradict(scans: Sequence[RecordedMessage]) -> bool:
     """Whether a number stands for two scans, or time does not rise with it."""
-    seen: dict[int, Entry] = {}
+    seen: dict[int, RecordedMessage] = {}
     if any(seen.setdefault(e.sequence, e).data != e.data for e in scans):
         return True
     return any(seen[a].log_time_ns >= seen[b].log_time_ns for a, b in pairwise(sorted(seen)))
 
 
-def _period(scans: Sequence[Entry]) -> float:
+def _period(scans: Sequence[RecordedMessage]) -> float:
     """Time from one number to the next [ns], as most neighbours in the file have it."""
     steps = [b.log_time_ns - a.log_time_ns for a, b in pairwise(scans) if b.sequence == a.sequence + 1]
     return float(median(steps)) if steps else 0.0

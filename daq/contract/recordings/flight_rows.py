@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
 from daq.contract.recordings.claims import MAX_COLUMNS, json_object, table_fits
-from daq.contract.recordings.reading import FLIGHT_METADATA, FLIGHT_TOPIC, Segment
+from daq.contract.recordings.reading import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk
 
 FLIGHT_SCHEMA = "sideslip.FlightSample"
 
@@ -47,7 +47,7 @@ class FlightRows:
         return span if np.isfinite(span) else 0.0
 
 
-def flight_rows(segment: Segment) -> FlightRows:
+def flight_rows(segment: RecordingWalk) -> FlightRows:
     """The flight in a file that has been walked through. Raises FlightRowsError when its schema or rows are none of a flight."""
     rows = segment.kept.get(FLIGHT_TOPIC, ())
     numbers = _columns(segment)
@@ -68,7 +68,7 @@ def flight_rows(segment: Segment) -> FlightRows:
     return FlightRows(tuple(numbers), values)
 
 
-def _columns(segment: Segment) -> dict[str, int]:
+def _columns(segment: RecordingWalk) -> dict[str, int]:
     """Field number of each column, from the schema in the file."""
     name, data = segment.schemas.get(FLIGHT_TOPIC, ("", b""))
     try:
@@ -111,7 +111,7 @@ def _message_class(numbers: Mapping[str, int]) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName("sideslip.Row"))
 
 
-def described(segment: Segment) -> tuple[dict[str, Any], str, str]:
+def described(segment: RecordingWalk) -> tuple[dict[str, Any], str, str]:
     """What a flight says of itself: its provenance, the text of it, and the digest stated; empty where unusable."""
     fields = next((m.fields for m in segment.metadata if m.name == FLIGHT_METADATA), {})
     text = fields.get("json", "")

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 from daq.contract.errors import UserError
 from daq.contract.recordings.expand import Bad, Effort, expand_torn
-from daq.contract.recordings.recording import SCHEMA_OF_TOPIC, Entry, entry_of
+from daq.contract.recordings.recording import SCHEMA_OF_TOPIC, RecordedMessage, entry_of
 from daq.contract.seal import SEAL_SIZE, SEAL_TAG, seal_holds
 
 _RECORD_HEAD = struct.Struct("<BQ")
@@ -22,7 +22,7 @@ _ZSTD_MARK = b"\x04\x00\x00\x00zstd"
 _LONG_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
 
 
-def salvage_region(region: bytes, effort: Effort) -> Iterator[Entry]:
+def salvage_region(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     """Messages whose seals hold within a damaged stretch, its compressed parts included."""
     yield from find_sealed(region, effort)
     behind = 0
@@ -39,7 +39,7 @@ def salvage_region(region: bytes, effort: Effort) -> Iterator[Entry]:
             yield from _in_content(expand_torn(_ZSTD_MAGIC + piece, effort)[0], effort)
 
 
-def _in_content(content: bytes, effort: Effort) -> Iterator[Entry]:
+def _in_content(content: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     """Messages in the content of a torn chunk: record by record as far as it is sound, by their seals from there on."""
     at = 0
     while at + _MESSAGE_HEAD <= len(content):
@@ -64,7 +64,7 @@ def _in_content(content: bytes, effort: Effort) -> Iterator[Entry]:
     yield from find_sealed(content[at:], effort)
 
 
-def find_sealed(region: bytes, effort: Effort) -> Iterator[Entry]:
+def find_sealed(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     """Messages with intact content in a stretch of bytes: those of usual length by their seals alone, long ones by their
     record heads too, which say where they end."""
     from daq.contract.recordings.sealed import sealed_stretches  # needs numpy, which a sound recording does without
@@ -77,7 +77,7 @@ def find_sealed(region: bytes, effort: Effort) -> Iterator[Entry]:
     yield from _find_long(region, effort)
 
 
-def _find_long(region: bytes, effort: Effort) -> Iterator[Entry]:
+def _find_long(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     from daq.contract.recordings.sealed import REACH
 
     done = 0
@@ -97,7 +97,7 @@ def _find_long(region: bytes, effort: Effort) -> Iterator[Entry]:
             done = end
 
 
-def _entry(topic: str, content: bytes) -> Iterator[Entry]:
+def _entry(topic: str, content: bytes) -> Iterator[RecordedMessage]:
     """The message around sealed content; nothing for content that was sealed but is none (nobody but a forger does that)."""
     try:
         yield entry_of(topic, content)

@@ -41,7 +41,7 @@ class Metadata:
 
 
 @dataclass(slots=True)
-class Record:
+class McapRecord:
     at: int
     opcode: int
     body: memoryview
@@ -144,7 +144,7 @@ def read_metadata(body: memoryview, effort: Effort) -> Metadata:
     return Metadata(name, fields)
 
 
-def check_structure(record: Record) -> None:
+def check_structure(record: McapRecord) -> None:
     """Records that only index others: their content is not used, every length in them must fit."""
     cursor = Cursor(record.body)
     if record.opcode == MESSAGE_INDEX:

@@ -42,7 +42,7 @@ class LogLevel(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class EventMessage:
     """A marker: the pilot's switch, the ground, or the logger itself (`origin`)."""
 
     time_monotonic_ns: int
@@ -156,7 +156,7 @@ class SequencerFrame:
     output_us: tuple[float, ...] = ()
 
 
-Message = Event | LogLine | Health | Statistics | SequencerFrame
+Message = EventMessage | LogLine | Health | Statistics | SequencerFrame
 
 # --------------------------------------------------------------------------------------------------- protobuf schemas
 
@@ -291,15 +291,15 @@ def _parsed(schema: str, data: bytes) -> Any:
     return message
 
 
-def encode_event(event: Event) -> bytes:
+def encode_event(event: EventMessage) -> bytes:
     """An event as sealed protobuf bytes."""
     return _sealed(EVENT_SCHEMA, {name: getattr(event, name) for name, *_ in _EVENT})
 
 
-def decode_event(data: bytes) -> Event:
+def decode_event(data: bytes) -> EventMessage:
     """An event from its bytes; MessageError when they are damaged or something else."""
     message = _parsed(EVENT_SCHEMA, data)
-    return Event(**{name: getattr(message, name) for name, *_ in _EVENT})
+    return EventMessage(**{name: getattr(message, name) for name, *_ in _EVENT})
 
 
 def encode_log(line: LogLine) -> bytes:

@@ -22,7 +22,7 @@ from daq.contract.recordings.messages import (
     LOG_TOPIC,
     SEQUENCER_TOPIC,
     STATISTICS_TOPIC,
-    Event,
+    EventMessage,
     Health,
     LogLine,
     SequencerFrame,
@@ -35,7 +35,7 @@ from daq.contract.recordings.recording import (
     INFO_ATTACHMENT,
     INFO_NAME,
     SCHEMA_OF_TOPIC,
-    Entry,
+    RecordedMessage,
     RecordingError,
     RecordingInfo,
     info_from_metadata,
@@ -52,13 +52,13 @@ _KEPT = (FLIGHT_TOPIC, LINK_TOPIC)
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class RecordingWalk:
     """One file, walked through: what is right in it, and where it is damaged."""
 
     path: Path
     size: int
     info: RecordingInfo | None  # None: the file does not say what it is
-    entries: tuple[Entry, ...]
+    entries: tuple[RecordedMessage, ...]
     foreign: Mapping[str, int]  # topics that are not ours -> messages
     damages: tuple[Damage, ...]
     closed: bool
@@ -94,8 +94,8 @@ class Recording:
 
     path: Path
     info: RecordingInfo
-    segments: tuple[Segment, ...]
-    entries: tuple[Entry, ...] = field(repr=False)
+    segments: tuple[RecordingWalk, ...]
+    entries: tuple[RecordedMessage, ...] = field(repr=False)
 
     def scans(self) -> Iterator[Scan]:
         """The scans in order of their number, decoded one by one."""
@@ -107,7 +107,7 @@ class Recording:
         return sorted(e.sequence for e in self.entries if e.topic == SCAN_TOPIC)
 
     @property
-    def events(self) -> tuple[Event, ...]:
+    def events(self) -> tuple[EventMessage, ...]:
         """Event markers in order of time."""
         return tuple(self._decoded(EVENT_TOPIC))
 
@@ -137,7 +137,7 @@ class Recording:
         return tuple(self._decoded(SEQUENCER_TOPIC))
 
     @property
-    def given_up(self) -> tuple[Segment, ...]:
+    def given_up(self) -> tuple[RecordingWalk, ...]:
         """Segments that the logger itself says it left after a write error, writing what was in doubt to the next file.
 
         Their torn ends are accounted for: no damage of the recording.
@@ -163,7 +163,7 @@ class Recording:
         return (DECODERS[topic](e.data) for e in self.entries if e.topic == topic)
 
 
-def read_parts(path: Path) -> list[Segment]:
+def read_parts(path: Path) -> list[RecordingWalk]:
     """Walk through one file: a segment for each recording in it, one as a rule.
 
     Raises RecordingError when the file cannot be opened or is not an MCAP file at all.
@@ -171,16 +171,16 @@ def read_parts(path: Path) -> list[Segment]:
     data = read_bytes(path, "recording", RecordingError)
     if not data:
         raise RecordingError(f"{path}: the file is empty")
-    parts = [_Part(path, 0)]
+    parts = [_OpenPart(path, 0)]
     walk = Walk(data)
     for item in walk:
         if isinstance(item, Began):
             parts[-1].schemas = _schemas(walk)
-            parts.append(_Part(path, item.at_byte))
+            parts.append(_OpenPart(path, item.at_byte))
         else:
             parts[-1].take(item)
     parts[-1].schemas = _schemas(walk)
-    found: list[Segment] = []
+    found: list[RecordingWalk] = []
     for part, end in zip(parts, [*(p.at_byte for p in parts[1:]), len(data)], strict=True):
         segment = part.segment(end - part.at_byte)
         if segment.empty and found:  # stray bytes behind a recording: a damage of it
@@ -196,7 +196,7 @@ def read_parts(path: Path) -> list[Segment]:
     return found
 
 
-def _by_line(segment: Segment) -> list[Segment]:
+def _by_line(segment: RecordingWalk) -> list[RecordingWalk]:
     """A segment as it is, or taken apart where scans of another session stand among its own: those have lost their head."""
     own, *others = sessions_apart(segment.entries) or [()]
     if not others:
@@ -216,7 +216,7 @@ def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
     return {topic: walk.schemas[i] for topic, i in ids if i is not None and i in walk.schemas}
 
 
-def read_segment(path: Path) -> Segment:
+def read_segment(path: Path) -> RecordingWalk:
     """Walk through one file that holds one recording; the parts of a session in one file are put together.
 
     Raises RecordingError when the file cannot be opened, is not an MCAP file at all, or holds several sessions.
@@ -240,12 +240,12 @@ def read_segment(path: Path) -> Segment:
 
 
 @dataclass
-class _Part:
+class _OpenPart:
     """A recording while it is being read."""
 
     path: Path
     at_byte: int
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[RecordedMessage] = field(default_factory=list)
     damages: list[Damage] = field(default_factory=list)
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: list[Metadata] = field(default_factory=list)
@@ -256,7 +256,7 @@ class _Part:
 
     def take(self, item: Item) -> None:
         match item:
-            case Entry():
+            case RecordedMessage():
                 if item.topic in SCHEMA_OF_TOPIC:
                     self.entries.append(on_monotonic_clock(item))
                 else:
@@ -275,10 +275,10 @@ class _Part:
             case Closed():
                 self.closed = True
 
-    def segment(self, size: int) -> Segment:
+    def segment(self, size: int) -> RecordingWalk:
         info = _identity(self.metadata, self.attachments)
         metadata = self.metadata or ([Metadata("attachment", {})] if self.attachments else [])
-        return Segment(
+        return RecordingWalk(
             self.path, size, info, tuple(self.entries), self.foreign, tuple(self.damages), self.closed, tuple(metadata),
             self.at_byte, {k: tuple(v) for k, v in self.kept.items()}, self.schemas,
         )  # fmt: skip
@@ -310,7 +310,7 @@ def _copy_of_identity(data: bytes) -> Mapping[str, str] | None:
     return copy if copy.get("sha256") == metadata_digest(copy) else None
 
 
-def _last_statistics(entries: Iterable[Entry]) -> Statistics | None:
+def _last_statistics(entries: Iterable[RecordedMessage]) -> Statistics | None:
     told = [e for e in entries if e.topic == STATISTICS_TOPIC]
     last = max(reversed(told), key=lambda e: e.log_time_ns, default=None)  # of the same instant the last written
     return DECODERS[STATISTICS_TOPIC](last.data) if last else None
@@ -328,7 +328,7 @@ def segment_paths(path: Path) -> list[Path]:
     return paths
 
 
-def read_segments(path: str | Path) -> list[Segment]:
+def read_segments(path: str | Path) -> list[RecordingWalk]:
     """Walk through a file or all files of a directory, sound or not; a file gives a segment for each recording in it.
 
     A file of a directory that holds nothing at all is one whole damage: a power cut leaves the name of a file that was
@@ -339,7 +339,7 @@ def read_segments(path: str | Path) -> list[Segment]:
     return [s for p in segment_paths(path) for s in read(p)]
 
 
-def _parts_or_blank(path: Path) -> list[Segment]:
+def _parts_or_blank(path: Path) -> list[RecordingWalk]:
     try:
         return read_parts(path)
     except RecordingError as error:
@@ -347,20 +347,20 @@ def _parts_or_blank(path: Path) -> list[Segment]:
             raise
         size = path.stat().st_size
         what = "the file is empty" if size == 0 else "nothing in it was written by the logger"
-        return [Segment(path, size, None, (), {}, (Damage(0, size, what),), False)]
+        return [RecordingWalk(path, size, None, (), {}, (Damage(0, size, what),), False)]
 
 
 # ------------------------------------------------------------------------------------------------------- sessions
 
 
-def by_session(segments: Iterable[Segment]) -> dict[str, list[Segment]]:
+def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWalk]]:
     """Segments by session, in order of appearance.
 
     A part that has lost its identity tells its session by its accounting, or is counted to the only session whose scan
     numbers and times it continues without contradiction; else it stands for itself.
     """
-    known: dict[str, list[Segment]] = {}
-    lost: list[Segment] = []
+    known: dict[str, list[RecordingWalk]] = {}
+    lost: list[RecordingWalk] = []
     for segment in segments:
         session = _session_told(segment)
         if session is None:
@@ -374,16 +374,16 @@ def by_session(segments: Iterable[Segment]) -> dict[str, list[Segment]]:
     return known
 
 
-def _session_told(segment: Segment) -> str | None:
+def _session_told(segment: RecordingWalk) -> str | None:
     if segment.info is not None:
         return segment.info.session
     books = _last_statistics(segment.entries)
     return books.session or None if books else None
 
 
-def _continues(group: list[Segment], segment: Segment) -> bool:
+def _continues(group: list[RecordingWalk], segment: RecordingWalk) -> bool:
     """Whether the scans of all these segments can be one session: a number stands for one scan, and time rises with it."""
-    scans: dict[int, Entry] = {}
+    scans: dict[int, RecordedMessage] = {}
     for entry in (e for s in (*group, segment) for e in s.entries if e.topic == SCAN_TOPIC):
         if scans.setdefault(entry.sequence, entry).data != entry.data:
             return False
@@ -403,7 +403,7 @@ def read_recordings(path: str | Path) -> list[Recording]:
     return [join(path, group) for group in by_session(segments).values()]
 
 
-def _several(path: Path, segments: list[Segment]) -> str:
+def _several(path: Path, segments: list[RecordingWalk]) -> str:
     names = ", ".join(
         f"{k} ({sum(e.topic == SCAN_TOPIC for s in g for e in s.entries)} scans)"
         for k, g in list(by_session(segments).items())[:5]
@@ -417,7 +417,7 @@ def _several(path: Path, segments: list[Segment]) -> str:
 # ------------------------------------------------------------------------------------------------------ recordings
 
 
-def join(path: Path, segments: list[Segment]) -> Recording:
+def join(path: Path, segments: list[RecordingWalk]) -> Recording:
     """One recording of all segments; a message that two segments hold (rewritten after an error) appears once.
 
     Raises RecordingError when the segments belong to different sessions or hold no raw recording.
@@ -442,7 +442,7 @@ def join(path: Path, segments: list[Segment]) -> Recording:
     return Recording(path, info, tuple(segments), entries)
 
 
-def _why_not_raw(segments: list[Segment]) -> str:
+def _why_not_raw(segments: list[RecordingWalk]) -> str:
     if any(s.foreign or s.metadata for s in segments):
         return "not a raw recording but a calibrated flight or a file of another program"
     if any(s.damages for s in segments):
@@ -450,7 +450,7 @@ def _why_not_raw(segments: list[Segment]) -> str:
     return "not a raw recording of Sideslip"
 
 
-def unique(entries: Iterable[Entry]) -> tuple[Entry, ...]:
+def unique(entries: Iterable[RecordedMessage]) -> tuple[RecordedMessage, ...]:
     """Entries in order of time, scans with a number seen before and repeated messages left out."""
     seen: set[tuple[str, int] | tuple[str, bytes]] = set()
     out = []

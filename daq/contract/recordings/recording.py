@@ -73,7 +73,7 @@ class LogTime:
     source: str = ""
 
 
-class Entry(NamedTuple):
+class RecordedMessage(NamedTuple):
     """One message. log_time_ns: on the aircraft's monotonic clock, whatever the file has."""
 
     topic: str
@@ -198,33 +198,33 @@ def metadata_digest(fields: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
-def scan_entry(scan: Scan, data: bytes | None = None) -> Entry:
+def scan_entry(scan: Scan, data: bytes | None = None) -> RecordedMessage:
     """A scan as a message; `data` when it has been encoded already."""
     encoded = encode_scan(scan) if data is None else data
     utc = scan.time_utc_ns or scan.time_monotonic_ns
-    return Entry(SCAN_TOPIC, scan.time_monotonic_ns, utc, scan.number, encoded)
+    return RecordedMessage(SCAN_TOPIC, scan.time_monotonic_ns, utc, scan.number, encoded)
 
 
-def message_entry(message: m.Message, sequence: int = 0) -> Entry:
+def message_entry(message: m.Message, sequence: int = 0) -> RecordedMessage:
     """An event, log line, health report, statistics or frame of the sequencer as a message."""
     topic, encode = _ENCODERS[type(message)]
     utc = message.time_utc_ns or message.time_monotonic_ns
-    return Entry(topic, message.time_monotonic_ns, utc, sequence, encode(message))
+    return RecordedMessage(topic, message.time_monotonic_ns, utc, sequence, encode(message))
 
 
-def entry_of(topic: str, data: bytes) -> Entry:
+def entry_of(topic: str, data: bytes) -> RecordedMessage:
     """The message around sealed bytes of a known topic, its times and number taken from the content."""
     if topic == SCAN_TOPIC:
         number, monotonic, utc = scan_stamp(data)
-        return Entry(topic, monotonic, utc or monotonic, number, data)
+        return RecordedMessage(topic, monotonic, utc or monotonic, number, data)
     content = DECODERS[topic](data)
     utc = content.time_utc_ns or content.time_monotonic_ns
     if not 0 <= utc <= _LATEST_NS:  # a log line carries seconds of any sign and size
         utc = content.time_monotonic_ns
-    return Entry(topic, content.time_monotonic_ns, utc, getattr(content, "number", 0), data)
+    return RecordedMessage(topic, content.time_monotonic_ns, utc, getattr(content, "number", 0), data)
 
 
-def on_monotonic_clock(entry: Entry) -> Entry:
+def on_monotonic_clock(entry: RecordedMessage) -> RecordedMessage:
     """A message as it stands in a file, its log time put back on the aircraft's monotonic clock by its own content."""
     if entry.log_time_ns < UTC_FROM_NS:
         return entry
@@ -233,12 +233,12 @@ def on_monotonic_clock(entry: Entry) -> Entry:
     return entry._replace(log_time_ns=DECODERS[entry.topic](entry.data).time_monotonic_ns)
 
 
-def utc_of(entries: Iterable[Entry]) -> LogTime:
+def utc_of(entries: Iterable[RecordedMessage]) -> LogTime:
     """The offset to UTC as the first scan knows it that knows any; nothing where none does."""
     return next((known for known in map(utc_of_scan, entries) if known is not None), LogTime())
 
 
-def utc_of_scan(entry: Entry) -> LogTime | None:
+def utc_of_scan(entry: RecordedMessage) -> LogTime | None:
     """The offset to UTC as a scan knows it; None for one that knows none, or an impossible one, and for other messages."""
     if entry.topic != SCAN_TOPIC or not UTC_FROM_NS <= entry.publish_time_ns < UTC_TO_NS:
         return None
@@ -246,7 +246,7 @@ def utc_of_scan(entry: Entry) -> LogTime | None:
 
 
 _ENCODERS: dict[type, tuple[str, Callable[[Any], bytes]]] = {
-    m.Event: (m.EVENT_TOPIC, m.encode_event),
+    m.EventMessage: (m.EVENT_TOPIC, m.encode_event),
     m.LogLine: (m.LOG_TOPIC, m.encode_log),
     m.Health: (m.HEALTH_TOPIC, m.encode_health),
     m.Statistics: (m.STATISTICS_TOPIC, m.encode_statistics),
@@ -290,11 +290,11 @@ class RecordingWriter:
             schema_id = self._writer.register_schema(schema, "protobuf", files.SerializeToString(deterministic=True))
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
 
-    def write(self, entry: Entry) -> None:
+    def write(self, entry: RecordedMessage) -> None:
         """Add a message to the chunk in progress."""
         self._add(self._channels[entry.topic], entry)
 
-    def _add(self, channel: int, entry: Entry) -> None:
+    def _add(self, channel: int, entry: RecordedMessage) -> None:
         if not self._begun:
             self._begun = True
             self._say_log_time()

@@ -32,15 +32,15 @@ from daq.contract.recordings.mcap_records import (
     Attachment,
     Bad,
     Cursor,
+    McapRecord,
     Metadata,
-    Record,
     check_structure,
     chunk_content,
     chunk_plausible,
     read_attachment,
     read_metadata,
 )
-from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_NAME, SCHEMA_OF_TOPIC, Entry
+from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_NAME, SCHEMA_OF_TOPIC, RecordedMessage
 from daq.contract.recordings.trust import begins, next_candidate
 from daq.contract.seal import seal_holds
 
@@ -79,11 +79,11 @@ class Began:
     at_byte: int
 
 
-Item = Entry | Attachment | Metadata | Damage | Closed | Began
+Item = RecordedMessage | Attachment | Metadata | Damage | Closed | Began
 
 
 @dataclass(slots=True)
-class _Part:
+class _SalvagedPart:
     """What is known of the recording at hand, one of several in a file."""
 
     at: int  # its first byte
@@ -103,12 +103,12 @@ class Walk:
         self._data = memoryview(data)
         self._raw = data
         self._effort = Effort.for_size(len(data))
-        self._part = _Part(0)
+        self._part = _SalvagedPart(0)
         self._damages = 0
         self._parts = 0
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
-        self._unproven: Record | None = None  # the record before, where nothing but its own lengths vouches for it
+        self._unproven: McapRecord | None = None  # the record before, where nothing but its own lengths vouches for it
         self._content: tuple[int, bytes | memoryview] = (-1, b"")  # of the chunk expanded last
 
     @property
@@ -172,7 +172,7 @@ class Walk:
     def _given_up(self) -> bool:
         return self._damages >= MAX_DAMAGES
 
-    def _record(self, at: int) -> Record:
+    def _record(self, at: int) -> McapRecord:
         if at + RECORD_HEAD > len(self._raw):
             raise Bad("cut off")
         self._effort.record()
@@ -181,9 +181,9 @@ class Walk:
             raise Bad(f"no record has the code {opcode}")
         if at + RECORD_HEAD + length > len(self._raw):
             raise Bad("cut off, or its length altered")
-        return Record(at, opcode, self._data[at + RECORD_HEAD : at + RECORD_HEAD + length])
+        return McapRecord(at, opcode, self._data[at + RECORD_HEAD : at + RECORD_HEAD + length])
 
-    def _items(self, record: Record) -> Iterator[Item]:
+    def _items(self, record: McapRecord) -> Iterator[Item]:
         if record.opcode == CHUNK:
             yield from self._chunk(record)
             return
@@ -207,7 +207,7 @@ class Walk:
                 if not self._part.damaged:
                     yield self._damage(record.at, 0, "the end of the data is not marked")
 
-    def _chunk(self, record: Record) -> Iterator[Entry]:
+    def _chunk(self, record: McapRecord) -> Iterator[RecordedMessage]:
         content = memoryview(self._expanded(record))
         at = 0
         while at < len(content):
@@ -217,19 +217,19 @@ class Walk:
             opcode, length = struct.unpack_from("<BQ", content, at)
             if at + RECORD_HEAD + length > len(content):
                 raise Bad("its content breaks off")
-            inner = Record(at, opcode, content[at + RECORD_HEAD : at + RECORD_HEAD + length])
+            inner = McapRecord(at, opcode, content[at + RECORD_HEAD : at + RECORD_HEAD + length])
             if opcode == MESSAGE:
                 yield self._message(inner.body)
             elif opcode in (SCHEMA, CHANNEL):
                 self._declare(inner)
             at = inner.end
 
-    def _expanded(self, record: Record) -> bytes | memoryview:
+    def _expanded(self, record: McapRecord) -> bytes | memoryview:
         if self._content[0] != record.at:
             self._content = (record.at, chunk_content(record.body, self._effort))
         return self._content[1]
 
-    def _message(self, body: memoryview) -> Entry:
+    def _message(self, body: memoryview) -> RecordedMessage:
         if len(body) < 22:
             raise Bad("shorter than a message can be")
         channel, sequence, log_time, publish_time = struct.unpack_from("<HIQQ", body)
@@ -240,9 +240,9 @@ class Walk:
             topic = next((t for t in possible if seal_holds(SCHEMA_OF_TOPIC[t], data)), None)
             if topic is None:
                 raise Bad("a message in it fails its checksum or belongs to a channel that was not declared")
-        return Entry(topic, log_time, publish_time, sequence, data)
+        return RecordedMessage(topic, log_time, publish_time, sequence, data)
 
-    def _declare(self, record: Record) -> None:
+    def _declare(self, record: McapRecord) -> None:
         cursor = Cursor(record.body)
         number = cursor.number(2)
         if record.opcode == SCHEMA:
@@ -262,7 +262,7 @@ class Walk:
             self._part.topics[number] = topic
             self._part.channel_schema.setdefault(topic, schema_id)
 
-    def _metadata(self, record: Record) -> Iterator[Item]:
+    def _metadata(self, record: McapRecord) -> Iterator[Item]:
         found = read_metadata(record.body, self._effort)
         if found.name == INFO_NAME:
             session = found.fields.get("session")
@@ -271,7 +271,7 @@ class Walk:
             self._part.session = session
         yield found
 
-    def _data_end(self, record: Record) -> Iterator[Item]:
+    def _data_end(self, record: McapRecord) -> Iterator[Item]:
         cursor = Cursor(record.body)
         stated = cursor.number(4)
         cursor.finish()
@@ -282,7 +282,7 @@ class Walk:
             yield self._damage(self._part.at, 0, "a byte outside the chunks was altered (checksum of the data section)")
         self._part.data_ended = True
 
-    def _footer(self, record: Record) -> Iterator[Item]:
+    def _footer(self, record: McapRecord) -> Iterator[Item]:
         cursor = Cursor(record.body)
         start, _, stated = cursor.number(8), cursor.number(8), cursor.number(4)
         cursor.finish()
@@ -311,7 +311,7 @@ class Walk:
             self._parts += 1
             if self._parts > MAX_PARTS:
                 self._damages = MAX_DAMAGES
-        self._part = _Part(at, damaged=not begins(self._raw, at))
+        self._part = _SalvagedPart(at, damaged=not begins(self._raw, at))
 
     # ------------------------------------------------------------------------------------------ damaged stretches
 
@@ -331,7 +331,7 @@ class Walk:
         if self._waiting_bytes >= _BATCH:
             yield from self._searched()
 
-    def _searched(self) -> Iterator[Entry]:
+    def _searched(self) -> Iterator[RecordedMessage]:
         """Messages in the damaged stretches that wait."""
         region = _APART.join(self._waiting)
         self._waiting, self._waiting_bytes = [], 0
@@ -356,7 +356,7 @@ class Walk:
         begin = before.at if before else at  # what it took for its own may be the beginning of a message
         return list(self._lost(at, resume, f"{name}: {error}", search_from=begin)), resume
 
-    def _swallowed(self, before: Record, at: int) -> int | None:
+    def _swallowed(self, before: McapRecord, at: int) -> int | None:
         """A record that can be trusted within the one before the bad one, whose own lengths alone vouch for it; None without.
 
         A record cut off in its middle with others behind it (`cat torn whole`) takes their first bytes for its own.
@@ -370,13 +370,13 @@ class Walk:
             found = next_candidate(self._raw, found + 1, at + _HEAD_SPAN)
         return found if found < at else None
 
-    def _record_whatever_code(self, at: int) -> Record:
+    def _record_whatever_code(self, at: int) -> McapRecord:
         if at + RECORD_HEAD > len(self._raw):
             raise Bad("cut off")
         body = self._data[at + RECORD_HEAD : at + RECORD_HEAD + struct.unpack_from("<Q", self._raw, at + 1)[0]]
         if not chunk_plausible(body):
             raise Bad("no chunk")
-        return Record(at, CHUNK, body)
+        return McapRecord(at, CHUNK, body)
 
     def _resume(self, at: int) -> int:
         """Start of the next record to be trusted after a bad one."""

@@ -9,7 +9,7 @@ from daq.contract.recordings.reading import (
     FLIGHT_METADATA,
     FLIGHT_TOPIC,
     Recording,
-    Segment,
+    RecordingWalk,
     by_session,
     join,
     read_segments,
@@ -104,7 +104,7 @@ def _raw_info(path: Path, recording: Recording) -> dict[str, Any]:
     }
 
 
-def _flight_info(path: Path, segment: Segment) -> dict[str, Any]:
+def _flight_info(path: Path, segment: RecordingWalk) -> dict[str, Any]:
     """Summary of a calibrated flight, its columns read with the schema in the file."""
     from daq.contract.recordings.flight_rows import described, flight_rows
 

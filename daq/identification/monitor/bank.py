@@ -22,7 +22,7 @@ EQUATION_OF_CHANNEL: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class MonitoredEffect:
     """One effect. step: its size for the signature, in `unit`. equation: where it enters. title: for a person.
 
     prior: standard deviation [unit] of what the model itself may be wrong by; 0 for what it does not have.
@@ -46,12 +46,12 @@ LEVELS: Mapping[str, float] = {"CY_0": 0.002, "Cl_0": 0.0004, "Cn_0": 0.0002}
 """Standard deviation of the constants: trim and offsets drift."""
 
 MISSING = (
-    Effect("Cn_da", "adverse yaw from aileron", "Cn", 0.005, "1/rad"),
-    Effect("CY_da", "side force from aileron", "CY", 0.02, "1/rad"),
-    Effect("aileron_delay", "aileron acts late", "actuator", 0.02, "s"),
-    Effect("rudder_delay", "rudder acts late", "actuator", 0.02, "s"),
-    Effect("beta_lag", "sideslip vane lags", "sensor", 0.03, "s"),
-    Effect("beta_bias", "sideslip vane has slipped", "sensor", 0.02, "rad"),
+    MonitoredEffect("Cn_da", "adverse yaw from aileron", "Cn", 0.005, "1/rad"),
+    MonitoredEffect("CY_da", "side force from aileron", "CY", 0.02, "1/rad"),
+    MonitoredEffect("aileron_delay", "aileron acts late", "actuator", 0.02, "s"),
+    MonitoredEffect("rudder_delay", "rudder acts late", "actuator", 0.02, "s"),
+    MonitoredEffect("beta_lag", "sideslip vane lags", "sensor", 0.03, "s"),
+    MonitoredEffect("beta_bias", "sideslip vane has slipped", "sensor", 0.02, "rad"),
 )
 TITLES: Mapping[str, str] = {
     "Cl_da": "aileron effectiveness",
@@ -68,7 +68,7 @@ TITLES: Mapping[str, str] = {
 }
 
 
-def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, float]) -> tuple[Effect, ...]:
+def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, float]) -> tuple[MonitoredEffect, ...]:
     """All effects for a model with these derivative values [1/rad].
 
     stds: what the model states of its derivatives' standard deviations; where it states nothing, 1 % or 5 %.
@@ -82,5 +82,5 @@ def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, flo
             step = max(0.1 * value, LEAST[equation])
             share = PRIOR_WEAK if name in WEAK else PRIOR
             prior = stds.get(name, max(share * value, share * LEAST[equation]))
-        found.append(Effect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
+        found.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
     return (*found, *MISSING)

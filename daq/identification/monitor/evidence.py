@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.monitor.bank import CHANNELS, Effect
+from daq.identification.monitor.bank import CHANNELS, MonitoredEffect
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ TINY = 1e-12
 
 
 @dataclass
-class Piece:
+class EvidenceSums:
     """Sums over half a second. time: of its first scan [s]; b: (flights, effects); C: (flights, effects, effects);
     energy: (flights, 5) by channel; scans: how many; shares: (5, effects, flights) of b by channel."""
 
@@ -45,7 +45,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Score:
+class EffectScores:
     """(flights, windows, effects) z: how far each effect is from nothing, in standard deviations, by each of `WINDOWS_S`.
     unnamed: (flights, 5) energy of each channel against what it was before; NaN before that is known."""
 
@@ -53,13 +53,13 @@ class Score:
     unnamed: Array
 
 
-class Evidence:
+class MonitorEvidence:
     """Sliding window over whitened innovations and signatures of several flights at once."""
 
-    def __init__(self, effects: Sequence[Effect]) -> None:
+    def __init__(self, effects: Sequence[MonitoredEffect]) -> None:
         self._prior = np.array([e.prior / e.step for e in effects])
-        self._pieces: deque[Piece] = deque()
-        self._open: Piece | None = None
+        self._pieces: deque[EvidenceSums] = deque()
+        self._open: EvidenceSums | None = None
         self._usual: Array | None = None  # sums of energy before the window
         self._usual_scans = 0
 
@@ -70,7 +70,7 @@ class Evidence:
         C = np.einsum("cef,cgf->feg", signatures, signatures)
         energy = (white**2).T
         if self._open is None:
-            self._open = Piece(time, b, C, energy, 1, shares)
+            self._open = EvidenceSums(time, b, C, energy, 1, shares)
             return False
         p = self._open
         p.b = p.b + b
@@ -98,12 +98,14 @@ class Evidence:
         self._pieces.clear()
         self._open = None
 
-    def score(self) -> Score:
+    def score(self) -> EffectScores:
         """Of the windows as they are: as long as what has been watched, while that is less."""
         pieces = list(self._pieces)
-        return Score(np.stack([self._seen(pieces[-round(w / PIECE_S) :]) for w in WINDOWS_S], axis=1), self._energies())
+        return EffectScores(
+            np.stack([self._seen(pieces[-round(w / PIECE_S) :]) for w in WINDOWS_S], axis=1), self._energies()
+        )
 
-    def _seen(self, pieces: Sequence[Piece]) -> Array:
+    def _seen(self, pieces: Sequence[EvidenceSums]) -> Array:
         """(flights, effects) scores by some of the pieces."""
         b = np.sum([p.b for p in pieces], axis=0)
         C = np.sum([p.C for p in pieces], axis=0)

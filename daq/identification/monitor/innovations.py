@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import DERIVATIVES, Airframe
-from daq.identification.monitor.bank import Effect
+from daq.identification.monitor.bank import MonitoredEffect
 from daq.identification.monitor.intervals import BLIND, Kinds, Pair, kind_of
 from daq.identification.monitor.motion import Inputs, LateralMotion
 from daq.identification.monitor.surfaces import SurfacesBetween
@@ -24,7 +24,7 @@ GAIN = 0.3  # of beta, p, r, phi towards what is measured; more forgets what an 
 SLOWEST_LAG = 1e-3  # s; a vane's lag is at least that, for an exponential's sake
 
 
-class Scan:
+class FlightsScan:
     """One scan of several flights at once. time [s]; measured: (5, flights) of CHANNELS; inputs: the rest."""
 
     __slots__ = ("inputs", "measured", "time")
@@ -47,7 +47,7 @@ class Innovation:
 class PredictorBank:
     """Feed scans in order of time; `restart` where one is missing for long."""
 
-    def __init__(self, airframe: Airframe, values: Mapping[str, float], effects: Sequence[Effect]) -> None:
+    def __init__(self, airframe: Airframe, values: Mapping[str, float], effects: Sequence[MonitoredEffect]) -> None:
         self._effects = tuple(effects)
         models = 1 + len(effects)
         table = {n: np.full((models, 1), values.get(n, 0.0)) for n in DERIVATIVES}
@@ -62,7 +62,7 @@ class PredictorBank:
         for k, effect in enumerate(effects, start=1):
             (table[effect.name] if effect.name in table else places[effect.name])[k, 0] += effect.step
         self._motion = LateralMotion(airframe, table)
-        self._scans: list[Scan] = []  # the last three
+        self._scans: list[FlightsScan] = []  # the last three
         self._aileron, self._rudder = SurfacesBetween(airframe.servo_lag), SurfacesBetween(airframe.servo_lag)
         self._between: Pair | None = None
         self._blind = np.zeros(0, dtype=np.intp)  # scans for which a flight says nothing yet
@@ -75,7 +75,7 @@ class PredictorBank:
         self._aileron.restart()
         self._rudder.restart()
 
-    def innovation(self, scan: Scan) -> Innovation | None:
+    def innovation(self, scan: FlightsScan) -> Innovation | None:
         """Of the scan before this one; None for the first two, with which it begins."""
         self._scans.append(scan)
         if len(self._scans) == 1:
@@ -105,7 +105,7 @@ class PredictorBank:
         kind = np.where(self._blind > 0, BLIND, kind)
         return Innovation(now.time, wrong[:, 0], wrong[:, :1] - wrong[:, 1:], kind)
 
-    def _surfaces_between(self, scans: tuple[Scan, Scan, Scan, Scan]) -> Pair:
+    def _surfaces_between(self, scans: tuple[FlightsScan, FlightsScan, FlightsScan, FlightsScan]) -> Pair:
         """Aileron and rudder between the middle two."""
         one, two, three, four = (s.time for s in scans)
         a, b, c, d = (s.inputs for s in scans)
@@ -114,7 +114,7 @@ class PredictorBank:
             self._rudder.middle((one, two, three, four), (a.delta_r, b.delta_r, c.delta_r, d.delta_r)),
         )
 
-    def _begin(self, scan: Scan) -> None:
+    def _begin(self, scan: FlightsScan) -> None:
         models = len(self._effects) + 1
         shape = (4, models, scan.measured.shape[1])
         self._x = np.broadcast_to(scan.measured[:4, None, :], shape).copy()
@@ -122,7 +122,7 @@ class PredictorBank:
         self._vane = self._x[0].copy()
         self._blind = np.zeros(shape[2], dtype=np.intp)
 
-    def _restart_where(self, blind: NDArray[np.bool_], scan: Scan) -> None:
+    def _restart_where(self, blind: NDArray[np.bool_], scan: FlightsScan) -> None:
         """Flights whose prediction says nothing begin again at what is measured."""
         self._blind = np.where(blind, 1 + ORDER, np.maximum(self._blind - 1, 0))
         if blind.any():

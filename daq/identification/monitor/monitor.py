@@ -8,9 +8,9 @@ import numpy as np
 
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.live import GAP
-from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, Effect
-from daq.identification.monitor.evidence import Evidence
-from daq.identification.monitor.innovations import Innovation, PredictorBank, Scan
+from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, MonitoredEffect
+from daq.identification.monitor.evidence import MonitorEvidence
+from daq.identification.monitor.innovations import FlightsScan, Innovation, PredictorBank
 from daq.identification.monitor.motion import Inputs
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest, whitened
 
@@ -65,7 +65,7 @@ class Alarm:
 
 
 @dataclass(frozen=True)
-class Watch:
+class MonitorState:
     """The monitor now. watched: seconds of manoeuvring so far; score: the largest of both in units of its threshold."""
 
     time: float
@@ -79,12 +79,16 @@ class GapMonitor:
     told anew, with the time at which it was noticed, while what it may be becomes clearer."""
 
     def __init__(
-        self, airframe: Airframe, values: Mapping[str, float], effects: Sequence[Effect], calibration: Calibration
+        self,
+        airframe: Airframe,
+        values: Mapping[str, float],
+        effects: Sequence[MonitoredEffect],
+        calibration: Calibration,
     ) -> None:
         self._effects = tuple(effects)
         self._calibration = calibration
         self._bank = PredictorBank(airframe, values, effects)
-        self._evidence = Evidence(effects)
+        self._evidence = MonitorEvidence(effects)
         self._past: list[Innovation] = []
         self._last = -math.inf
         self._in_stretch = 0.0
@@ -93,7 +97,7 @@ class GapMonitor:
         self.watched = 0.0
         self.alarms: list[Alarm] = []
 
-    def add(self, sample: Sample) -> Watch | None:
+    def add(self, sample: Sample) -> MonitorState | None:
         """One sample; what is known every half second, None in between."""
         if not sample.credible or sample.time <= self._last:
             return None
@@ -114,9 +118,9 @@ class GapMonitor:
             return None
         return self._judge(sample.time)
 
-    def _judge(self, time: float) -> Watch:
+    def _judge(self, time: float) -> MonitorState:
         if self.watched < BEGIN_S:
-            return Watch(time, self.watched, 0.0, None)
+            return MonitorState(time, self.watched, 0.0, None)
         score, c = self._evidence.score(), self._calibration
         by_window = c.effects.of(score.z)[0]
         with np.errstate(invalid="ignore"):
@@ -126,7 +130,7 @@ class GapMonitor:
             self._quiet += 0.5
             if self._quiet >= QUIET_S:
                 self._standing = None
-            return Watch(time, self.watched, level, self._standing)
+            return MonitorState(time, self.watched, level, self._standing)
         self._quiet = 0.0
         alarm = self._alarm(time, by_window, score.z[0, -1], energy)
         if self._standing is None:
@@ -134,7 +138,7 @@ class GapMonitor:
         elif _clearer(alarm, self.alarms[-1]):
             self.alarms[-1] = _told_anew(self.alarms[-1], alarm)
         self._standing = alarm
-        return Watch(time, self.watched, level, alarm)
+        return MonitorState(time, self.watched, level, alarm)
 
     def _alarm(self, time: float, by_window: np.ndarray, gains: np.ndarray, energy: np.ndarray) -> Alarm:
         """by_window: (windows, effects); gains: (effects,) of the longest, not standardised. Any window notices. Names come from
@@ -189,7 +193,7 @@ def _told_anew(told: Alarm, now: Alarm) -> Alarm:
     return replace(now, time=told.time, since=since, named=told.named if same else now.named)
 
 
-def _scan_of(s: Sample) -> Scan:
+def _scan_of(s: Sample) -> FlightsScan:
     measured = np.array([[s.beta], [s.p], [s.r], [s.phi], [s.ay]])
     inputs = Inputs(*(np.array([v]) for v in (s.q, s.theta, s.alpha, s.V, s.rho, s.delta_a, s.delta_r)))
-    return Scan(s.time, measured, inputs)
+    return FlightsScan(s.time, measured, inputs)

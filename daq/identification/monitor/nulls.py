@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import GRAVITY, Airframe
-from daq.identification.monitor.bank import Effect
-from daq.identification.monitor.innovations import Scan
+from daq.identification.monitor.bank import MonitoredEffect
+from daq.identification.monitor.innovations import FlightsScan
 from daq.identification.monitor.motion import Inputs, LateralMotion
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ NO_LAG = 0.035  # s, servo where the aircraft states none
 
 
 @dataclass(frozen=True)
-class Conditions:
+class NullConditions:
     """Air and instruments, one standard deviation [SI, rad]; rate: scans a second that are seen; loss: share of them lost.
 
     gust_spread: factors between which each flight's gusts are drawn, evenly in their logarithm: air is not always the usual one.
@@ -58,13 +58,13 @@ Change = Callable[[float, dict[str, Array]], None]
 def fly(
     airframe: Airframe,
     values: Mapping[str, float],
-    effects: Sequence[Effect],
-    conditions: Conditions,
+    effects: Sequence[MonitoredEffect],
+    conditions: NullConditions,
     rng: np.random.Generator,
     flights: int,
     seconds: float,
     change: Change | None = None,
-) -> list[Scan]:
+) -> list[FlightsScan]:
     """Scans of so many flights at once; those of a link are the same ones for all of them."""
     truth = {
         e.name: values.get(e.name, 0.0) + e.prior * rng.standard_normal((1, flights)) for e in effects if e.prior > 0.0
@@ -80,7 +80,7 @@ def fly(
     x = np.zeros((4, 1, flights))
     moved, gust = np.zeros((2, flights)), np.zeros(flights)
     seen = _seen(conditions, rng, round(seconds / GRID))
-    scans: list[Scan] = []
+    scans: list[FlightsScan] = []
     motion = LateralMotion(airframe, truth)
     for k in range(steps):
         time = k * STEP
@@ -107,8 +107,8 @@ def _inputs(x: Array, moved: Array, speed: Array) -> Inputs:
 
 
 def _scan(
-    time: float, x: Array, now: Inputs, motion: LateralMotion, gust: Array, c: Conditions, rng: np.random.Generator
-) -> Scan:
+    time: float, x: Array, now: Inputs, motion: LateralMotion, gust: Array, c: NullConditions, rng: np.random.Generator
+) -> FlightsScan:
     truth = np.stack([x[0, 0] + gust, x[1, 0], x[2, 0], x[3, 0], motion.side_force(x, now, gust)[0]])
     levels = np.array([c.beta, c.p, c.r, c.phi, c.ay])[:, None]
     measured = truth + levels * rng.standard_normal(truth.shape)
@@ -117,10 +117,10 @@ def _scan(
         delta_a=now.delta_a + c.surface * rng.standard_normal(now.V.shape),
         delta_r=now.delta_r + c.surface * rng.standard_normal(now.V.shape),
     )
-    return Scan(time, measured, noisy)
+    return FlightsScan(time, measured, noisy)
 
 
-def _seen(c: Conditions, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
+def _seen(c: NullConditions, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
     """Which scans of the grid arrive."""
     sent = np.diff(np.floor(np.arange(count + 1) * min(1.0, c.rate * GRID)), prepend=-1.0)[: count + 1] > 0
     return np.asarray(sent & (rng.uniform(size=count + 1) >= c.loss))

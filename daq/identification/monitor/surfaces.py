@@ -22,7 +22,7 @@ LEVELS, GUESSED = 5, 3
 
 
 @dataclass(frozen=True, slots=True)
-class Edge:
+class SurfaceEdges:
     """(flights,) each: a servo that runs to `before` until `at` seconds into the interval, then to `after`; where it does."""
 
     runs: NDArray[np.bool_]
@@ -43,7 +43,7 @@ class SurfaceBetween:
     rise: Array
     fall: Array
     level: NDArray[np.intp]
-    edge: Edge | None
+    edge: SurfaceEdges | None
 
     def at(self, part: Array | float) -> Array:
         """Where `part` of the interval has passed."""
@@ -90,7 +90,7 @@ class SurfacesBetween:
 
     def _edge(
         self, lag: float, h: float, following: float, first: Array, last: Array, then: Array
-    ) -> tuple[Edge, NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[SurfaceEdges, NDArray[np.bool_], NDArray[np.bool_]]:
         """The edge in the interval, or what is left of an earlier one; where the servo turned in it; where it is known when."""
         fade, next_fade = math.exp(-h / lag), math.exp(-following / lag)
         target = first if self._target is None else np.where(np.isnan(self._target), first, self._target)
@@ -105,7 +105,7 @@ class SurfacesBetween:
         u = _since(target, first, last, after, fade)
         found = turned & (np.abs(after - target) >= EDGE) & _possible(u, fade)
         on_its_way = ~turned & (np.abs(first - target) > EDGE)
-        edge = Edge(
+        edge = SurfaceEdges(
             found | on_its_way,
             np.where(found, target, goal),
             np.where(found, after, goal),

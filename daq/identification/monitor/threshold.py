@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe
-from daq.identification.monitor.bank import Effect
-from daq.identification.monitor.evidence import Evidence, Score
-from daq.identification.monitor.innovations import Innovation, PredictorBank, Scan
-from daq.identification.monitor.nulls import Conditions, fly
+from daq.identification.monitor.bank import MonitoredEffect
+from daq.identification.monitor.evidence import EffectScores, MonitorEvidence
+from daq.identification.monitor.innovations import FlightsScan, Innovation, PredictorBank
+from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.whitening import Run, Whitening, fitted
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ FAR, FAR_NORMAL = 0.999, 3.2905  # a share of all values, and how far out that o
 
 
 @dataclass(frozen=True)
-class Scale:
+class StatisticScale:
     """What is usual of a statistic on simulated flights: its mean, and its 99.9 % point in units of a normal one's."""
 
     mean: Array
@@ -42,8 +42,8 @@ class Calibration:
     either; rate: false alarms an hour of both together that they were set for; hours: of simulated manoeuvring behind them."""
 
     whitening: Whitening
-    effects: Scale
-    channels: Scale
+    effects: StatisticScale
+    channels: StatisticScale
     named: float
     unnamed: float
     rate: float
@@ -53,8 +53,8 @@ class Calibration:
 def calibrated(
     airframe: Airframe,
     values: Mapping[str, float],
-    effects: Sequence[Effect],
-    conditions: Conditions,
+    effects: Sequence[MonitoredEffect],
+    conditions: NullConditions,
     *,
     rng: np.random.Generator,
     hours: float = 2.5,
@@ -75,26 +75,26 @@ def calibrated(
     return Calibration(whitening, seen, loud, named, unnamed, rate, z.shape[1] * seconds / HOUR_S)
 
 
-def _usual(values: Array) -> Scale:
+def _usual(values: Array) -> StatisticScale:
     """values: (times, flights, ...)."""
     mean = np.nanmean(values, axis=(0, 1))
     far = np.nanquantile(np.abs(values - mean), FAR, axis=(0, 1))
-    return Scale(mean, far / FAR_NORMAL)
+    return StatisticScale(mean, far / FAR_NORMAL)
 
 
 def _histories(
     airframe: Airframe,
     values: Mapping[str, float],
-    effects: Sequence[Effect],
+    effects: Sequence[MonitoredEffect],
     whitening: Whitening,
-    scans: Sequence[Scan],
+    scans: Sequence[FlightsScan],
 ) -> tuple[Array, Array]:
     """(times, flights, windows, effects) and (times, flights, 5) of both statistics, once there is something in the windows."""
     found = [s for t, s in scores(airframe, values, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
     return np.stack([s.z for s in found]), np.stack([np.log(s.unnamed) for s in found])
 
 
-def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[Scan]) -> Run:
+def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[FlightsScan]) -> Run:
     """Of the model alone."""
     bank = PredictorBank(airframe, values, ())
     found = [f for scan in scans if (f := bank.innovation(scan)) is not None]
@@ -105,12 +105,12 @@ def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequenc
 def scores(
     airframe: Airframe,
     values: Mapping[str, float],
-    effects: Sequence[Effect],
+    effects: Sequence[MonitoredEffect],
     whitening: Whitening,
-    scans: Sequence[Scan],
-) -> Iterator[tuple[float, Score]]:
+    scans: Sequence[FlightsScan],
+) -> Iterator[tuple[float, EffectScores]]:
     """Time and score at each half second of several flights side by side."""
-    bank, evidence = PredictorBank(airframe, values, effects), Evidence(effects)
+    bank, evidence = PredictorBank(airframe, values, effects), MonitorEvidence(effects)
     past: list[Innovation] = []
     for scan in scans:
         found = bank.innovation(scan)

@@ -7,7 +7,7 @@ import numpy as np
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics.differences import Difference, differences
-from estimation.campaign.aerodynamics.steps import Moved, Step
+from estimation.campaign.aerodynamics.steps import DateStep, ParameterStep
 from estimation.campaign.aerodynamics.tables import Curves, flown_rows
 from estimation.campaign.tasks import Row
 
@@ -25,7 +25,7 @@ def step_rows(found: Sequence[Curves]) -> Iterator[Row]:
                 yield _step_row(curves, step, m, [o.parameter for o in moved if o is not m])
 
 
-def _step_row(curves: Curves, step: Step, m: Moved | None, others: Sequence[str]) -> Row:
+def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: Sequence[str]) -> Row:
     of = curves.envelope.of
     first, last = step.dates
     when = f"with {of.flights[step.first]} of {of.dates[step.first]} (95 %: after {first}, by {last})"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.campaign import pooling
-from estimation.campaign.aerodynamics.pooled import Envelope, Flown, envelope
+from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Difference:
         return pooling.power(share * self.value, self.std, self.freedom, self.tests)
 
 
-def differences(both: Flown, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
+def differences(both: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
     """Of every parameter that both groups tell. both: flights of both groups; second: (flights,) which are of the second."""
     curves = envelope(both, second.astype(float)[:, None])
     if curves is None:
@@ -59,7 +59,7 @@ def differences(both: Flown, second: NDArray[np.bool_]) -> tuple[Difference, ...
     return tuple(_difference(curves, j, change, std, len(told)) for j, (change, std) in told)
 
 
-def _difference(curves: Envelope, j: int, change: float, std: float, tests: int) -> Difference:
+def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: int) -> Difference:
     first = curves.shifts[:, 0] <= 0.0
     here = np.median(np.nan_to_num(curves.of.conditions[first]), axis=0)[None, :]
     value, value_std = curves.at(j, here)

@@ -31,7 +31,7 @@ LEAST_INFORMATION = (
 
 
 @dataclass(frozen=True)
-class Information:
+class PooledInformation:
     """names: shared parameters; M: (flights, n, n), g: (flights, n) of the log likelihood at the point."""
 
     names: tuple[str, ...]
@@ -40,7 +40,7 @@ class Information:
 
 
 @dataclass(frozen=True)
-class Gain:
+class TermGain:
     """A term that was taken. gain: of log likelihood over all flights, each predicted by the others; std: its standard error."""
 
     name: str
@@ -48,7 +48,7 @@ class Gain:
     std: float
 
 
-def information(wide: Model, data: Sequence[FlightData], result: Result, simulator: Simulator) -> Information:
+def information(wide: Model, data: Sequence[FlightData], result: Result, simulator: Simulator) -> PooledInformation:
     """Normal equations of each flight about the shared parameters of `wide`, at the optimum of a model that it contains.
 
     result: of that model on these flights; its noise is taken for known. One flight at a time: memory does not grow.
@@ -67,10 +67,10 @@ def information(wide: Model, data: Sequence[FlightData], result: Result, simulat
         blocks = problem.flight_blocks(unknowns, problem.evaluate(unknowns, True), 0)
         split = FlightBlocks.split(blocks.ss, blocks.gs, of_names, of_local)
         M[i], g[i] = split.reduced()
-    return Information(names, M, g)
+    return PooledInformation(names, M, g)
 
 
-def grown(found: Information, active: Sequence[str], tried: Sequence[str], most: int) -> list[Gain]:
+def grown(found: PooledInformation, active: Sequence[str], tried: Sequence[str], most: int) -> list[TermGain]:
     """Terms taken one after the other, the one with the largest held-out gain first, while it is clear of chance.
 
     active: parameters that stand; tried: candidates, of several that do as well the first is taken; most: terms at most.
@@ -80,7 +80,7 @@ def grown(found: Information, active: Sequence[str], tried: Sequence[str], most:
     inside = [place[n] for n in active]
     left = [place[n] for n in tried]
     now = _gains(M, g, inside)
-    taken: list[Gain] = []
+    taken: list[TermGain] = []
     while len(taken) < most:
         gains = {k: _gains(M, g, [*inside, k]) - now for k in left if _tells(M.sum(axis=0), inside, k)}
         if not gains:
@@ -90,14 +90,14 @@ def grown(found: Information, active: Sequence[str], tried: Sequence[str], most:
         total, std = float(gains[best].sum()), float(gains[best].std(ddof=1) * np.sqrt(len(M)))
         if not _clear(gains[best], ADVANTAGE):
             break
-        taken.append(Gain(found.names[best], total, std))
+        taken.append(TermGain(found.names[best], total, std))
         now = now + gains[best]
         inside.append(best)
         left.remove(best)
     return taken
 
 
-def superfluous(found: Information, active: Sequence[str], taken: Mapping[str, float]) -> list[str]:
+def superfluous(found: PooledInformation, active: Sequence[str], taken: Mapping[str, float]) -> list[str]:
     """Terms among `taken` (with their estimates) without which flights held out are not clearly worse predicted, by what stands
     beside them now."""
     M, g = _folds(found)
@@ -126,7 +126,7 @@ def _clear(gains: Array, errors: float) -> bool:
     return float(gains.sum()) > errors * float(gains.std(ddof=1)) * float(np.sqrt(len(gains)))
 
 
-def _folds(found: Information) -> tuple[Array, Array]:
+def _folds(found: PooledInformation) -> tuple[Array, Array]:
     """Sums over flights held out together, in turn: neighbours in the list go to different folds."""
     count = min(len(found.M), MOST_FOLDS)
     M = np.stack([found.M[k::count].sum(axis=0) for k in range(count)])

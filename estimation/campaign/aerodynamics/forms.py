@@ -21,7 +21,7 @@ NEAR = 0.25  # of the range flown in each condition: how near a flight must be f
 
 
 @dataclass(frozen=True)
-class Scale:
+class ConditionScale:
     """What brings conditions (points, 4) to -1 .. 1. centre, half: (4,); changed: (4,) which of them differ between flights."""
 
     centre: Array
@@ -29,7 +29,7 @@ class Scale:
     changed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, conditions: Array) -> "Scale":
+    def of(cls, conditions: Array) -> "ConditionScale":
         """From the conditions of the flights, (flights, 4), NaN where not measured; such a condition counts as unchanged."""
         known = np.isfinite(conditions).all(axis=0)
         low = np.where(known, np.nan_to_num(conditions).min(axis=0), 0.0)
@@ -45,7 +45,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Form:
+class PolynomialForm:
     """powers: of the scaled conditions in each term, the constant first; splines: conditions with a spline on top."""
 
     powers: tuple[tuple[int, ...], ...]
@@ -77,7 +77,7 @@ class Form:
         ]
         return " + ".join([*said, *(f"spline({CONDITIONS[c]})" for c in self.splines)])
 
-    def formula(self, scale: Scale, b: Array) -> str | None:
+    def formula(self, scale: ConditionScale, b: Array) -> str | None:
         """An expression of alpha, V and delta_e that a model file takes; None where the form holds anything else."""
         if self.splines or any(powers[CONDITIONS.index("beta_max")] for powers in self.powers):
             return None
@@ -89,7 +89,7 @@ class Form:
         return " + ".join(said)
 
 
-CONSTANT = Form(((0,) * len(CONDITIONS),))
+CONSTANT = PolynomialForm(((0,) * len(CONDITIONS),))
 
 
 def spline_columns(x: Array) -> Array:
@@ -104,7 +104,7 @@ def spline_columns(x: Array) -> Array:
     return columns
 
 
-def larger(form: Form, changed: NDArray[np.bool_]) -> Iterator[Form]:
+def larger(form: PolynomialForm, changed: NDArray[np.bool_]) -> Iterator[PolynomialForm]:
     """Forms with one thing more: a next power, a product of two conditions that stand already, a spline on a line."""
     have = set(form.powers)
     for c in np.flatnonzero(changed).tolist():

@@ -11,8 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.campaign.aerodynamics.evidence import Gain, grown, information, superfluous
-from estimation.campaign.aerodynamics.terms import CENTRED, POWERS, Term, candidates, derivatives_of, row_of, with_terms
+from estimation.campaign.aerodynamics.evidence import TermGain, grown, information, superfluous
+from estimation.campaign.aerodynamics.terms import (
+    CENTRED,
+    POWERS,
+    ConditionTerm,
+    candidates,
+    derivatives_of,
+    row_of,
+    with_terms,
+)
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.pooling import LEVEL, t_quantile
 from estimation.engine.data import AS_USUAL, FlightData, Preparation
@@ -44,7 +52,7 @@ class GlobalModel:
     flown: variable -> range; why: where none could be looked for."""
 
     result: Result
-    gains: tuple[Gain, ...]
+    gains: tuple[TermGain, ...]
     flown: Mapping[str, tuple[float, float]]
     why: str = ""
 
@@ -111,7 +119,7 @@ def global_model(
     tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
     slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
     fit = _Fit(base, flights, data, slim, Simulator.build(slim), tried, reference)
-    result, gains = output_error(base, flights), tuple[Gain, ...]()
+    result, gains = output_error(base, flights), tuple[TermGain, ...]()
     for wave in ([t for t in tried if t.first], tried):
         for _ in range(ROUNDS):
             if why := fit.unusable(result):
@@ -138,23 +146,23 @@ class _Fit:
     data: Sequence[FlightData]
     wide: Model
     simulator: Simulator
-    tried: Sequence[Term]
+    tried: Sequence[ConditionTerm]
     reference: Mapping[str, float]
 
-    def asked_for(self, result: Result, wave: Sequence[Term], most: int) -> list[Gain]:
+    def asked_for(self, result: Result, wave: Sequence[ConditionTerm], most: int) -> list[TermGain]:
         """Terms of `wave` that flights held out want beside those of the result."""
         known = information(self.wide, self.data, result, self.simulator)
         active = [n for n in known.names if n in result.parameters]
         return grown(known, active, [t.name for t in wave if t.name not in active], most)
 
-    def needed(self, result: Result, gains: tuple[Gain, ...]) -> tuple[Gain, ...]:
+    def needed(self, result: Result, gains: tuple[TermGain, ...]) -> tuple[TermGain, ...]:
         """Those that are still wanted beside all the others."""
         known = information(self.wide, self.data, result, self.simulator)
         active = [n for n in known.names if n in result.parameters]
         out = superfluous(known, active, {g.name: result.values[g.name] for g in gains})
         return tuple(g for g in gains if g.name not in out)
 
-    def again(self, before: Result, gains: Sequence[Gain], options: OutputErrorOptions = STANDARD) -> Result:
+    def again(self, before: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
         """The joint fit with the terms that were taken, from where the last one ended."""
         names = {g.name for g in gains}
         chosen = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)

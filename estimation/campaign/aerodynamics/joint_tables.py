@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.contract.plain_words import file_name
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.joint import curve, half_band
-from estimation.campaign.aerodynamics.pooled import Envelope
+from estimation.campaign.aerodynamics.pooled import PooledCurves
 from estimation.campaign.aerodynamics.tables import Curves, points_of
 from estimation.campaign.aerodynamics.terms import derivatives_of, terms_of
 from estimation.campaign.groups import Starts
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Found:
+class JointModel:
     """A joint model out of the results. values, covariance: of `names`; about: group and method in a row."""
 
     model: Model
@@ -81,7 +81,7 @@ def joint_rows(results: "pa.Table", curves: Sequence[Curves]) -> list[Row]:
     return rows
 
 
-def _rows(found: Found, about: Row, envelope: Envelope) -> Iterator[Row]:
+def _rows(found: JointModel, about: Row, envelope: PooledCurves) -> Iterator[Row]:
     terms = terms_of(found.model)
     for name in derivatives_of(found.model):
         own = [t for t in terms if t.derivative == name]
@@ -125,7 +125,7 @@ def _runs(results: "pa.Table") -> list[Row]:
     return rows
 
 
-def _found(results: "pa.Table") -> Iterator[Found]:
+def _found(results: "pa.Table") -> Iterator[JointModel]:
     import pyarrow.compute as pc
 
     for run in _runs(results):
@@ -134,7 +134,7 @@ def _found(results: "pa.Table") -> Iterator[Found]:
         mine = results.filter(pc.and_(pc.equal(results["key"], run["key"]), pc.equal(results["kind"], "envelope")))
         rows = sorted((r for r in mine.to_pylist() if r["place"] is not None), key=lambda r: int(r["place"]))
         covariance = np.array([[np.nan if c is None else c for c in r["covariance"]] for r in rows])
-        yield Found(
+        yield JointModel(
             Model.from_dict(tomllib.loads(run["model_text"])),
             tuple(r["parameter"] for r in rows),
             {r["parameter"]: r["estimate"] for r in rows},

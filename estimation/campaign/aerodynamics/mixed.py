@@ -22,25 +22,25 @@ ROUNDS = 60  # of the search: it ends in 10 to 20
 
 
 @dataclass(frozen=True)
-class Estimates:
+class MixedData:
     """y: (flights, k); V: (flights, k, k); known: (flights, k), which parameters each flight tells."""
 
     y: Array
     V: Array
     known: Mask
 
-    def part(self, keep: Mask) -> "Estimates":
+    def part(self, keep: Mask) -> "MixedData":
         """Only some of the flights."""
-        return Estimates(self.y[keep], self.V[keep], self.known[keep])
+        return MixedData(self.y[keep], self.V[keep], self.known[keep])
 
-    def one(self, parameter: int) -> "Estimates":
+    def one(self, parameter: int) -> "MixedData":
         """One parameter by itself; flights that do not tell it stay in their places."""
         j = slice(parameter, parameter + 1)
-        return Estimates(self.y[:, j], self.V[:, j, j], self.known[:, j])
+        return MixedData(self.y[:, j], self.V[:, j, j], self.known[:, j])
 
 
 @dataclass(frozen=True)
-class Design:
+class MixedDesign:
     """X: (flights, k, p), rows of what a flight does not tell zero; owner: (p,) parameter of each column; penalty: (p,) -1 for
     a free column, else the number of the spline variance it has."""
 
@@ -49,7 +49,7 @@ class Design:
     penalty: NDArray[np.intp]
 
     @classmethod
-    def of(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "Design":
+    def of(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "MixedDesign":
         """From (flights, terms) and penalties of each parameter's form."""
         count = sum(c.shape[1] for c in columns)
         X = np.zeros((*known.shape, count))
@@ -67,13 +67,13 @@ class Design:
     def splines(self) -> int:
         return int(self.penalty.max(initial=-1)) + 1
 
-    def part(self, keep: Mask) -> "Design":
+    def part(self, keep: Mask) -> "MixedDesign":
         """Only some of the flights."""
-        return Design(self.X[keep], self.owner, self.penalty)
+        return MixedDesign(self.X[keep], self.owner, self.penalty)
 
 
 @dataclass(frozen=True)
-class Fit:
+class MixedFit:
     """b, covariance: (p,), (p, p), of the coefficients (Bayes' for splines), with Knapp and Hartung's factor of each parameter;
     tau2: (k,) variances between flights; smooth: (splines,); S: (flights, k, k) variance of a flight's estimates about the
     curves; H: its part that the coefficients' own error would explain; residual: (flights, k); freedom: (k,)."""
@@ -101,7 +101,7 @@ class Fit:
         return density
 
 
-def fit(data: Estimates, design: Design, start: Array | None = None) -> Fit:
+def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> MixedFit:
     """The largest restricted likelihood. start: (k + splines,) variances to begin from. Needs more flights than free terms."""
     from scipy.optimize import minimize
 
@@ -129,14 +129,14 @@ def fit(data: Estimates, design: Design, start: Array | None = None) -> Fit:
     return _in_units(_at(data, design, tau2, variances[size:]), unit, design)
 
 
-def predicted(found: Fit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
+def predicted(found: MixedFit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
     """(points,) value and standard error of one parameter; columns: (points, terms) of its form."""
     place = np.flatnonzero(owner == parameter)
     C = found.covariance[np.ix_(place, place)]
     return columns @ found.b[place], np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, C, columns), 0.0))
 
 
-def replicates(data: Estimates, design: Design, found: Fit, count: int, rng: np.random.Generator) -> Array:
+def replicates(data: MixedData, design: MixedDesign, found: MixedFit, count: int, rng: np.random.Generator) -> Array:
     """(count, p) coefficients from flights drawn again with replacement, variances as found: a check of the covariance."""
     X, y = design.X, np.where(data.known, data.y, 0.0)
     weighted = inverses(found.S, data.known) @ X
@@ -154,16 +154,16 @@ def replicates(data: Estimates, design: Design, found: Fit, count: int, rng: np.
 # ------------------------------------------------------------------------------------------------------ inside
 
 
-def _scaled(data: Estimates) -> tuple[Estimates, Array]:
+def _scaled(data: MixedData) -> tuple[MixedData, Array]:
     """Every parameter in units of its usual bound, so that variances are of one size."""
     own = np.where(data.known, np.sqrt(np.diagonal(data.V, axis1=1, axis2=2)), np.nan)
     unit = np.nanmedian(own, axis=0)
     y = np.where(data.known, data.y, 0.0) / unit
     V = np.where(data.known[:, :, None] & data.known[:, None, :], data.V, 0.0) / np.outer(unit, unit)
-    return Estimates(y, V, data.known), unit
+    return MixedData(y, V, data.known), unit
 
 
-def _first_guess(data: Estimates, design: Design) -> Array:
+def _first_guess(data: MixedData, design: MixedDesign) -> Array:
     """(k,) variances between flights by the scatter about plain least squares."""
     guess = np.full(data.y.shape[1], 0.1)
     for j in range(guess.size):
@@ -183,7 +183,7 @@ def inverses(S: Array, known: Mask) -> Array:
     return inverse
 
 
-def _solved(data: Estimates, design: Design, tau2: Array, smooth: Array) -> tuple[Array, ...]:
+def _solved(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> tuple[Array, ...]:
     """S, W, W X, A, A^-1, b, residual at given variances."""
     S = data.V + np.where(data.known, tau2, 0.0)[:, :, None] * np.eye(tau2.size)
     W = inverses(S, data.known)
@@ -197,7 +197,7 @@ def _solved(data: Estimates, design: Design, tau2: Array, smooth: Array) -> tupl
     return S, W, WX, A, inverse, b, residual
 
 
-def _likelihood(data: Estimates, design: Design, tau2: Array, smooth: Array) -> tuple[float, Array]:
+def _likelihood(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> tuple[float, Array]:
     """Minus the restricted log likelihood without its constant, and its slope (k + splines,) over the variances."""
     S, W, WX, A, inverse, b, residual = _solved(data, design, tau2, smooth)
     whole = np.where(data.known[:, :, None] & data.known[:, None, :], S, np.eye(tau2.size))
@@ -219,21 +219,21 @@ def _likelihood(data: Estimates, design: Design, tau2: Array, smooth: Array) -> 
     return value, np.concatenate([between, 0.5 * (sizes / smooth - (traces + squares) / smooth**2)])
 
 
-def _at(data: Estimates, design: Design, tau2: Array, smooth: Array) -> Fit:
+def _at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> MixedFit:
     S, W, _, _, inverse, b, residual = _solved(data, design, tau2, smooth)
     H = np.einsum("nkp,pq,nlq->nkl", design.X, inverse, design.X, optimize=True)
     used = np.einsum("nkl,nlk->k", W, H)
     freedom = np.maximum(data.known.sum(axis=0) - used, 1.0)
     spread = np.where(data.known, np.einsum("nkk->nk", S), 1.0)
     factor = np.sqrt(np.maximum(1.0, np.sum(residual**2 / spread, axis=0) / freedom))[design.owner]
-    return Fit(b, inverse * np.outer(factor, factor), tau2, smooth, S, H, residual, freedom)
+    return MixedFit(b, inverse * np.outer(factor, factor), tau2, smooth, S, H, residual, freedom)
 
 
-def _in_units(found: Fit, unit: Array, design: Design) -> Fit:
+def _in_units(found: MixedFit, unit: Array, design: MixedDesign) -> MixedFit:
     """Back from units of the usual bound."""
     of_b, two = unit[design.owner], np.outer(unit, unit)
     smooth = found.smooth * _spline_units(unit, design) ** 2
-    return Fit(
+    return MixedFit(
         found.b * of_b,
         found.covariance * np.outer(of_b, of_b),
         found.tau2 * unit**2,
@@ -245,6 +245,6 @@ def _in_units(found: Fit, unit: Array, design: Design) -> Fit:
     )
 
 
-def _spline_units(unit: Array, design: Design) -> Array:
+def _spline_units(unit: Array, design: MixedDesign) -> Array:
     """(splines,) unit of the parameter that each spline is of."""
     return np.array([unit[design.owner[design.penalty == s][0]] for s in range(design.splines)])

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
-from estimation.campaign.aerodynamics.forms import CONSTANT, Form, Scale, flown, larger
-from estimation.campaign.aerodynamics.mixed import Design, Estimates, Fit
+from estimation.campaign.aerodynamics.forms import CONSTANT, ConditionScale, PolynomialForm, flown, larger
+from estimation.campaign.aerodynamics.mixed import MixedData, MixedDesign, MixedFit
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,29 +27,29 @@ CONDITION_LIMIT = 1e10  # of a design: beyond, its terms cannot be told apart on
 
 
 @dataclass(frozen=True)
-class Flown:
+class GroupFlights:
     """Flights of one group by one method. flights, dates: by flight; conditions: (flights, 4) of `forms.CONDITIONS`."""
 
     parameters: tuple[str, ...]
     flights: tuple[str, ...]
     dates: tuple[str, ...]
     conditions: Array
-    data: Estimates
+    data: MixedData
 
 
 @dataclass(frozen=True)
-class Envelope:
+class PooledCurves:
     """The curves of a group. forms: of each parameter; shifts: (flights, effects) by which its estimates may be moved, and for
     each parameter those that its flights can tell; distance, limit: (flights,) of each flight from what the others say, and
     the distance that one sound flight of so many exceeds with the usual level; sound: flights that enter the curves."""
 
-    of: Flown
-    scale: Scale
-    forms: tuple[Form, ...]
+    of: GroupFlights
+    scale: ConditionScale
+    forms: tuple[PolynomialForm, ...]
     shifts: Array
     shifted: tuple[tuple[int, ...], ...]
-    fit: Fit
-    design: Design
+    fit: MixedFit
+    design: MixedDesign
     sound: Mask
     distance: Array
     limit: Array
@@ -106,7 +106,7 @@ class Envelope:
         return form.formula(self.scale, free)
 
 
-def envelope(of: Flown, shifts: Array | None = None) -> Envelope | None:
+def envelope(of: GroupFlights, shifts: Array | None = None) -> PooledCurves | None:
     """Curves of all parameters that enough flights tell; None where there is none.
 
     shifts: (flights, effects) that may move every parameter by amounts of their own, whatever the conditions: a configuration,
@@ -116,9 +116,9 @@ def envelope(of: Flown, shifts: Array | None = None) -> Envelope | None:
     if not enough.size:
         return None
     names = tuple(of.parameters[j] for j in enough)
-    data = Estimates(of.data.y[:, enough], of.data.V[:, enough][:, :, enough], of.data.known[:, enough])
+    data = MixedData(of.data.y[:, enough], of.data.V[:, enough][:, :, enough], of.data.known[:, enough])
     told: Mask = data.known.sum(axis=1) > 0
-    of = Flown(
+    of = GroupFlights(
         names,
         tuple(f for f, t in zip(of.flights, told, strict=True) if t),
         tuple(d for d, t in zip(of.dates, told, strict=True) if t),
@@ -127,7 +127,7 @@ def envelope(of: Flown, shifts: Array | None = None) -> Envelope | None:
     )
     moved = np.zeros((len(told), 0)) if shifts is None else shifts
     moved = (moved - moved.mean(axis=0))[told]
-    scale = Scale.of(of.conditions)
+    scale = ConditionScale.of(of.conditions)
     x = scale.scaled(of.conditions)
     sound = _not_plainly_off(of.data, np.column_stack([x[:, scale.changed], moved]))
     for number in range(ROUNDS):
@@ -145,10 +145,10 @@ def envelope(of: Flown, shifts: Array | None = None) -> Envelope | None:
         if np.array_equal(again, sound) or again.mean() < 1.0 - MOST_OUTLYING or number == ROUNDS - 1:
             break
         sound = again
-    return Envelope(of, scale, forms, moved, shifted, found, design, sound, distance, limit)
+    return PooledCurves(of, scale, forms, moved, shifted, found, design, sound, distance, limit)
 
 
-def choose(data: Estimates, x: Array, changed: Mask, shifts: Array) -> Form:
+def choose(data: MixedData, x: Array, changed: Mask, shifts: Array) -> PolynomialForm:
     """The form of one parameter, grown a thing at a time while flights left out are clearly better predicted.
 
     shifts: (flights, effects) that stand beside every form.
@@ -175,7 +175,7 @@ def choose(data: Estimates, x: Array, changed: Mask, shifts: Array) -> Form:
         best, scores = form, found
 
 
-def bootstrap(envelope: Envelope, count: int, seed: int) -> Array:
+def bootstrap(envelope: PooledCurves, count: int, seed: int) -> Array:
     """(replicates, coefficients) with the flights drawn again."""
     data = envelope.of.data.part(envelope.sound)
     return mixed.replicates(data, envelope.design, envelope.fit, count, np.random.default_rng(seed))
@@ -188,20 +188,20 @@ def flown_of(
     values: Array,
     std: Array,
     correlation: Array,
-) -> Flown:
+) -> GroupFlights:
     """Flights (date, name) with estimates (flights, k), NaN where not told, bounds, and correlations (flights, k, k)."""
     known = np.isfinite(values) & np.isfinite(std) & (std > 0.0)
     own = np.where(known, std, 1.0)
     V = correlation * own[:, :, None] * own[:, None, :]
     V[:, np.arange(len(parameters)), np.arange(len(parameters))] = own**2
     names = tuple(name for _, name in flights)
-    return Flown(tuple(parameters), names, tuple(d for d, _ in flights), conditions, Estimates(values, V, known))
+    return GroupFlights(tuple(parameters), names, tuple(d for d, _ in flights), conditions, MixedData(values, V, known))
 
 
 # ------------------------------------------------------------------------------------------------------ inside
 
 
-def _scores(data: Estimates, form: Form, x: Array, shifts: Array) -> Array | None:
+def _scores(data: MixedData, form: PolynomialForm, x: Array, shifts: Array) -> Array | None:
     """(flights,) how well each is predicted by the others; None where the flights cannot tell the terms apart."""
     free = np.column_stack([form.columns(x)[:, : form.size], shifts])
     if np.linalg.cond(free.T @ free) > CONDITION_LIMIT:
@@ -211,11 +211,11 @@ def _scores(data: Estimates, form: Form, x: Array, shifts: Array) -> Array | Non
 
 
 def _design(
-    data: Estimates, forms: Sequence[Form], x: Array, shifts: Array, shifted: Sequence[tuple[int, ...]]
-) -> Design:
+    data: MixedData, forms: Sequence[PolynomialForm], x: Array, shifts: Array, shifted: Sequence[tuple[int, ...]]
+) -> MixedDesign:
     columns = [np.column_stack([f.columns(x), shifts[:, own]]) for f, own in zip(forms, shifted, strict=True)]
     penalties = [(*f.penalty, *(-1 for _ in own)) for f, own in zip(forms, shifted, strict=True)]
-    return Design.of(columns, penalties, data.known)
+    return MixedDesign.of(columns, penalties, data.known)
 
 
 def _told_shifts(shifts: Array) -> tuple[int, ...]:
@@ -224,7 +224,7 @@ def _told_shifts(shifts: Array) -> tuple[int, ...]:
     return tuple(np.flatnonzero(sides >= FEWEST_SHIFTED).tolist())
 
 
-def _distances(data: Estimates, every: Design, sound: Mask, found: Fit) -> Array:
+def _distances(data: MixedData, every: MixedDesign, sound: Mask, found: MixedFit) -> Array:
     """(flights,) squared distance from what the sound flights say, each sound flight from what the others say."""
     distance = np.zeros(sound.size)
     distance[sound] = found.left_out(data.known[sound])
@@ -246,7 +246,7 @@ def _limit(parameters: int, flights: int) -> float:
     return float(chdtri(max(parameters, 1), pooling.LEVEL / flights))
 
 
-def _not_plainly_off(data: Estimates, x: Array) -> Mask:
+def _not_plainly_off(data: MixedData, x: Array) -> Mask:
     """Flights near enough to the rest to begin with: each parameter by itself, about a plane over x (flights, columns), bounds
     widened to the scatter of the middle half, so that bad flights cannot hide one another."""
     off = np.zeros(len(x), bool)

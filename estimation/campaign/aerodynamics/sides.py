@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.campaign import pooling
-from estimation.campaign.aerodynamics.pooled import Envelope
-from estimation.campaign.aerodynamics.steps import Step
+from estimation.campaign.aerodynamics.pooled import PooledCurves
+from estimation.campaign.aerodynamics.steps import DateStep
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,7 +29,7 @@ class Side:
     flights: Mask
 
 
-def moved_by(steps: Sequence[Step], parameter: str) -> list[int]:
+def moved_by(steps: Sequence[DateStep], parameter: str) -> list[int]:
     """Numbers of the steps that moved a parameter, in order of time."""
     found = []
     for number, step in enumerate(steps):
@@ -39,7 +39,7 @@ def moved_by(steps: Sequence[Step], parameter: str) -> list[int]:
     return sorted(found, key=lambda n: steps[n].first)
 
 
-def sides(curves: Envelope, steps: Sequence[Step], parameter: str) -> Iterator[Side]:
+def sides(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> Iterator[Side]:
     """The stretches of time that have curves of their own, in order."""
     own = moved_by(steps, parameter)
     count = len(curves.of.flights)
@@ -52,6 +52,6 @@ def sides(curves: Envelope, steps: Sequence[Step], parameter: str) -> Iterator[S
         yield Side(*dates, shifts, (place >= first) & (place < end))
 
 
-def starts_of(curves: Envelope, steps: Sequence[Step], parameter: str) -> list[tuple[str, str]]:
+def starts_of(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> list[tuple[str, str]]:
     """Date and name of the first flight after each step that moved a parameter."""
     return [(curves.of.dates[i], curves.of.flights[i]) for i in (steps[n].first for n in moved_by(steps, parameter))]

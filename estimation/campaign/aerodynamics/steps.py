@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
-from estimation.campaign.aerodynamics.pooled import Envelope, Flown, envelope
+from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -27,7 +27,7 @@ DATE_95 = 7.35  # by which the statistic falls to the ends of 95 %: (1 - exp(-x/
 
 
 @dataclass(frozen=True)
-class Moved:
+class ParameterStep:
     """One parameter: by how much, its standard error, the probability of as much without a step, heeding all parameters."""
 
     parameter: str
@@ -37,18 +37,18 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Step:
+class DateStep:
     """first: number of the first flight after it; dates: between which it lies, 95 %; probability: of a statistic as large
     without a step, heeding all dates; moved: every parameter that could be told."""
 
     first: int
     dates: tuple[str, str]
     probability: float
-    moved: tuple[Moved, ...]
+    moved: tuple[ParameterStep, ...]
     freedom: int
 
 
-def with_steps(of: Flown, seed: int) -> tuple[Envelope | None, tuple[Step, ...]]:
+def with_steps(of: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[DateStep, ...]]:
     """The curves of a group with the steps in time that its flights show. of: in order of date."""
     shifts = np.zeros((len(of.flights), 0))
     curves = envelope(of)
@@ -69,19 +69,19 @@ def with_steps(of: Flown, seed: int) -> tuple[Envelope | None, tuple[Step, ...]]
     return curves, tuple(_described(curves, number, *step) for number, step in enumerate(found))
 
 
-def _described(curves: Envelope, number: int, first: int, dates: tuple[str, str], probability: float) -> Step:
+def _described(curves: PooledCurves, number: int, first: int, dates: tuple[str, str], probability: float) -> DateStep:
     """Sizes of a step, with all steps that were found and the variances that are left."""
     told = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, number)) is not None]
     freedom = int(min((curves.fit.freedom[j] for j, _ in told), default=1))
     moved = []
     for j, (change, std) in told:
         p = pooling.two_sided(change / std, int(curves.fit.freedom[j]))
-        moved.append(Moved(curves.of.parameters[j], change, std, min(1.0, p * len(told))))
-    return Step(first, dates, probability, tuple(moved), freedom)
+        moved.append(ParameterStep(curves.of.parameters[j], change, std, min(1.0, p * len(told))))
+    return DateStep(first, dates, probability, tuple(moved), freedom)
 
 
 def _search(
-    curves: Envelope, before: Sequence[int], rng: np.random.Generator
+    curves: PooledCurves, before: Sequence[int], rng: np.random.Generator
 ) -> tuple[int, tuple[str, str], float] | None:
     """(first flight after the step, dates between which it lies, probability), where one is found at the usual level.
 
@@ -119,7 +119,7 @@ def _places(dates: Sequence[str]) -> Index:
 class _Statistics:
     """Wald's chi-square of a step of all parameters at each place, from residuals about the curves without it."""
 
-    def __init__(self, curves: Envelope, known: NDArray[np.bool_], places: Index) -> None:
+    def __init__(self, curves: PooledCurves, known: NDArray[np.bool_], places: Index) -> None:
         fit, design = curves.fit, curves.design
         self.known, self.places = known, places
         self.W = mixed.inverses(fit.S, known)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from estimation.campaign.aerodynamics import pooled
 from estimation.campaign.aerodynamics.forms import CONDITIONS
-from estimation.campaign.aerodynamics.pooled import Envelope, Flown
+from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves
 from estimation.campaign.aerodynamics.sides import Side, sides, starts_of
-from estimation.campaign.aerodynamics.steps import Step, with_steps
+from estimation.campaign.aerodynamics.steps import DateStep, with_steps
 from estimation.campaign.groups import Starts, label_of
 from estimation.campaign.tasks import Row
 
@@ -41,8 +41,8 @@ class Curves:
 
     about: Row
     rows: ByFlight
-    envelope: Envelope
-    steps: tuple[Step, ...]
+    envelope: PooledCurves
+    steps: tuple[DateStep, ...]
 
 
 def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curves]:
@@ -102,7 +102,7 @@ def flight_rows(found: Sequence[Curves]) -> Iterator[Row]:
             yield _flight_row(each.envelope, int(i), each.about)
 
 
-def _flight_row(curves: Envelope, i: int, about: Row) -> Row:
+def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
     of = curves.of
     off = []
     for j in np.flatnonzero(of.data.known[i]):
@@ -163,7 +163,7 @@ def _by_group(
     return groups
 
 
-def flown_rows(flights: ByFlight) -> Flown:
+def flown_rows(flights: ByFlight) -> GroupFlights:
     """Flights in order of date and name, parameters in order of name: no number depends on the order of the rows."""
     order = sorted(flights)
     names = sorted({r["parameter"] for rows in flights.values() for r in rows})
@@ -195,7 +195,7 @@ def _correlate(into: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[s
     into[np.ix_(index, index)] = 0.5 * (C + C.T) / np.outer(own, own)
 
 
-def points_of(curves: Envelope) -> Iterator[tuple[str, Array]]:
+def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
     """(what changes, (points, 4) conditions); where nothing changed there is one point."""
     flights = curves.of.conditions[curves.sound]
     middle, scale = np.median(flights, axis=0), curves.scale
@@ -224,7 +224,7 @@ def _as_flown(at: Array, condition: int, flights: Array, half: Array) -> Array:
     return points
 
 
-def _rows(curves: Envelope, parameter: int, points: Array, replicates: Array, common: Row, side: Side) -> list[Row]:
+def _rows(curves: PooledCurves, parameter: int, points: Array, replicates: Array, common: Row, side: Side) -> list[Row]:
     value, std = curves.at(parameter, points, side.shifts)
     half = curves.half_band(parameter, std)
     columns = curves.columns(parameter, points, side.shifts)

@@ -20,7 +20,7 @@ OWN_CONTROL = (2,)  # powers of the control that a derivative stands beside: wha
 
 
 @dataclass(frozen=True)
-class Term:
+class ConditionTerm:
     """derivative times a power of a variable of the flight."""
 
     derivative: str
@@ -67,13 +67,13 @@ def derivatives_of(model: Model) -> tuple[str, ...]:
     return tuple(n for n in model.free_of(ParameterRole.DERIVATIVE) if not model.parameter(n).local)
 
 
-def candidates(model: Model, columns: Sequence[str]) -> tuple[Term, ...]:
+def candidates(model: Model, columns: Sequence[str]) -> tuple[ConditionTerm, ...]:
     """Every term that can be tried. columns: of the flights, beyond the model's own signals."""
     signals = {*model.state_names, *model.input_names, *columns}
     controls = {s.name for s in model.inputs if s.control}
     names = derivatives_of(model)
-    found = [Term(d, v, n) for v, powers in POWERS.items() if v in signals for n in powers for d in names]
-    found += [Term(d, v, n) for d in names for v in sorted(_beside(model, d) & controls) for n in OWN_CONTROL]
+    found = [ConditionTerm(d, v, n) for v, powers in POWERS.items() if v in signals for n in powers for d in names]
+    found += [ConditionTerm(d, v, n) for d in names for v in sorted(_beside(model, d) & controls) for n in OWN_CONTROL]
     taken = set(model.parameter_names) | set(model.constants)
     return tuple(dict.fromkeys(t for t in found if t.name not in taken))
 
@@ -84,11 +84,11 @@ def _beside(model: Model, parameter: str) -> set[str]:
     return set().union(*every)
 
 
-def with_terms(model: Model, terms: Sequence[Term], reference: Mapping[str, float]) -> Model:
+def with_terms(model: Model, terms: Sequence[ConditionTerm], reference: Mapping[str, float]) -> Model:
     """The model with terms, their parameters zero to begin with. reference: `alpha_ref` [rad], `V_ref` [m/s], `delta_e_ref`."""
     if not terms:
         return model
-    by_derivative: dict[str, list[Term]] = {}
+    by_derivative: dict[str, list[ConditionTerm]] = {}
     for term in terms:
         by_derivative.setdefault(term.derivative, []).append(term)
     definitions = dict(model.definitions)
@@ -112,7 +112,7 @@ def with_terms(model: Model, terms: Sequence[Term], reference: Mapping[str, floa
     )
 
 
-def _unit(model: Model, term: Term) -> str:
+def _unit(model: Model, term: ConditionTerm) -> str:
     own = model.parameter(term.derivative).unit
     if term.variable == "V":
         return own
@@ -120,14 +120,14 @@ def _unit(model: Model, term: Term) -> str:
     return f"1/rad{power + term.power}" if power is not None else f"{own}/rad{term.power}"
 
 
-def terms_of(model: Model) -> tuple[Term, ...]:
+def terms_of(model: Model) -> tuple[ConditionTerm, ...]:
     """The terms that a model's text holds, as `with_terms` wrote them."""
     names = set(model.parameter_names)
     variables = {*POWERS, *model.input_names}
     found = []
     for name in model.parameter_names:
         if f"{name}{HERE}" in model.definitions:
-            tried = (Term(name, v, n) for v in sorted(variables) for n in (1, 2))
+            tried = (ConditionTerm(name, v, n) for v in sorted(variables) for n in (1, 2))
             found += [t for t in tried if t.name in names]
     return tuple(found)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.campaign.groups import label_of
-from estimation.campaign.pages.points import Points, faired
+from estimation.campaign.pages.points import EstimatePoints, faired
 from estimation.campaign.tasks import Row
 from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.names import tex
@@ -44,7 +44,7 @@ def looks_of(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     return {g: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, g in enumerate(every)}
 
 
-def scatter_figure(method: str, points: Sequence[Points], groups: Sequence[Row]) -> Picture:
+def scatter_figure(method: str, points: Sequence[EstimatePoints], groups: Sequence[Row]) -> Picture:
     """The paper's Figure 8 over many flights: estimates in order of date, pooled value and its 95 % as a band, the prior."""
     looks = looks_of([g for p in points for g in p.groups])
     with styled():
@@ -62,7 +62,7 @@ def scatter_figure(method: str, points: Sequence[Points], groups: Sequence[Row])
     return picture(figure, f"flights_{_name(method)}", caption, sum(WEIGHT * p.y.size for p in points))
 
 
-def trend_figures(method: str, points: Sequence[Points], database: Sequence[Row]) -> list[Picture]:
+def trend_figures(method: str, points: Sequence[EstimatePoints], database: Sequence[Row]) -> list[Picture]:
     """Estimates over each condition that changed, with the faired curves of the database where anybody flew."""
     looks = looks_of([g for p in points for g in p.groups])
     pictures = []
@@ -172,7 +172,7 @@ def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, lo
     axis.errorbar(*values, spans[1], spans[0], fmt=marker, ms=3.5, lw=0.4, alpha=0.6, color=colour, label=label)
 
 
-def _band(axis: Any, p: Points, pooled: Row, colour: str) -> None:
+def _band(axis: Any, p: EstimatePoints, pooled: Row, colour: str) -> None:
     """The 95 % of a pooled value over the flights that it is of: all, or those on one side of a step."""
     look: dict[str, Any] = {"color": colour, "alpha": 0.25, "lw": 0}
     if not pooled.get("since"):
@@ -184,7 +184,7 @@ def _band(axis: Any, p: Points, pooled: Row, colour: str) -> None:
         axis.fill_between([mine.min() - 0.5, mine.max() + 0.5], pooled["low"], pooled["high"], **look)
 
 
-def _changes(p: Points, condition: str) -> bool:
+def _changes(p: EstimatePoints, condition: str) -> bool:
     known = p.conditions[condition][np.isfinite(p.conditions[condition])]
     return known.size >= FEWEST_FOR_TRENDS and float(np.ptp(known)) > 0.0
 
@@ -200,7 +200,7 @@ def _grid(count: int, across: int = PANELS, high: float = 2.1) -> tuple[Any, lis
     return figure, axes
 
 
-def _draw(axis: Any, p: Points, x: Array, looks: Mapping[str, tuple[str, str]]) -> None:
+def _draw(axis: Any, p: EstimatePoints, x: Array, looks: Mapping[str, tuple[str, str]]) -> None:
     """Estimates with corrected bounds, a symbol a group; the axis holds the middle nine tenths and what is near."""
     for label, (colour, marker) in looks.items():
         mine = np.array([g == label for g in p.groups]) & np.isfinite(x)

@@ -10,7 +10,7 @@ from daq.contract.plain_words import file_name
 from estimation.campaign.groups import label_of
 from estimation.campaign.tasks import Row
 from estimation.report.markup.html import write_page
-from estimation.report.tables import Table, number, significant
+from estimation.report.tables import ReportTable, number, significant
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,7 +31,7 @@ SHOWN: Mapping[str, tuple[str, float]] = {
 
 
 @dataclass(frozen=True)
-class Entry:
+class FlightListEntry:
     """A line of the list of flights. page: relative to the campaign's page, or empty."""
 
     flight: str
@@ -44,7 +44,9 @@ class Entry:
     sentences: int
 
 
-def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path) -> list[Entry]:
+def write_flight_pages(
+    results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path
+) -> list[FlightListEntry]:
     """Pages in folder/flights and the list of all flights, in order of date and name."""
     flights = _by_flight(results)
     said = _sentences(groups)
@@ -108,9 +110,9 @@ def _group(row: Row, keys: Sequence[str]) -> str:
     return label_of({k: row[k] or "" for k in keys})
 
 
-def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]) -> Entry:
+def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]) -> FlightListEntry:
     status = sorted({r["status"] for r in rows if r["kind"] == "run"})
-    return Entry(
+    return FlightListEntry(
         first["flight"],
         f"{FOLDER}/{page}" if page else "",
         (first["date"] or "")[:16],
@@ -137,7 +139,7 @@ def _write(
         if first[name] is not None
     )
     tables = [
-        Table(
+        ReportTable(
             "conditions", "Conditions, means over the flight", ("condition", "value", "unit"), conditions, symbols=False
         )
     ]
@@ -160,7 +162,7 @@ def _write(
     )
 
 
-def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> Table:
+def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> ReportTable:
     """Beside the pooled value of the group, and how many bounds lie between."""
     cells = []
     for r in rows:
@@ -180,14 +182,14 @@ def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tup
             )
         )
     head = ("parameter", "estimate", "corrected bound", "pooled", "bounds apart", "")
-    return Table(f"estimates_{method.replace(':', '_')}", f"Estimates by {method}", head, tuple(cells))
+    return ReportTable(f"estimates_{method.replace(':', '_')}", f"Estimates by {method}", head, tuple(cells))
 
 
-def _fits(kind: str, rows: Sequence[Row]) -> Table:
+def _fits(kind: str, rows: Sequence[Row]) -> ReportTable:
     cells = tuple(
         (r["parameter"], r["method"], number(r["r2"], 3), number(r["theil"], 3), significant(r["rms"]))
         for r in rows
         if r["kind"] == kind
     )
     title = "Fit of each channel" if kind == "fit" else "Predicted by the others of the group"
-    return Table(kind, title, ("channel", "method", "r²", "Theil", "rms [SI]"), cells, symbols=False)
+    return ReportTable(kind, title, ("channel", "method", "r²", "Theil", "rms [SI]"), cells, symbols=False)

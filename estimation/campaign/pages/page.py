@@ -8,15 +8,15 @@ from estimation.campaign.pages.figures import bounds_figure, envelope_figure, sc
 from estimation.campaign.pages.flights import write_flight_pages
 from estimation.campaign.pages.points import points_of
 from estimation.campaign.pages.tables import failed_table, pooled_table, power_table, step_table, worst_table
-from estimation.campaign.plan import Plan
-from estimation.campaign.run import Outcome
+from estimation.campaign.plan import CampaignPlan
+from estimation.campaign.run import CampaignOutcome
 from estimation.report.markup.html import write_page
 from estimation.report.tables import write_all
 
 SHOWN = 60  # sentences: the tables hold all
 
 
-def write_campaign_page(outcome: Outcome, plan: Plan, folder: Path) -> Path:
+def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Path) -> Path:
     """Write folder/index.html with everything inside, its tables as CSV and LaTeX in folder/tables, and folder/flights."""
     said = [r["text"] for r in told(outcome.groups)]
     pooled = [t for method in plan.methods if (t := pooled_table(outcome.groups, method)) is not None]

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Points:
+class EstimatePoints:
     """Estimates of one parameter by one method over the flights: arrays (flights,), labels of their groups, dates. prior: what
     was believed before, where one thing was."""
 
@@ -42,7 +42,7 @@ class Faired:
     high: Array
 
 
-def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[Points]:
+def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[EstimatePoints]:
     """Usable estimates by parameter, in order of date and name."""
     import pyarrow.compute as pc
 
@@ -59,7 +59,7 @@ def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[Poi
     return [_points(name, sorted(own, key=lambda r: place[r["key"]]), place, keys) for name, own in by_name.items()]
 
 
-def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequence[str]) -> Points:
+def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequence[str]) -> EstimatePoints:
     def column(key: str) -> Array:
         return np.array([np.nan if r[key] is None else r[key] for r in rows], float)
 
@@ -69,7 +69,7 @@ def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequ
     prior = priors.pop() if len(priors) == 1 else None
     conditions = {c: column(c) for c in CONDITIONS}
     dates = tuple(r["date"] or "" for r in rows)
-    return Points(name, order, column("estimate"), column("std_coloured"), groups, dates, conditions, prior)
+    return EstimatePoints(name, order, column("estimate"), column("std_coloured"), groups, dates, conditions, prior)
 
 
 def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> list[tuple[str, Faired]]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from estimation.campaign.tasks import Row
-from estimation.report.tables import Table, number, significant
+from estimation.report.tables import ReportTable, number, significant
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 WORST = 20  # channels
 
 
-def pooled_table(groups: Sequence[Row], method: str) -> Table | None:
+def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
     rows = [r for r in groups if r["kind"] == "pooled" and r["method"] == method]
     cells = tuple(
         (
@@ -40,7 +40,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> Table | None:
         "scatter / bound",
     )
     return (
-        Table(
+        ReportTable(
             f"pooled_{method.replace(':', '_')}",
             f"Pooled over flights, {method}",
             head,
@@ -54,7 +54,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> Table | None:
     )
 
 
-def power_table(groups: Sequence[Row]) -> Table | None:
+def power_table(groups: Sequence[Row]) -> ReportTable | None:
     rows = [r for r in groups if r["kind"] == "difference"]
     cells = tuple(
         (
@@ -71,10 +71,10 @@ def power_table(groups: Sequence[Row]) -> Table | None:
     )
     head = ("parameter", "method", "groups", "difference", "std", "probability", "detectable", "power for 5 %")
     note = "Probability heeds the number of parameters compared; detectable: the least difference found four times in five."
-    return Table("differences", "Differences between groups", head, cells, note=note) if cells else None
+    return ReportTable("differences", "Differences between groups", head, cells, note=note) if cells else None
 
 
-def worst_table(results: "pa.Table") -> Table:
+def worst_table(results: "pa.Table") -> ReportTable:
     import pyarrow.compute as pc
 
     fits = results.filter(pc.and_(pc.equal(results["kind"], "fit"), pc.is_valid(results["r2"])))
@@ -84,10 +84,10 @@ def worst_table(results: "pa.Table") -> Table:
         for r in rows.to_pylist()
     )
     head = ("flight", "method", "channel", "r²", "rms [SI]", "status")
-    return Table("worst", f"The {WORST} channels that the model explains least", head, cells, symbols=False)
+    return ReportTable("worst", f"The {WORST} channels that the model explains least", head, cells, symbols=False)
 
 
-def step_table(groups: Sequence[Row]) -> Table | None:
+def step_table(groups: Sequence[Row]) -> ReportTable | None:
     """Every parameter that a step in time moved."""
     rows = [r for r in groups if r["kind"] == "step" and r.get("parameter")]
     cells = tuple(
@@ -105,10 +105,10 @@ def step_table(groups: Sequence[Row]) -> Table | None:
     )
     head = ("parameter", "method", "group", "from", "first flight", "change", "std", "probability")
     note = "Probability: of a step as clear as this by chance, in all parameters together and over all dates."
-    return Table("steps", "Steps in time", head, cells, note=note) if cells else None
+    return ReportTable("steps", "Steps in time", head, cells, note=note) if cells else None
 
 
-def failed_table(failed: Mapping[str, str]) -> Table:
+def failed_table(failed: Mapping[str, str]) -> ReportTable:
     """A sentence on each flight without a usable estimate."""
     title = "Flights without a usable estimate"
-    return Table("failed", title, ("flight", "why"), tuple(failed.items()), symbols=False, texts=(0, 1))
+    return ReportTable("failed", title, ("flight", "why"), tuple(failed.items()), symbols=False, texts=(0, 1))

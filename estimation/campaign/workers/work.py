@@ -18,7 +18,7 @@ from estimation.aircraft import Aircraft
 from estimation.campaign.conditions import measured
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import versions
-from estimation.campaign.tasks import Row, Source, Subject, Work
+from estimation.campaign.tasks import FlightSource, Row, Subject, Work
 from estimation.estimators.estimator import Extra, Extras
 from estimation.estimators.registry import find
 from estimation.estimators.result import Estimate, Result, finite
@@ -151,13 +151,15 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
     from estimation.session import runner
     from estimation.session.sanity_checks import DoubtKind
-    from estimation.session.structured import Wish
+    from estimation.session.structured import StructureWish
 
     begin = time.thread_time()
     try:
         model = model_of(work.subjects[0], craft)
         about = {**about, "model": model.name}
-        session = runner.estimate(model, [flight], craft, [method], extras=_extras(work, method), structure=Wish.OFF)
+        session = runner.estimate(
+            model, [flight], craft, [method], extras=_extras(work, method), structure=StructureWish.OFF
+        )
     except UserError as error:
         yield _run_row(work, method, FAILED, str(error), **about)
         return
@@ -310,14 +312,14 @@ def read_subject(subject: Subject) -> Flight:
     return select_segments(flight, subject.segments or None)
 
 
-def _from_bytes(source: Source) -> Flight:
+def _from_bytes(source: FlightSource) -> Flight:
     with tempfile.TemporaryDirectory(prefix="sideslip-") as folder:
         path = Path(folder) / f"{source.name}{source.suffix}"
         path.write_bytes(bytes_of(source))
         return read_flight(path)
 
 
-def bytes_of(source: Source) -> bytes:
+def bytes_of(source: FlightSource) -> bytes:
     """Sent along, flown by the maker, or fetched from the URL."""
     if source.data is not None:
         return source.data

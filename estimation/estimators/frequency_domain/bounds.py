@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
-from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem, Rows
+from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem, SegmentRows
 from estimation.estimators.input_error import disturbed
 from estimation.estimators.uncertainty import TIED
 from estimation.signals.fourier import Complex
@@ -35,7 +35,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Score:
+class SpectralScore:
     """Where the score of one flight about the free parameters scatters from, nuisances projected out. independent: (n, n)
     covariance of what is another in every flight; common: (n, errors) of the timing errors that all flights of an
     aircraft share."""
@@ -75,7 +75,11 @@ def _reduction(problem: FrequencyProblem, block: FlightBlocks) -> Array:
 
 
 def _local(
-    problem: FrequencyProblem, blocks: list[FlightBlocks], scores: list[Score], covariance: Array, coloured: Array
+    problem: FrequencyProblem,
+    blocks: list[FlightBlocks],
+    scores: list[SpectralScore],
+    covariance: Array,
+    coloured: Array,
 ) -> list[tuple[Array, Array]]:
     found = []
     for block, score in zip(blocks, scores, strict=True):
@@ -86,7 +90,9 @@ def _local(
     return found
 
 
-def _score(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint, index: int, covariance: Array) -> Score:
+def _score(
+    problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint, index: int, covariance: Array
+) -> SpectralScore:
     """Of one flight: noise as residuals show it, and what is wrong with the inputs (`estimators.input_error`) at the size that is
     believed before the residuals are seen. covariance: (n, n) of the parameters of this flight."""
     n = len(problem.free)
@@ -107,10 +113,10 @@ def _score(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint, in
     )
     for draws in (noise, edges):
         total += draws @ draws.T / max(draws.shape[1], 1)
-    return Score(total, common)
+    return SpectralScore(total, common)
 
 
-def _leverage(J: Array, rows: Rows, covariance: Array, nuisance_inverse: Array, shape: tuple[int, int]) -> Array:
+def _leverage(J: Array, rows: SegmentRows, covariance: Array, nuisance_inverse: Array, shape: tuple[int, int]) -> Array:
     """(bins, ny) share of each number that the fit takes up. J: nuisances projected out; covariance: (n, n) of the parameters."""
     taken = np.einsum("rn,nm,rm->r", J, covariance, J)
     taken += np.einsum("rk,kl,rl->r", rows.nuisance, nuisance_inverse, rows.nuisance)

@@ -19,7 +19,7 @@ from estimation.estimators.equation_error import simulated_fits, start_values
 from estimation.estimators.frequency_domain.bounds import Bounds, bounds, noise_shapes
 from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem
 from estimation.estimators.frequency_domain.transformed import NYQUIST, Band
-from estimation.estimators.gauss_newton import AS_USUAL_LOOP, Outcome, Status, minimise
+from estimation.estimators.gauss_newton import AS_USUAL_LOOP, SolverOutcome, Status, minimise
 from estimation.estimators.output_error import failed, mean_of_locals
 from estimation.estimators.result import FlightFit, Result
 from estimation.estimators.uncertainty import estimates
@@ -46,7 +46,7 @@ class FrequencyOptions:
 
 
 AS_USUAL = FrequencyOptions()
-Fit = Outcome[FrequencyPoint]
+Fit = SolverOutcome[FrequencyPoint]
 
 
 def frequency_output_error(

@@ -18,7 +18,7 @@ RELATIVE = 1e-4  # of a parameter: central difference of A and C, which paramete
 
 
 @dataclass(frozen=True)
-class Linearised:
+class LinearisedSystem:
     """A: (nx, nx), C: (ny, nx); A_p: (n, nx, nx), C_p: (n, ny, nx) their slopes by the n free parameters."""
 
     A: Array
@@ -38,7 +38,7 @@ def matrices(traced: Traced, state: Array, inputs: Array, p: Array) -> tuple[Arr
     return found[0], found[1]
 
 
-def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, inputs: Array) -> Linearised:
+def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, inputs: Array) -> LinearisedSystem:
     """The model of a simulator at parameter `values`, about state (nx,) and inputs (nu,)."""
     traced, p = trace(simulator.model.structure), simulator.vector(values)
     A, C = matrices(traced, state, inputs, p)
@@ -51,4 +51,4 @@ def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, 
         down[names.index(name)] -= h
         (A1, C1), (A0, C0) = matrices(traced, state, inputs, up), matrices(traced, state, inputs, down)
         A_p[j], C_p[j] = (A1 - A0) / (2 * h), (C1 - C0) / (2 * h)
-    return Linearised(A, C, A_p, C_p)
+    return LinearisedSystem(A, C, A_p, C_p)

@@ -16,7 +16,7 @@ from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import SegmentBlocks
-from estimation.estimators.frequency_domain.transformed import Band, Response, Stretch
+from estimation.estimators.frequency_domain.transformed import Band, SpectralResponse, SpectralSegment
 from estimation.estimators.likelihood import DEFINITELY_ZERO, LikelihoodPoint, OutputErrorProblem
 from estimation.signals.fourier import Complex
 
@@ -27,11 +27,11 @@ class FrequencyPoint(LikelihoodPoint):
     the model's."""
 
     v: list[list[Complex]] = field(default_factory=list)
-    responses: list[list[Response]] = field(default_factory=list)
+    responses: list[list[SpectralResponse]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
-class Rows:
+class SegmentRows:
     """One segment in units of its noise, real and imaginary parts as rows. residual: (rows,); by_parameter: (rows, n);
     nuisance: (rows, k)."""
 
@@ -50,14 +50,14 @@ class FrequencyProblem(OutputErrorProblem):
         band: Band,
         *,
         drift: bool = True,
-        stretches: list[list[Stretch]] | None = None,
+        stretches: list[list[SpectralSegment]] | None = None,
         shapes: Sequence[Sequence[Array]] | None = None,
     ) -> None:
         model = simulator.model
         nuisances = len(model.states) + (len(model.outputs) if drift else 0)
         super().__init__(model, flights, simulator, free_states=np.ones(nuisances, bool))
         self.band, self.drift = band, drift
-        self.stretches = stretches or [[Stretch(simulator, f, s, band) for s in f.segments] for f in flights]
+        self.stretches = stretches or [[SpectralSegment(simulator, f, s, band) for s in f.segments] for f in flights]
         self.shapes = shapes or [[np.ones(s.z.shape) for s in flight] for flight in self.stretches]
 
     def shaped(self, shapes: Sequence[Sequence[Array]]) -> "FrequencyProblem":
@@ -73,7 +73,7 @@ class FrequencyProblem(OutputErrorProblem):
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> FrequencyPoint:
         v: list[list[Complex]] = []
-        responses: list[list[Response]] = []
+        responses: list[list[SpectralResponse]] = []
         for i, flight in enumerate(self.stretches):
             v.append([])
             responses.append([])
@@ -133,7 +133,7 @@ class FrequencyProblem(OutputErrorProblem):
         size = self._size(point, flight, segment) / np.sqrt(self.stretches[flight][segment].duration)
         return _real(changes * size[:, :, None], point.v[flight][segment])
 
-    def rows(self, point: FrequencyPoint, flight: int, segment: int) -> Rows:
+    def rows(self, point: FrequencyPoint, flight: int, segment: int) -> SegmentRows:
         """One segment in units of its noise at a point."""
         stretch = self.stretches[flight][segment]
         response, v = point.responses[flight][segment], point.v[flight][segment]
@@ -141,7 +141,7 @@ class FrequencyProblem(OutputErrorProblem):
         if self.drift:
             drift = stretch.drift[:, None, None] * np.eye(self.ny)
             nuisance = np.concatenate([nuisance, drift], axis=2)
-        return Rows(
+        return SegmentRows(
             _real(v * self._size(point, flight, segment), v),
             self.in_noise(response.by_parameter, point, flight, segment),
             self.in_noise(nuisance, point, flight, segment),

@@ -39,7 +39,7 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Response:
+class SpectralResponse:
     """What the model makes of a stretch. y: (bins, ny); by_parameter: (bins, ny, n); by_ends: (bins, ny, nx)."""
 
     y: Complex
@@ -59,7 +59,7 @@ class _Remembered:
     slopes: tuple[Array, Array]
 
 
-class Stretch:
+class SpectralSegment:
     """One segment of a flight. omega: (bins,) rad/s, the first zero; z: (bins, ny) NaN where an output is not
     compared; duration s.
 
@@ -127,7 +127,7 @@ class Stretch:
         return result
 
     # ------------------------------------------------------------------------------------------------ the model
-    def response(self, values: Mapping[str, float], ends: Array) -> Response:
+    def response(self, values: Mapping[str, float], ends: Array) -> SpectralResponse:
         """Outputs and their slopes at parameter `values` and end differences d (nx,)."""
         known = self._nonlinear(values)
         linear = linearised(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
@@ -146,7 +146,7 @@ class Stretch:
         y_d = np.einsum("oi,kij->koj", linear.C, inverse)
         if not told:
             y[0] = np.nan
-        return self._delayed(values, Response(y, y_p, y_d))
+        return self._delayed(values, SpectralResponse(y, y_p, y_d))
 
     @staticmethod
     def means_told(A: Array) -> bool:
@@ -208,7 +208,7 @@ class Stretch:
                     slopes[:, row, simulator.free.index(name)] += entries[k] * du[:, column, t]
         return f_p, y_p
 
-    def _delayed(self, values: Mapping[str, float], response: Response) -> Response:
+    def _delayed(self, values: Mapping[str, float], response: SpectralResponse) -> SpectralResponse:
         """Outputs that are shown later: a delay is a factor here (what it moves across the ends is neglected)."""
         simulator = self._simulator
         for output, name in simulator.model.output_delays.items():

@@ -22,10 +22,10 @@ from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
 from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
 from estimation.estimators.neural_gauss_newton.formulated import refusal
-from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
+from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
 from estimation.estimators.neural_gauss_newton.options import NgnOptions, default_options
 from estimation.estimators.neural_gauss_newton.present import describe
-from estimation.estimators.neural_gauss_newton.solve import Problem, solve
+from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from groundstation.flight import Flight
@@ -103,13 +103,15 @@ def _estimate(
     ]
 
 
-def _problem(axis: Axis, model: Model, flights: Sequence[Flight], options: NgnOptions) -> Problem:
-    unknowns = Unknowns.of(model, axis, len(flights))
+def _problem(axis: Axis, model: Model, flights: Sequence[Flight], options: NgnOptions) -> NeuralProblem:
+    unknowns = FlightUnknowns.of(model, axis, len(flights))
     complete = [with_derived(f, axis.columns) for f in flights]
-    return Problem(Rows.build(axis, complete, "interval" if options.improved else "point"), unknowns, options)
+    return NeuralProblem(
+        TrainingRows.build(axis, complete, "interval" if options.improved else "point"), unknowns, options
+    )
 
 
-def _settings(rows: Rows, options: NgnOptions) -> dict[str, object]:
+def _settings(rows: TrainingRows, options: NgnOptions) -> dict[str, object]:
     """What is needed to do it again."""
     from estimation.estimators.neural_gauss_newton import samples
 

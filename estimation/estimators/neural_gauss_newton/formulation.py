@@ -18,7 +18,7 @@ from estimation.estimators.neural_gauss_newton.samples import (
     COSTLY,
     SHORTEST,
     Form,
-    Stretch,
+    SampleStretch,
     missing_optional,
     require_columns,
     stretches,
@@ -34,7 +34,7 @@ BLOCK_S = 1.0  # of the block bootstrap: longer than residuals remember (0.2 s),
 
 
 @dataclass(frozen=True)
-class Unknowns:
+class FlightUnknowns:
     """Where each flight's parameters are among the unknowns.
 
     names: of the unknowns, (n,), local ones as often as there are flights; base: (flights, axis parameters) values of
@@ -48,7 +48,7 @@ class Unknowns:
     start: Array  # (n,) what is believed before flying
 
     @classmethod
-    def of(cls, model: Model, axis: Axis, flights: int) -> "Unknowns":
+    def of(cls, model: Model, axis: Axis, flights: int) -> "FlightUnknowns":
         """Raises EstimationError where the model's parameters are not those of the axis."""
         other = set(model.parameter_names) ^ set(axis.parameters)
         if other:
@@ -91,12 +91,12 @@ class Unknowns:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TrainingRows:
     """Everything the network is trained on. flight: of each stretch; step: sample interval [s]; held_out, block: (M,)."""
 
     axis: Axis
     motion: tuple[str, ...]
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[SampleStretch, ...]
     flight: tuple[int, ...]
     step: float
     standard: Standard
@@ -107,13 +107,13 @@ class Rows:
     notes: tuple[Note, ...]
 
     @classmethod
-    def build(cls, axis: Axis, flights: Sequence[Flight], form: Form) -> "Rows":
+    def build(cls, axis: Axis, flights: Sequence[Flight], form: Form) -> "TrainingRows":
         """Raises MissingColumnError or DataError naming the flight that cannot be used."""
         for flight in flights:
             require_columns(axis, flight)
         missing = missing_optional(axis, flights)
         motion = tuple(c for c in axis.motion if c not in missing)
-        found: list[Stretch] = []
+        found: list[SampleStretch] = []
         owner: list[int] = []
         notes = [
             Note(NoteKind.NOT_MEASURED, f"{c} is not measured, or not throughout: the network does without it")
@@ -147,7 +147,7 @@ class Rows:
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
 
 
-def _unused(flight: Flight, found: Sequence[Stretch]) -> list[Note]:
+def _unused(flight: Flight, found: Sequence[SampleStretch]) -> list[Note]:
     """A note where much of a flight cannot be used."""
     used = sum(len(s.u) + max(s.window, 1) for s in found)
     if used >= (1.0 - COSTLY) * len(flight):
@@ -161,7 +161,7 @@ def _unused(flight: Flight, found: Sequence[Stretch]) -> list[Note]:
     ]
 
 
-def _blocks(found: Sequence[Stretch], step: float) -> Index:
+def _blocks(found: Sequence[SampleStretch], step: float) -> Index:
     """(M,) number of the block each row lies in; blocks never reach over the end of a stretch."""
     length = max(2, round(BLOCK_S / step))
     numbers, first = [], 0

@@ -14,8 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from estimation.estimators.neural_gauss_newton.axes import Axis
-from estimation.estimators.neural_gauss_newton.network import Shape, input_slopes
-from estimation.estimators.neural_gauss_newton.samples import Stretch
+from estimation.estimators.neural_gauss_newton.network import NetworkShape, input_slopes
+from estimation.estimators.neural_gauss_newton.samples import SampleStretch
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class Standard:
     z_std: Array
 
     @classmethod
-    def of(cls, stretches: Sequence[Stretch]) -> "Standard":
+    def of(cls, stretches: Sequence[SampleStretch]) -> "Standard":
         """From all rows; a constant column keeps its own unit."""
         u, z = np.vstack([s.u for s in stretches]), np.vstack([s.z for s in stretches])
         deviations = [np.where(v.std(axis=0) > 1e-12, v.std(axis=0), 1.0) for v in (u, z)]
@@ -63,7 +63,7 @@ class Regressors:
     Where they are linear their slopes are worked out once, for all networks and steps.
     """
 
-    def __init__(self, axis: Axis, stretch: Stretch, signals: dict[str, Array]) -> None:
+    def __init__(self, axis: Axis, stretch: SampleStretch, signals: dict[str, Array]) -> None:
         self.axis, self.stretch, self.signals = axis, stretch, signals
         self.slopes = self._evaluate(np.zeros(len(axis.parameters)))[1] if axis.linear else None
 
@@ -79,11 +79,11 @@ class Regressors:
 class Frozen:
     """A trained network with its scaling, ready to predict rows of stretches."""
 
-    shape: Shape
+    shape: NetworkShape
     weights: torch.Tensor
     standard: Standard
 
-    def residual_and_slope(self, stretch: Stretch, regressors: Regressors, theta: Array) -> tuple[Array, Array]:
+    def residual_and_slope(self, stretch: SampleStretch, regressors: Regressors, theta: Array) -> tuple[Array, Array]:
         """Standardised residuals (M, out) and prediction slopes (M, out, n) with the model's coefficients."""
         m = stretch.u.shape[1] - 3
         coefficients, d_theta = regressors(theta)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.neural_gauss_newton.axes import Axis
-from estimation.estimators.neural_gauss_newton.samples import Stretch
+from estimation.estimators.neural_gauss_newton.samples import SampleStretch
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ RESTART_S = 3.0
 
 
 def predicted_signals(
-    axis: Axis, stretches: list[Stretch], motion: tuple[str, ...], step: float
+    axis: Axis, stretches: list[SampleStretch], motion: tuple[str, ...], step: float
 ) -> list[dict[str, Array]]:
     """Signals of each stretch with the motion replaced by the prediction. step: sample interval [s]."""
     tables = [_table(axis, s, motion) for s in stretches]
@@ -51,7 +51,7 @@ def predicted_signals(
     return result
 
 
-def _table(axis: Axis, stretch: Stretch, motion: tuple[str, ...]) -> tuple[Array, Array]:
+def _table(axis: Axis, stretch: SampleStretch, motion: tuple[str, ...]) -> tuple[Array, Array]:
     """(N, n_motion) de-noised motion, and (N - 1, ...) controls at both ends of each step with a constant."""
     x = np.column_stack([stretch.smooth[c] for c in motion])
     controls = np.column_stack([stretch.smooth[c] for c in axis.controls])

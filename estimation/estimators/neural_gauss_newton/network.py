@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class NetworkShape:
     """Sizes of the network."""
 
     inputs: int
@@ -38,7 +38,7 @@ class Shape:
         return first, parts[1], parts[2].reshape(*lead, self.outputs, self.hidden), parts[3], linear
 
 
-def initial_weights(shape: Shape, generator: torch.Generator, nets: int = 1) -> Tensor:
+def initial_weights(shape: NetworkShape, generator: torch.Generator, nets: int = 1) -> Tensor:
     """Random start, (nets, n_weights): Glorot-uniform matrices, zero biases and zero linear path."""
 
     def uniform(rows: int, columns: int) -> Tensor:
@@ -56,7 +56,7 @@ def initial_weights(shape: Shape, generator: torch.Generator, nets: int = 1) -> 
     return torch.cat(parts, dim=1)
 
 
-def forward(shape: Shape, w: Tensor, u: Tensor) -> Tensor:
+def forward(shape: NetworkShape, w: Tensor, u: Tensor) -> Tensor:
     """Network output. w: (n_weights,) or (nets, n_weights); u: (samples, in) or (nets, samples, in)."""
     first, b1, second, b2, linear = shape.split(w)
     hidden = torch.tanh(u @ first.mT + b1.unsqueeze(-2))
@@ -64,7 +64,9 @@ def forward(shape: Shape, w: Tensor, u: Tensor) -> Tensor:
     return out if linear is None else out + u @ linear.mT
 
 
-def weight_normal_equations(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+def weight_normal_equations(
+    shape: NetworkShape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor
+) -> tuple[Tensor, Tensor]:
     """J'WJ (nets, n_weights, n_weights) and J'W(z - output) (nets, n_weights), J being the output's derivative by weights.
 
     w: (nets, n_weights); u: (samples, in) or (nets, samples, in); z alike; weight: (nets, samples). J itself, of samples
@@ -102,7 +104,7 @@ def weight_normal_equations(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weigh
     return matrix[:, order][:, :, order], right[:, order]
 
 
-def _flat_order(shape: Shape) -> Tensor:
+def _flat_order(shape: NetworkShape) -> Tensor:
     """Place of each flat weight among [(hidden, in + 1), (out, what the output layer sees)] of the normal equations."""
     across = shape.inputs + 1
     wide = shape.hidden + 1 + (shape.inputs if shape.skip else 0)
@@ -114,7 +116,7 @@ def _flat_order(shape: Shape) -> Tensor:
     return torch.cat([p.reshape(-1) for p in parts])
 
 
-def input_slopes(shape: Shape, w: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+def input_slopes(shape: NetworkShape, w: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Output (samples, out) and its exact derivative by the inputs (samples, out, in), one net, by autograd.
 
     Samples do not see each other, so one pass back over as many copies of them as there are outputs gives all rows.

@@ -16,7 +16,7 @@ from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import simulate
 from estimation.estimators.bootstrap import PERCENTILES
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
+from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
 from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread
 from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
@@ -25,7 +25,7 @@ from groundstation.flight import Flight
 from groundstation.flight.notes import Note
 
 if TYPE_CHECKING:
-    from estimation.estimators.neural_gauss_newton.solve import Problem, Solution
+    from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution
 
 Array = NDArray[np.float64]
 
@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 def describe(
     model: Model,
     flights: Sequence[Flight],
-    problem: "Problem",
-    solution: "Solution",
+    problem: "NeuralProblem",
+    solution: "NeuralSolution",
     settings: dict[str, object],
     bootstrap: bool,
 ) -> Result:
@@ -65,7 +65,7 @@ def describe(
     )  # fmt: skip
 
 
-def _status(solution: "Solution", found: dict[str, Estimate]) -> tuple[Status, str]:
+def _status(solution: "NeuralSolution", found: dict[str, Estimate]) -> tuple[Status, str]:
     if not np.all(np.isfinite(solution.theta)):
         return Status.DIVERGED, Status.DIVERGED.value
     # A network that predicts no better than a mean is fed with coefficients it never saw.
@@ -79,7 +79,7 @@ def _status(solution: "Solution", found: dict[str, Estimate]) -> tuple[Status, s
 
 
 def _estimates(
-    model: Model, names: tuple[str, ...], solution: "Solution", where: NDArray[np.int64], data: list[FlightData]
+    model: Model, names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64], data: list[FlightData]
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
     pick = np.ix_(where, where)
     blind = np.diag(solution.bound)[where] <= 0.0
@@ -87,7 +87,12 @@ def _estimates(
 
 
 def _flight(
-    model: Model, data: FlightData, index: int, unknowns: Unknowns, solution: "Solution", notes: tuple[Note, ...]
+    model: Model,
+    data: FlightData,
+    index: int,
+    unknowns: FlightUnknowns,
+    solution: "NeuralSolution",
+    notes: tuple[Note, ...],
 ) -> FlightFit:
     own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
     names = tuple(unknowns.names[i] for i in own)
@@ -110,7 +115,7 @@ def _flight(
     )  # fmt: skip
 
 
-def _bootstrap(names: tuple[str, ...], solution: "Solution", where: NDArray[np.int64]) -> Bootstrap | None:
+def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64]) -> Bootstrap | None:
     """The replicates about the estimate, as other methods show theirs. where: of the names among the unknowns."""
     deviations = solution.bootstrap[:, where]
     if len(deviations) < 2:
@@ -136,7 +141,7 @@ def _mean_of_locals(flights: tuple[FlightFit, ...]) -> dict[str, Estimate]:
     return result
 
 
-def _record(rows: Rows, unknowns: Unknowns, solution: "Solution") -> dict[str, Any]:
+def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: "NeuralSolution") -> dict[str, Any]:
     """How training went, and where the spread comes from."""
 
     def spread(values: Array) -> dict[str, float]:

@@ -32,7 +32,7 @@ COSTLY = 0.1  # of a flight's samples
 
 
 @dataclass(frozen=True)
-class Stretch:
+class SampleStretch:
     """Samples of one gap-free stretch.
 
     u: (M, n_motion + 3) measured inputs; z: (M, n_outputs) outputs; first: index in the flight of each row. signals:
@@ -91,7 +91,7 @@ def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
     return tuple(c for c in axis.optional if any(costs(f, c) for f in flights))
 
 
-def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[Stretch]:
+def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[SampleStretch]:
     """All usable stretches: cut at gaps in time and wherever a needed column has no value.
 
     Raises DataError when nothing long enough is left.
@@ -121,13 +121,13 @@ def _runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def _stretch(
     axis: Axis, signals: dict[str, Array], time: Array, first: int, form: Form, motion: tuple[str, ...]
-) -> Stretch:
+) -> SampleStretch:
     if "psi" in signals:
         signals = {**signals, "psi": np.unwrap(signals["psi"])}
     return (_point if form == "point" else _interval)(axis, signals, time, first, motion)
 
 
-def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
+def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> SampleStretch:
     """The published form: values and spline derivatives at each sample, of signals with their noise taken off."""
     dt = float(np.median(np.diff(time)))
     s = _without_noise(axis, raw, motion=1)
@@ -135,7 +135,7 @@ def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: t
     slopes = {c: CubicSpline(steps, s[c])(steps, 1) / dt for c in axis.angular_rates}
     u = np.column_stack([*(s[c] for c in motion), axis.inertial(s, slopes) / dynamic_pressure(s)[:, None]])[:-1]
     z = np.column_stack([s[c] for c in (*motion, *axis.accelerations)])[1:]
-    return Stretch(u, z, first + np.arange(len(u)), s, s, 0)
+    return SampleStretch(u, z, first + np.arange(len(u)), s, s, 0)
 
 
 def _without_noise(axis: Axis, raw: dict[str, Array], motion: int) -> dict[str, Array]:
@@ -154,7 +154,7 @@ def _without_noise(axis: Axis, raw: dict[str, Array], motion: int) -> dict[str, 
     return smooth
 
 
-def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
+def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> SampleStretch:
     """The interval form, over the number of samples nearest to INTERVAL_S."""
     dt = float(np.median(np.diff(time)))
     steps = max(1, min(round(INTERVAL_S / dt), len(time) // 4))
@@ -169,4 +169,4 @@ def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion
     )
     accelerations = [window_mean(raw[c], steps) for c in axis.accelerations]
     z = np.column_stack([*(raw[c][steps:] for c in motion), *accelerations])
-    return Stretch(u, z, first + np.arange(len(u)), raw, smooth, steps)
+    return SampleStretch(u, z, first + np.arange(len(u)), raw, smooth, steps)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
+from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
 from estimation.estimators.neural_gauss_newton.frozen import (
     Frozen,
     FrozenFit,
@@ -23,7 +23,7 @@ from estimation.estimators.neural_gauss_newton.frozen import (
     fit_parameters,
     fit_with_instruments,
 )
-from estimation.estimators.neural_gauss_newton.network import Shape, initial_weights
+from estimation.estimators.neural_gauss_newton.network import NetworkShape, initial_weights
 from estimation.estimators.neural_gauss_newton.options import NgnOptions
 from estimation.estimators.neural_gauss_newton.training import Job, Trained, mean_square, train_jobs
 
@@ -34,7 +34,7 @@ FEW_STEPS = 3  # of the parameters in a bootstrap: it starts at the solution
 
 
 @dataclass(frozen=True)
-class Solution:
+class NeuralSolution:
     """theta: (n,) estimates; bound, spread: (n, n) covariances, Cramer-Rao and bootstrap with ensemble; members:
     (ensemble, n) and bootstrap: (bootstraps, n) estimates, the latter less those of the network they began with."""
 
@@ -47,12 +47,12 @@ class Solution:
     trained: tuple[Trained, ...]
 
 
-class Problem:
+class NeuralProblem:
     """One set of rows with its unknowns, ready to be fitted with any network."""
 
-    def __init__(self, rows: Rows, unknowns: Unknowns, options: NgnOptions) -> None:
+    def __init__(self, rows: TrainingRows, unknowns: FlightUnknowns, options: NgnOptions) -> None:
         self.rows, self.unknowns, self.options = rows, unknowns, options
-        self.shape = Shape(rows.u.shape[1], options.hidden, rows.z.shape[1], skip=options.improved)
+        self.shape = NetworkShape(rows.u.shape[1], options.hidden, rows.z.shape[1], skip=options.improved)
         self.counts = [len(s.u) for s in rows.stretches]
         self.smooth = [Regressors(rows.axis, s, s.smooth) for s in rows.stretches]
         self.measured: list[Regressors] = []
@@ -129,7 +129,7 @@ class Problem:
         ).theta
 
 
-def solve(problems: Sequence[Problem], options: NgnOptions) -> list[Solution]:
+def solve(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[NeuralSolution]:
     """Train, freeze, estimate; then again for the bootstrap."""
     trained = _trained(problems, options)
     fitted = [[p.fit(t.weights) for t in nets] for p, nets in zip(problems, trained, strict=True)]
@@ -157,7 +157,7 @@ def generator_of(seed: int, member: int) -> torch.Generator:
     return torch.Generator().manual_seed((1000 * seed + member) % SEEDS)
 
 
-def _trained(problems: Sequence[Problem], options: NgnOptions) -> list[list[Trained]]:
+def _trained(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[list[Trained]]:
     """Networks of every problem's ensemble: chosen among restarts by the held-out blocks, trained on with all rows."""
     training, members = options.training, max(1, options.ensemble)
     tries = members * training.restarts
@@ -190,7 +190,7 @@ def _trained(problems: Sequence[Problem], options: NgnOptions) -> list[list[Trai
     ]
 
 
-def _best(problem: Problem, tried: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
+def _best(problem: NeuralProblem, tried: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
     """Weights, iterations and held-out error of the network that predicts held-out rows best."""
     rows = problem.rows
     judged = rows.held_out.double() if rows.held_out.any() else torch.ones(len(rows.u), dtype=torch.float64)
@@ -199,17 +199,17 @@ def _best(problem: Problem, tried: Sequence[tuple[torch.Tensor, int]]) -> tuple[
     return *tried[best], errors[best]
 
 
-def _bootstrap_weights(problem: Problem, options: NgnOptions) -> Array:
+def _bootstrap_weights(problem: NeuralProblem, options: NgnOptions) -> Array:
     """(bootstraps, M) how often each row is drawn."""
     rng = np.random.default_rng([options.seed, 64])
     drawn = [problem.rows.resampled(rng) for _ in range(options.bootstraps)]
     return np.array(drawn).reshape(options.bootstraps, len(problem.rows.u))
 
 
-def _solution(fits: Sequence[FrozenFit], trained: Sequence[Trained], bootstrap: Array) -> Solution:
+def _solution(fits: Sequence[FrozenFit], trained: Sequence[Trained], bootstrap: Array) -> NeuralSolution:
     members = np.stack([f.theta for f in fits])
     bound = np.mean([np.linalg.pinv(f.information, hermitian=True) for f in fits], axis=0)
     spread = np.atleast_2d(np.cov(bootstrap, rowvar=False)) if len(bootstrap) > 1 else bound
     if len(members) > 1:
         spread = spread + np.atleast_2d(np.cov(members, rowvar=False)) / len(members)
-    return Solution(members.mean(axis=0), bound, spread, members, bootstrap, tuple(fits), tuple(trained))
+    return NeuralSolution(members.mean(axis=0), bound, spread, members, bootstrap, tuple(fits), tuple(trained))

@@ -10,7 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from estimation.estimators.neural_gauss_newton.network import Shape, forward, weight_normal_equations
+from estimation.estimators.neural_gauss_newton.network import NetworkShape, forward, weight_normal_equations
 
 Optimiser = Literal["lm", "lbfgs", "adam"]
 
@@ -45,7 +45,7 @@ class Job:
     """One network to train. u: (M, in), z: (M, out) standardised rows, on the CPU; weight: (M,) how often each counts;
     start: (n_weights,)."""
 
-    shape: Shape
+    shape: NetworkShape
     u: Tensor
     z: Tensor
     weight: Tensor
@@ -96,7 +96,7 @@ def _padded(values: Tensor, length: int) -> Tensor:
     return torch.cat([values, values.new_zeros(missing, *values.shape[1:])]) if missing else values
 
 
-def mean_square(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -> float:
+def mean_square(shape: NetworkShape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -> float:
     """Mean squared standardised error of one network over weighted rows; NaN without any."""
     total = float(weight.sum())
     if total == 0:
@@ -105,7 +105,7 @@ def mean_square(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -
 
 
 def levenberg_marquardt(
-    shape: Shape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
+    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
 ) -> tuple[Tensor, Tensor]:
     """Gauss-Newton on the weights of many networks side by side, each with a damping of its own.
 
@@ -173,13 +173,13 @@ def _damped_step(matrix: Tensor, right: Tensor, damping: Tensor) -> Tensor:
     return torch.where(failed[:, None] > 0, torch.full_like(step, torch.nan), step)
 
 
-def _costs(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weights: Tensor, decay: float) -> Tensor:
+def _costs(shape: NetworkShape, w: Tensor, u: Tensor, z: Tensor, weights: Tensor, decay: float) -> Tensor:
     """(nets,) weighted sum of squared errors with the decay of the weights."""
     return (weights[:, :, None] * (z - forward(shape, w, u)) ** 2).sum(dim=(1, 2)) + decay * (w**2).sum(dim=1)
 
 
 def _lbfgs(
-    shape: Shape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
+    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
 ) -> tuple[Tensor, Tensor]:
     """One network after the other: a line search cannot be shared."""
     found, used = [], []
@@ -203,7 +203,7 @@ def _lbfgs(
 
 
 def _adam(
-    shape: Shape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
+    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
 ) -> tuple[Tensor, Tensor]:
     """20 steps for each iteration of the others, with a learning rate that falls to a hundredth."""
     w = starts.clone().requires_grad_(True)

@@ -7,11 +7,11 @@ from typing import Any
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.rounded import rounded as _round
-from estimation.gap.answer.shape import Curve, Happened, Held, Late, Swinging
+from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
 from estimation.models.base import Model
 
 
-class Verdict(StrEnum):
+class GapVerdict(StrEnum):
     NO_GAP = "no_gap"
     GAP_CLOSED = "gap_closed"
     GAP_REDUCED = "gap_reduced"
@@ -96,7 +96,7 @@ class Weighed:
 
 
 @dataclass(frozen=True)
-class Step:
+class EffectStep:
     """One effect found.
 
     estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved it to follow the effect,
@@ -123,7 +123,7 @@ class Step:
     practical: str = ""
     followed: Mapping[str, float] = field(default_factory=dict)
     text: str = ""
-    shape: Curve | Late | Swinging | Happened | Held | None = None
+    shape: ShapeCurve | Late | Swinging | Happened | HeldInstrument | None = None
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -171,7 +171,7 @@ class Histories:
 
 
 @dataclass(frozen=True)
-class View:
+class DisagreementView:
     """The disagreement at one stage.
 
     gap: rms of residual over noise; channels: the same of each output; times: (flight, from, to [s], gap) in windows;
@@ -200,10 +200,10 @@ class View:
 
 @dataclass(frozen=True)
 class GapResult:
-    verdict: Verdict
+    verdict: GapVerdict
     text: str
     minimum_detectable: Mapping[str, float]
-    steps: tuple[Step, ...]
+    steps: tuple[EffectStep, ...]
     scores: Mapping[str, float]
     threshold: float
     nominal_threshold: float
@@ -215,7 +215,7 @@ class GapResult:
     notes: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     histories: tuple[Histories, ...] = ()
-    views: tuple[View, ...] = ()
+    views: tuple[DisagreementView, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

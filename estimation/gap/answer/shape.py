@@ -29,7 +29,7 @@ class Alike:
 
 
 @dataclass(frozen=True)
-class Curve:
+class ShapeCurve:
     """A nameless part of a coefficient as a function of what the data chose.
 
     output: the coefficient. variables: one, or two where it is a function of the first times the second. grid: (n,) values of
@@ -127,7 +127,7 @@ class Swinging:
 
 
 @dataclass(frozen=True)
-class Happening:
+class EventReport:
     """One event. what: drift | slip | burst. channel: the output, "" for a disturbance of the motion. flight: its name, "" for
     all of them. start, end: s on the flight's clock. sizes: (estimate, bound) in `unit`: of a drift the change over each flight,
     of a slip the step, of a burst the peak rates it adds to the force equations, of a gust, which moves the state `air`, the
@@ -160,7 +160,7 @@ class Happening:
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldInstrument:
     """An instrument that holds its values: no term of the model is wrong.
 
     channel: the output. every: s from one new value to the next, on average. share: of the samples that repeat. ratio: distance
@@ -189,7 +189,7 @@ class Held:
 class Happened:
     """Events that leave nothing else to explain, first the one that stands out most."""
 
-    events: Sequence[Happening]
+    events: Sequence[EventReport]
 
     def to_json(self) -> dict[str, Any]:
         first = self.events[0]

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from estimation.gap.answer.result import Step, Verdict
-from estimation.gap.answer.shape import Curve, Happened, Held, Late, Swinging
+from estimation.gap.answer.result import EffectStep, GapVerdict
+from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -19,7 +19,7 @@ TURN = 2.0 * math.pi
 FEW, NAMES, MANOEUVRES = 4, 8, 3  # examples, effects and manoeuvres in one paragraph; the JSON file has all
 
 
-def describe_step(step: Step) -> str:
+def describe_step(step: EffectStep) -> str:
     """One or two sentences on one effect."""
     if step.effect == "unknown":
         return describe_unknown(step)
@@ -37,13 +37,13 @@ def describe_step(step: Step) -> str:
     return text
 
 
-def describe_unknown(step: Step) -> str:
+def describe_unknown(step: EffectStep) -> str:
     """What is known of an effect the catalogue does not hold."""
-    if isinstance(step.shape, Curve):
+    if isinstance(step.shape, ShapeCurve):
         return describe_curve(step.shape)
     if isinstance(step.shape, Happened):
         return describe_events(step.shape)
-    if isinstance(step.shape, Held):
+    if isinstance(step.shape, HeldInstrument):
         return describe_held(step.shape)
     where = step.where
     place = (
@@ -75,7 +75,7 @@ def describe_swing(swing: Swinging) -> str:
     )
 
 
-def describe_curve(curve: Curve) -> str:
+def describe_curve(curve: ShapeCurve) -> str:
     """A nameless shape in words: where, how sure, in which range, what would settle it."""
     by = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
     what = (
@@ -129,7 +129,7 @@ def describe_events(happened: Happened) -> str:
     )
 
 
-def describe_held(held: Held) -> str:
+def describe_held(held: HeldInstrument) -> str:
     """What holds its values, for how long, and that it is no term of the model."""
     return (
         f"{held.channel} holds its values: a new one comes every {held.every:.2g} s, and at the {held.share:.0%} of the samples "
@@ -140,8 +140,8 @@ def describe_held(held: Held) -> str:
 
 
 def conclude(
-    verdict: Verdict,
-    steps: Sequence[Step],
+    verdict: GapVerdict,
+    steps: Sequence[EffectStep],
     detectable: Mapping[str, float],
     cannot: Sequence[Effect],
     tied: Sequence[Effect],
@@ -154,7 +154,7 @@ def conclude(
     """The paragraph of the verdict. odd: training flights that do not repeat the others. stale: outputs that repeat their last
     value in many samples. following: controls that only follow the motion. left: how what is left beside a shape shows."""
     parts = []
-    if verdict is Verdict.NO_GAP:
+    if verdict is GapVerdict.NO_GAP:
         parts.append(
             "No effect found: what is left of the disagreement looks like the noise, gusts and input errors of these flights."
         )
@@ -162,7 +162,7 @@ def conclude(
             some = [f"{n} of {detectable[n]:.2g}" for n in EXAMPLES if n in detectable][:FEW]
             if some:
                 parts.append(f"Anything larger than for example {', '.join(some)} would have been seen.")
-    elif verdict is Verdict.CANNOT_TELL:
+    elif verdict is GapVerdict.CANNOT_TELL:
         parts.append(
             "No effect found, but these flights could not have shown many of them: they hardly excite the motion."
         )
@@ -196,7 +196,7 @@ def conclude(
         )
         wanted = list(dict.fromkeys(e.separate_by for e in cannot))[:MANOEUVRES]
         parts.append(f"These flights cannot tell anything about {names} at their usual size; fly {'; '.join(wanted)}.")
-    if tied and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL):
+    if tied and verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
         hidden = "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
         if not any(
             e.name == "rho_error" for e in tied

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.gap.form.fitted import TAG, Fitted, Increment
-from estimation.gap.form.places import Flown
+from estimation.gap.form.fitted import TAG, FittedIncrement, Increment
+from estimation.gap.form.places import ModelMotion
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, fit
 from estimation.models.base import Parameter
 
 REFITTED = 3
@@ -57,7 +57,7 @@ class Sketch:
     left: float
 
 
-def sketched(fitted: Fitted, flown: Flown) -> list[Sketch]:
+def sketched(fitted: FittedIncrement, flown: ModelMotion) -> list[Sketch]:
     """Every formula regressed on the spline at the samples flown, best first."""
     increment = fitted.increment
     x = np.concatenate([c[increment.place.variable] for c in flown.courses])
@@ -99,8 +99,8 @@ class Plain:
 
     text: str
     estimates: Mapping[str, tuple[float, float]]
-    problem: Problem
-    fit: Fit
+    problem: LikelihoodProblem
+    fit: ModelFit
     gain: float
     left: float
 
@@ -127,7 +127,7 @@ def refitted(baseline: Baseline, increment: Increment, sketch: Sketch) -> Plain 
     return Plain(text, estimates, problem, found, 2.0 * (baseline.fit.cost - found.cost), sketch.left)
 
 
-def plain_formulas(baseline: Baseline, fitted: Fitted, flown: Flown) -> list[Plain]:
+def plain_formulas(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[Plain]:
     """The formulas nearest to a spline, refitted."""
     made = [refitted(baseline, fitted.increment, s) for s in sketched(fitted, flown)[:REFITTED]]
     return [p for p in made if p is not None]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, fit
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
@@ -26,7 +26,7 @@ def closed(before: float, after: float, floor: float) -> float:
     return float(np.clip(1.0 - (after - floor) / (before - floor), 0.0, 1.0))
 
 
-def asked(problem: Problem, found: Fit, baseline: Baseline, noise: NoiseModel) -> float:
+def asked(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
     """Whitened energy of a fitted model on the held-out flights, shared parameters frozen; on the training flights where there
     are none. problem, found: on the training flights; noise: by which it is weighed."""
     held = replace(baseline, problem=problem, fit=found, noise=noise).held_out
@@ -46,7 +46,7 @@ def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> f
     return _upper(*held, NullFlyer.build(*held, child.noise, own), seed)
 
 
-def _upper(problem: Problem, found: Fit, flyer: NullFlyer, seed: int) -> float:
+def _upper(problem: LikelihoodProblem, found: ModelFit, flyer: NullFlyer, seed: int) -> float:
     total = np.zeros(NULLS)
     for i in range(len(problem.records)):
         flown = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
@@ -56,7 +56,9 @@ def _upper(problem: Problem, found: Fit, flyer: NullFlyer, seed: int) -> float:
     return float(np.quantile(total, problem.criteria.floor_level))
 
 
-def refitted_with(problem: Problem, found: Fit, child: Baseline) -> tuple[Problem, Fit]:
+def refitted_with(problem: LikelihoodProblem, found: ModelFit, child: Baseline) -> tuple[LikelihoodProblem, ModelFit]:
     """A model fitted to the training flights again, weighed with the noise of another."""
-    same = Problem(problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria)
+    same = LikelihoodProblem(
+        problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria
+    )
     return same, fit(same, found.values, found.locals)

@@ -9,10 +9,10 @@ from estimation.engine.kernel import Array
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.form import spline
-from estimation.gap.form.places import Flown, Place, spread_of
+from estimation.gap.form.places import ModelMotion, Place, spread_of
 from estimation.gap.form.spline import KEPT, Range, basis, lines, polynomial
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, fit
 from estimation.models.base import Model, Parameter
 
 TAG = "form"
@@ -32,7 +32,7 @@ class Increment:
     spread: Array
 
     @classmethod
-    def of(cls, place: Place, flown: Flown, criteria: Criteria) -> "Increment":
+    def of(cls, place: Place, flown: ModelMotion, criteria: Criteria) -> "Increment":
         reach = flown.reach(place.by) if place.by else 1.0
         return cls(place, flown.range_of(place.variable), reach, spread_of(place, flown.scale[place.line], criteria))
 
@@ -92,12 +92,12 @@ class Increment:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedIncrement:
     """An increment fitted with the base. gain: twice the log-likelihood over the base with the same noise."""
 
     increment: Increment
-    problem: Problem
-    fit: Fit
+    problem: LikelihoodProblem
+    fit: ModelFit
     gain: float
 
     def curve(self, inflation: float = 1.0) -> tuple[Array, Array, Array]:
@@ -110,17 +110,17 @@ class Fitted:
         return x, columns @ self.increment.vector(self.fit.values), np.sqrt(np.maximum(variance * inflation, 0.0))
 
 
-def fit_increment(baseline: Baseline, increment: Increment) -> Fitted | None:
+def fit_increment(baseline: Baseline, increment: Increment) -> FittedIncrement | None:
     """Base and increment fitted together on the training flights; None where that runs away."""
     problem = replace(baseline.problem, model=increment.added_to(baseline.model))
     found = fit(problem, baseline.fit.values, baseline.fit.locals)
     if found.diverged:
         return None
-    return Fitted(increment, problem, found, 2.0 * (baseline.fit.cost - found.cost))
+    return FittedIncrement(increment, problem, found, 2.0 * (baseline.fit.cost - found.cost))
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class HoldoutPrediction:
     """A training flight predicted from the others. inside: share of it in the range they flew. gain: twice the log-likelihood
     by which the increment, held at the ends of that range, predicts it better than the base does."""
 
@@ -129,7 +129,7 @@ class LeftOut:
     gain: float
 
 
-def left_out(baseline: Baseline, fitted: Fitted, flown: Flown) -> list[LeftOut]:
+def left_out(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[HoldoutPrediction]:
     """Every training flight predicted from the others, with and without the increment."""
     flights = [r.flight for r in baseline.problem.records]
     made = []
@@ -144,12 +144,12 @@ def left_out(baseline: Baseline, fitted: Fitted, flown: Flown) -> list[LeftOut]:
         without = predicted(baseline.problem, baseline.fit, others, own, {})
         with_ = predicted(fitted.problem, fitted.fit, others, own, fitted.increment.edges(reached))
         gain = -np.inf if with_ is None else np.inf if without is None else 2.0 * (without - with_)
-        made.append(LeftOut(flight, inside, float(gain)))
+        made.append(HoldoutPrediction(flight, inside, float(gain)))
     return made
 
 
 def predicted(
-    problem: Problem, found: Fit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
+    problem: LikelihoodProblem, found: ModelFit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
 ) -> float | None:
     """Whitened cost of the records `own` with what the records `others` tell; None where the motion runs away."""
     told = fit(only(problem, others), found.values, [found.locals[i] for i in others])
@@ -159,7 +159,7 @@ def predicted(
     return None if asked.diverged else asked.cost
 
 
-def only(problem: Problem, records: Sequence[int]) -> Problem:
+def only(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProblem:
     """The problem of some of its records."""
     return replace(
         problem,
@@ -168,7 +168,7 @@ def only(problem: Problem, records: Sequence[int]) -> Problem:
     )
 
 
-def confirmed(found: Sequence[LeftOut], criteria: Criteria) -> bool:
+def confirmed(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
     """Whether every flight that lies in the range of the others is predicted better, and there is one."""
     asked = [f for f in found if f.inside >= criteria.form_inside]
     return bool(asked) and all(f.gain > 0.0 for f in asked)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
-from estimation.gap.form.places import Flown, Place
+from estimation.gap.form.places import ModelMotion, Place
 from estimation.gap.form.screen import ranked
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import Projected, gram_of
@@ -37,7 +37,7 @@ def late(course: Array, time: Array, memory: float) -> Array:
     return np.asarray(follower - course)
 
 
-def find_memory(flown: Flown, round_: Round, places: Sequence[Place]) -> Memory | None:
+def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Memory | None:
     """The place and time constant that gain most by linear theory, where they stand out of the nulls."""
     asked = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
 

@@ -9,7 +9,7 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.form.spline import Range, basis
-from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit
 from estimation.gap.tests_of_fit.doors import responses
 from estimation.models.base import Model, ParameterRole, Signal
 from estimation.models.expressions import names_in, products_in
@@ -94,19 +94,19 @@ def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
 
 
 @dataclass(frozen=True)
-class Flown:
+class ModelMotion:
     """A fitted model's own motion: variables and coefficients along every record on its fine grid, and what a part of a
     coefficient changes in the outputs. courses: per record, name -> (2N - 1,). scale: line -> rms about its mean."""
 
-    problem: Problem
-    fit: Fit
+    problem: LikelihoodProblem
+    fit: ModelFit
     simulator: Simulator
     segments: tuple[Segment, ...]
     courses: tuple[dict[str, Array], ...]
     scale: dict[str, float]
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit) -> "Flown":
+    def of(cls, problem: LikelihoodProblem, fit: ModelFit) -> "ModelMotion":
         model = problem.model
         lines = coefficient_lines(problem.base)
         variables = variables_of(problem.base, lines)

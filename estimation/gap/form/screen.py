@@ -9,7 +9,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
-from estimation.gap.form.places import Flown, Place, spread_of
+from estimation.gap.form.places import ModelMotion, Place, spread_of
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.screen import Projected, gram_of
 
@@ -43,7 +43,7 @@ class Ranked(Generic[Asked]):
         return float((self.gains - self.usual)[self.order].max()) if self.order else 0.0
 
 
-def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
+def rank(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
     """Score every place on the residuals of a round's baseline and on its nulls."""
     problem, criteria = flown.problem, round_.criteria
     usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]

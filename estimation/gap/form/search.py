@@ -9,9 +9,9 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.form.analytic import Plain, plain_formulas
 from estimation.gap.form.closure import asked, closed, floor_energy, refitted_with
-from estimation.gap.form.fitted import Fitted, Increment, LeftOut, confirmed, fit_increment, left_out
+from estimation.gap.form.fitted import FittedIncrement, HoldoutPrediction, Increment, confirmed, fit_increment, left_out
 from estimation.gap.form.memory import Memory, find_memory
-from estimation.gap.form.places import Flown, Place, places_of, products_of
+from estimation.gap.form.places import ModelMotion, Place, places_of, products_of
 from estimation.gap.form.screen import Ranked, rank
 from estimation.gap.form.swing import Swing, find_swing
 from estimation.gap.likelihood.baseline import Baseline, fit_baseline
@@ -26,7 +26,7 @@ FITTED = 3  # places that get a fit
 
 
 @dataclass(frozen=True)
-class Task:
+class SearchTask:
     """What a search needs of the run. errors: of the inputs of every record; screened: nulls and screen about a fitted model;
     floors: what the plain gap measures on them."""
 
@@ -75,7 +75,7 @@ class Measured:
         plain = self.holdout or self.gap
         return max(self.energy_closed, closed(plain.before**2, plain.after**2, self.highest**2))
 
-    def by(self, plain: Plain, task: Task) -> float:
+    def by(self, plain: Plain, task: SearchTask) -> float:
         """The same for a formula in place of the increment."""
         problem, found = refitted_with(plain.problem, plain.fit, self.child)
         if found.diverged:
@@ -84,15 +84,15 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Shape:
+class CoefficientShape:
     """A part of a coefficient that closes the gap. others: every training flight left out. rivals: other places that do nearly as
     well on the training flights. plain, refused: formulas that close no less than it does, and the others, with what they close.
     score, threshold: of the place by linear theory."""
 
-    fitted: Fitted
+    fitted: FittedIncrement
     measured: Measured
-    others: tuple[LeftOut, ...]
-    rivals: tuple[Fitted, ...]
+    others: tuple[HoldoutPrediction, ...]
+    rivals: tuple[FittedIncrement, ...]
     plain: tuple[tuple[Plain, float], ...]
     refused: tuple[tuple[Plain, float], ...]
     score: float
@@ -103,16 +103,16 @@ class Shape:
 class ShapeSearch:
     """What was found, what was tried; follower: a lag or a swing that gains where no shape was found."""
 
-    shape: Shape | None
+    shape: CoefficientShape | None
     tried: tuple[Tried, ...]
     follower: Memory | Swing | None = None
 
 
-def find_shape(round_: Round, task: Task, at_length: bool) -> ShapeSearch:
+def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     """A function of one variable, or something that swings; at length also a function of two, and, where none closes the gap,
     whether a memory gains."""
     baseline = round_.baseline
-    flown = Flown.of(baseline.problem, baseline.fit)
+    flown = ModelMotion.of(baseline.problem, baseline.fit)
     singles = places_of(task.prepared.base)
     ranking = rank(flown, round_, singles)
     swing = find_swing(flown, round_)
@@ -131,12 +131,12 @@ def find_shape(round_: Round, task: Task, at_length: bool) -> ShapeSearch:
 
 
 def _best(
-    round_: Round, task: Task, flown: Flown, ranking: Ranked[Place], least: float = 0.0
-) -> tuple[Shape | None, list[Tried]]:
+    round_: Round, task: SearchTask, flown: ModelMotion, ranking: Ranked[Place], least: float = 0.0
+) -> tuple[CoefficientShape | None, list[Tried]]:
     """The first of the leading places that holds on flights left out and closes the gap. least: what something else without a
     name gains, as a nameless term does."""
     baseline, criteria = round_.baseline, round_.criteria
-    fits: dict[int, Fitted] = {}
+    fits: dict[int, FittedIncrement] = {}
     tried: list[Tried] = []
     for i in ranking.order[:FITTED]:
         fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown, criteria))
@@ -172,7 +172,7 @@ def _best(
         formulas = [(p, measured.by(p, task)) for p in plain_formulas(baseline, fitted, flown)]
         offered, refused = as_good(formulas, measured.energy_closed, criteria)
         score = float(ranking.scores[i])
-        shape = Shape(
+        shape = CoefficientShape(
             fitted, measured, tuple(others), tuple(rivals), tuple(offered), tuple(refused), score, ranking.threshold
         )
         return shape, tried
@@ -185,7 +185,7 @@ def best_term(round_: Round) -> float:
     return max((s.gain for s in examine(round_).leading if s.kind == "term"), default=0.0)
 
 
-def runners_up(best: Fitted, others: Sequence[Fitted], criteria: Criteria) -> list[Fitted]:
+def runners_up(best: FittedIncrement, others: Sequence[FittedIncrement], criteria: Criteria) -> list[FittedIncrement]:
     """Other places that gain nearly as much, most first."""
     near = [f for f in others if f.gain >= criteria.named_share * best.gain]
     return sorted(near, key=lambda f: -f.gain)
@@ -200,7 +200,7 @@ def as_good(
     return good, [p for p in ordered if p not in good]
 
 
-def _measured(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
+def _measured(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> Measured | None:
     """None where the model with the increment runs away, in the fit, on a null or on a held-out flight."""
     try:
         return _measure(task, baseline, fitted)
@@ -208,7 +208,7 @@ def _measured(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None
         return None
 
 
-def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
+def _measure(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> Measured | None:
     scatter = baseline.scatter
     child = fit_baseline(fitted.problem.model, baseline.clean, task.prepared, scatter, fitted.fit, baseline.noise)
     own = task.screened(child)

@@ -17,7 +17,7 @@ from scipy.signal import cont2discrete, lfilter
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
-from estimation.gap.form.places import ACCELERATIONS, Flown
+from estimation.gap.form.places import ACCELERATIONS, ModelMotion
 from estimation.gap.form.screen import ranked
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import Projected, gram_of
@@ -103,7 +103,7 @@ def frequencies(time: Array) -> Array:
     return np.asarray(SLOWEST * APART ** np.arange(count + 1))
 
 
-def find_swing(flown: Flown, round_: Round) -> Swing | None:
+def find_swing(flown: ModelMotion, round_: Round) -> Swing | None:
     """The coefficient and frequency that gain most by linear theory, where they stand out of the nulls and it rings.
 
     What follows the accelerations and their rates at once is taken out before: an oscillator faster than the motion does no more.
@@ -177,7 +177,7 @@ class _Grams:
     @classmethod
     def of(
         cls,
-        flown: Flown,
+        flown: ModelMotion,
         tangent: Tangent,
         lines: Sequence[str],
         drives: Sequence[str],

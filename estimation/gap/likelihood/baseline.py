@@ -13,14 +13,14 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.likelihood.first_values import first_values
-from estimation.gap.likelihood.fitting import ENOUGH, Fit, Problem, carried, fit
+from estimation.gap.likelihood.fitting import ENOUGH, LikelihoodProblem, ModelFit, carried, fit
 from estimation.gap.likelihood.slow_errors import slow_errors, without_slow
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, displaced, find_surface_steps, freedom_of, loosened
 from estimation.gap.likelihood.whitening import (
     NoiseModel,
     NoisePart,
+    NoiseSource,
     Shapes,
-    Source,
     Whitener,
     as_seen,
     estimate_noise,
@@ -28,7 +28,7 @@ from estimation.gap.likelihood.whitening import (
     shapes_of,
     whitener,
 )
-from estimation.gap.records.flight_records import FlightRecords, Record
+from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.models.base import Model
 from estimation.models.driven import force_states
@@ -48,8 +48,8 @@ class Baseline:
     """A fitted model with the noise of its residuals. scatter: (ny,) standard deviations of the channels' white noise.
     clean: the model as a person reads it, without what is dormant in it. prepared: all flights, held-out ones among them."""
 
-    problem: Problem
-    fit: Fit
+    problem: LikelihoodProblem
+    fit: ModelFit
     noise: NoiseModel
     scatter: Array
     clean: Model
@@ -64,11 +64,11 @@ class Baseline:
         return self.problem.model
 
     @cached_property
-    def held_out(self) -> tuple[Problem, Fit] | None:
+    def held_out(self) -> tuple[LikelihoodProblem, ModelFit] | None:
         """`on_holdout` with its own noise, which is asked for again and again."""
         return self.on_holdout(self.noise)
 
-    def on_holdout(self, noise: NoiseModel) -> tuple[Problem, Fit] | None:
+    def on_holdout(self, noise: NoiseModel) -> tuple[LikelihoodProblem, ModelFit] | None:
         """The fitted model on the held-out flights, weighed by `noise`: parameters frozen, initial states and biases fitted.
 
         None where there is no held-out flight.
@@ -78,14 +78,14 @@ class Baseline:
             return None
         values = {**self.model.starts(), **self.fit.values}
         _, whiteners = whiteners_for(self.model, self.prepared, records, values, noise, (), self.scatter)
-        problem = Problem(self.model, self.prepared.base, records, whiteners, self.prepared.criteria)
+        problem = LikelihoodProblem(self.model, self.prepared.base, records, whiteners, self.prepared.criteria)
         return problem, fit(problem, values, frozen=True)
 
 
 def whiteners_for(
     problem_model: Model,
     prepared: FlightRecords,
-    records: Sequence[Record],
+    records: Sequence[FlightRecord],
     values: Mapping[str, float],
     noise: NoiseModel | None,
     residuals: Sequence[Array],
@@ -147,7 +147,7 @@ def estimated_noise(
 
 
 def noise_parts(
-    records: Sequence[Record], outputs: Sequence[str], scatter: Array, criteria: Criteria
+    records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria
 ) -> tuple[Array, tuple[NoisePart, ...], dict[NoisePart, float]]:
     """(ny,) white noise of the outputs to begin with, the parts these flights do not have, first guesses of some they have.
 
@@ -164,11 +164,11 @@ def noise_parts(
             own[outputs.index(RATE_OF[n])] *= criteria.own_gyro_noise
     known: dict[NoisePart, float] = {}
     for n in wandering:
-        known[NoisePart(Source.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (step * criteria.filter_memory)
+        known[NoisePart(NoiseSource.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (step * criteria.filter_memory)
         if RATE_OF[n] in outputs:
             shared = 1.0 - criteria.own_gyro_noise**2
-            known[NoisePart(Source.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
-    filters = (Source.WANDERING, Source.GYRO)
+            known[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
+    filters = (NoiseSource.WANDERING, NoiseSource.GYRO)
     return own, tuple(NoisePart(f, n) for n in RATE_OF if n not in wandering for f in filters), known
 
 
@@ -177,7 +177,7 @@ def fit_baseline(
     clean: Model,
     prepared: FlightRecords,
     scatter: Array,
-    begun: Fit | None = None,
+    begun: ModelFit | None = None,
     noise: NoiseModel | None = None,
     known: bool = False,
 ) -> Baseline:
@@ -196,7 +196,7 @@ def fit_baseline(
         else:
             at = {**model.starts(), **found.values}
             level, whiteners = whiteners_for(model, prepared, records, at, None, found.residuals, scatter, level)
-        problem = Problem(model, prepared.base, records, whiteners, prepared.criteria)
+        problem = LikelihoodProblem(model, prepared.base, records, whiteners, prepared.criteria)
         found = _careful(problem, found, afar=turn if begun is None else PASSES)
         if found.diverged:
             raise GapError(
@@ -215,7 +215,7 @@ def fit_baseline(
         return made
 
 
-def _calmer(baseline: Baseline) -> Fit | None:
+def _calmer(baseline: Baseline) -> ModelFit | None:
     """Another fit as good as one whose motion grows, with calmer motion, begun at what the model states; None where there is
     none. What is missing can bend the base either way, and the nulls of an aircraft that runs away show nothing."""
     growing = growth(baseline.problem, baseline.fit)
@@ -226,7 +226,7 @@ def _calmer(baseline: Baseline) -> Fit | None:
     return found if close and growth(baseline.problem, found) < CALMER * growing else None
 
 
-def growth(problem: Problem, found: Fit) -> float:
+def growth(problem: LikelihoodProblem, found: ModelFit) -> float:
     """Rate [1/s] of the fastest growing small motion about any record; negative where all die away."""
     motions = (linear_motion(problem.model, problem.simulator, s, found.values) for s in problem.coarse)
     return max(float(np.linalg.eigvals(motion.A).real.max()) for motion in motions)
@@ -244,14 +244,14 @@ def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | Non
     return replace(baseline, problem=problem, fit=min(sound, key=lambda found: found.cost), clean=clean)
 
 
-def fit_from(problem: Problem, other: Fit, enough: float = ENOUGH, beyond: float = np.inf) -> Fit:
+def fit_from(problem: LikelihoodProblem, other: ModelFit, enough: float = ENOUGH, beyond: float = np.inf) -> ModelFit:
     """A problem's fit begun where another model of the same flights ended, with all that both have."""
     values = {n: other.values[n] for n in problem.free if n in other.values}
     locals_ = [carried(local, other.model, problem.model) for local in other.locals]
     return fit(problem, values, locals_, enough=enough, beyond=beyond)
 
 
-def deeper(baseline: Baseline, other: Fit) -> Fit | None:
+def deeper(baseline: Baseline, other: ModelFit) -> ModelFit | None:
     """A better fit of a baseline's own model, begun where another model of the same flights ended; None where there is none.
 
     A gain over a fit that rests in a poorer valley is not the other model's. A base whose motion grows was left for one as good
@@ -266,7 +266,9 @@ def deeper(baseline: Baseline, other: Fit) -> Fit | None:
     return None if left and found.cost > own - ALIKE * own else found
 
 
-def _careful(problem: Problem, begun: Fit | None, afar: int, known: Mapping[str, float] = MappingProxyType({})) -> Fit:
+def _careful(
+    problem: LikelihoodProblem, begun: ModelFit | None, afar: int, known: Mapping[str, float] = MappingProxyType({})
+) -> ModelFit:
     """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
     nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
     values, own = (first_values(problem, known), None) if begun is None else (begun.values, begun.locals)
@@ -276,7 +278,7 @@ def _careful(problem: Problem, begun: Fit | None, afar: int, known: Mapping[str,
     return first if first.diverged or afar == 0 else fit(problem, first.values, first.locals)
 
 
-def _culprit(problem: Problem, found: Fit, prepared: FlightRecords) -> str:
+def _culprit(problem: LikelihoodProblem, found: ModelFit, prepared: FlightRecords) -> str:
     for i, local in enumerate(found.locals):
         if problem.residual(i, found.values, local) is None:
             return prepared.names[problem.records[i].flight]

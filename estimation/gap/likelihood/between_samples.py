@@ -14,21 +14,21 @@ from estimation.signals.monotone_cubic import half_way, inner_slopes
 
 
 @dataclass(frozen=True)
-class Grid:
+class MidSampleGrid:
     """A segment with mid-interval samples, and how far its inputs there lie from a straight line, (2N - 1, nu)."""
 
     segment: Segment
     rounding: Array
 
-    def with_inputs(self, u: Array) -> "Grid":
+    def with_inputs(self, u: Array) -> "MidSampleGrid":
         """The same with other inputs (N, nu) at the samples; only columns that differ are worked out."""
         moved = np.flatnonzero((u != self.segment.u[::2]).any(axis=0))
         values, rounding = self.segment.u.copy(), self.rounding.copy()
         _fill(self.segment.time[::2], u, values, rounding, moved)
-        return Grid(replace(self.segment, u=values), rounding)
+        return MidSampleGrid(replace(self.segment, u=values), rounding)
 
 
-def fine_grid(segment: Segment) -> Grid:
+def fine_grid(segment: Segment) -> MidSampleGrid:
     """Time and inputs with one more sample in the middle of each interval."""
     time, u = segment.time, segment.u
     fine = np.empty(2 * time.size - 1)
@@ -36,7 +36,7 @@ def fine_grid(segment: Segment) -> Grid:
     values, rounding = np.empty((fine.size, u.shape[1])), np.zeros((fine.size, u.shape[1]))
     _fill(time, u, values, rounding, np.arange(u.shape[1]))
     z = np.full((fine.size, segment.z.shape[1]), np.nan)
-    return Grid(replace(segment, time=fine, u=values, z=z), rounding)
+    return MidSampleGrid(replace(segment, time=fine, u=values, z=z), rounding)
 
 
 def _fill(time: Array, u: Array, values: Array, rounding: Array, columns: np.ndarray) -> None:  # type: ignore[type-arg]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.signals.preprocess import noise_level
 
@@ -13,7 +13,7 @@ KNOWN = 0.2  # of the steps from sample to sample, for what is seen of them to s
 QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all
 
 
-def channel_noise(records: Sequence[Record]) -> Array:
+def channel_noise(records: Sequence[FlightRecord]) -> Array:
     """(ny,) standard deviation of the white part of every output, median over the records."""
     ny = records[0].z.shape[1]
     levels = np.zeros((len(records), ny))
@@ -27,7 +27,7 @@ def channel_noise(records: Sequence[Record]) -> Array:
     return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, 1e-9))
 
 
-def filtered_attitudes(records: Sequence[Record], outputs: Sequence[str], white: Array) -> tuple[str, ...]:
+def filtered_attitudes(records: Sequence[FlightRecord], outputs: Sequence[str], white: Array) -> tuple[str, ...]:
     """Those attitudes among the outputs, of white noise `white` (ny,), that come from a filter which integrates the gyro.
 
     From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be.
@@ -43,7 +43,7 @@ def filtered_attitudes(records: Sequence[Record], outputs: Sequence[str], white:
     return tuple(found)
 
 
-def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
+def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array) -> Array:
     """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
 
     An attitude filter integrates the gyro and corrects slowly: from sample to sample its angle is smoother than one
@@ -63,7 +63,7 @@ def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array
     return _widened(scatter, phi, errors)
 
 
-def pitch_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
+def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array) -> Array:
     """`scatter` with the noise of the pitch attitude replaced by its slow error where the attitude is a filter's: see
     `bank_error`."""
     if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter):
@@ -97,13 +97,13 @@ def _widened(scatter: Array, column: int, errors: Sequence[float | None]) -> Arr
     return wider
 
 
-def _measured(record: Record, outputs: Sequence[str], name: str) -> Array:
+def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
     """(N,) an output or an input, zero where the flight has neither."""
     still = np.zeros(len(record))
     seen = record.z[:, outputs.index(name)] if name in outputs else still
     return record.inputs.get(name, still) if name not in outputs else seen if np.isfinite(seen).any() else still
 
 
-def sample_interval(records: Sequence[Record]) -> float:
+def sample_interval(records: Sequence[FlightRecord]) -> float:
     """Median over the records of their sample interval [s]."""
     return float(np.median([np.median(np.diff(r.time)) for r in records]))

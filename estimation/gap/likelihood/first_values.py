@@ -11,10 +11,10 @@ from types import MappingProxyType
 from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
 from estimation.estimators.equation_error import start_values
-from estimation.gap.likelihood.fitting import Problem, cost_at
+from estimation.gap.likelihood.fitting import LikelihoodProblem, cost_at
 
 
-def first_values(problem: Problem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
+def first_values(problem: LikelihoodProblem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
     """Shared values at which the first fit begins, the nearest of three: none (the model's own starts), a regression, and what
     another model of these flights has of the same derivatives (`known`)."""
     taken = {n: known[n] for n in problem.parameters if n in known and not problem.nuisance(n)}
@@ -22,7 +22,7 @@ def first_values(problem: Problem, known: Mapping[str, float] = MappingProxyType
     return min([{}, *others], key=lambda values: cost_at(problem, values)) if others else {}
 
 
-def by_regression(problem: Problem) -> dict[str, float]:
+def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
     """Derivatives of the model by equation error over the records, what is only nuisance at rest; none where a state is not
     measured, as those that an effect brings with it."""
     if len(problem.model.states) != len(problem.base.states):

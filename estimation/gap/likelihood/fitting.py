@@ -15,11 +15,11 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.box import step_within
-from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
+from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.between_samples import Grid, fine_grid
+from estimation.gap.likelihood.between_samples import MidSampleGrid, fine_grid
 from estimation.gap.likelihood.whitening import Whitener
-from estimation.gap.records.flight_records import Record, started
+from estimation.gap.records.flight_records import FlightRecord, started
 from estimation.models.base import Model, ParameterRole
 from estimation.models.in_force import asked_for
 
@@ -44,7 +44,7 @@ def carried(local: Local, old: Model, new: Model) -> Local:
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModelFit:
     """A fitted model.
 
     values: shared parameters, held ones included. locals: per record. residuals: per record (N, ny), measured minus
@@ -69,7 +69,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Problem:
+class LikelihoodProblem:
     """A model bound to records and their whiteners. base: the model the records were prepared for.
 
     Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how a surface moved
@@ -78,7 +78,7 @@ class Problem:
 
     model: Model
     base: Model
-    records: tuple[Record, ...]
+    records: tuple[FlightRecord, ...]
     whiteners: tuple[Whitener, ...]
     criteria: Criteria
 
@@ -88,7 +88,7 @@ class Problem:
         return tuple(r.segment(self.model, self.base) for r in self.records)
 
     @cached_property
-    def grids(self) -> tuple[Grid, ...]:
+    def grids(self) -> tuple[MidSampleGrid, ...]:
         """The same with one more instant in the middle of each interval."""
         return tuple(fine_grid(s) for s in self.coarse)
 
@@ -186,7 +186,7 @@ class Problem:
         )
         return motion.dy[:, :, -du.shape[2] :] if motion.finite and motion.dy is not None else None
 
-    def driven(self, grid: Grid, values: Mapping[str, float]) -> Segment:
+    def driven(self, grid: MidSampleGrid, values: Mapping[str, float]) -> Segment:
         """A grid's inputs with the paths of the controls between samples as `values` say."""
         u = grid.segment.u
         shifts = [(i, values[name]) for name, i in self.curvatures.items() if values.get(name, 0.0) != 0.0]
@@ -214,7 +214,7 @@ class Problem:
         return p.lower, p.upper
 
 
-def prior_terms(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
+def prior_terms(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
     """(weights (n,), weighted distances (n,)) of the Gaussian priors of the named parameters."""
     weight, distance = np.zeros(len(names)), np.zeros(len(names))
     for i, name in enumerate(names):
@@ -225,23 +225,23 @@ def prior_terms(problem: Problem, names: Sequence[str], values: Mapping[str, flo
     return weight, distance
 
 
-def prior_cost(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> float:
+def prior_cost(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> float:
     weight, distance = prior_terms(problem, names, values)
     return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))
 
 
 @dataclass(frozen=True)
-class Point:
+class WhitenedPoint:
     """Values at which the whitened cost was computed; residuals: per record, none where the motion leaves the finite numbers;
     products: per record, where the derivatives were worked out with it."""
 
     cost: float
     residuals: tuple[Array, ...] = ()
-    products: tuple["Linearised", ...] = ()
+    products: tuple["LinearisedRecord", ...] = ()
 
 
 @dataclass(frozen=True)
-class Linearised:
+class LinearisedRecord:
     """One record linearised. residual: (N, ny); gram: inner products of the white columns of shared unknowns, of its own and of
     the residual."""
 
@@ -250,14 +250,14 @@ class Linearised:
 
 
 @dataclass
-class Unknowns:
+class ProblemUnknowns:
     """The problem as the optimiser sees it: one vector of the first n shared unknowns, then every record's own.
 
     values: everything shared, where it starts. held: indices of shared unknowns that stay. hessian: of the last step. begun:
     whether a point has been evaluated.
     """
 
-    problem: Problem
+    problem: LikelihoodProblem
     values: Mapping[str, float]
     n: int
     held: Sequence[int]
@@ -285,7 +285,7 @@ class Unknowns:
     def clip(self, unknowns: Array) -> Array:
         return np.concatenate([np.clip(unknowns[: self.n], *self.limits), unknowns[self.n :]])
 
-    def evaluate(self, unknowns: Array, derivatives: bool) -> Point:
+    def evaluate(self, unknowns: Array, derivatives: bool) -> WhitenedPoint:
         """Cost and residuals. Derivatives cost more and wait until a step is wanted, but for the first point, from which one is:
         the same run of the motion gives both."""
         first, self.begun = not self.begun, True
@@ -295,15 +295,15 @@ class Unknowns:
             known = tuple(m for m in made if m is not None)
             if len(known) == len(made):
                 energies = [float(m.gram[-1, -1]) for m in known]
-                return Point(self.cost(values, locals_, energies), tuple(m.residual for m in known), known)
+                return WhitenedPoint(self.cost(values, locals_, energies), tuple(m.residual for m in known), known)
         problem, residuals = self.problem, []
         for i, local in enumerate(locals_):
             residual = problem.residual(i, values, local)
             if residual is None:
-                return Point(np.inf)
+                return WhitenedPoint(np.inf)
             residuals.append(residual)
         energies = [w.energy(r) for w, r in zip(problem.whiteners, residuals, strict=True)]
-        return Point(self.cost(values, locals_, energies), tuple(residuals))
+        return WhitenedPoint(self.cost(values, locals_, energies), tuple(residuals))
 
     def cost(self, values: Mapping[str, float], locals_: Sequence[Local], energies: Sequence[float]) -> float:
         """Half the whitened sums of squares of the records, with the priors."""
@@ -311,7 +311,7 @@ class Unknowns:
         own = sum(prior_cost(problem, problem.local_names, local.parameters) for local in locals_)
         return prior_cost(problem, problem.free, values) + own + 0.5 * sum(energies)
 
-    def step(self, unknowns: Array, point: Point, damping: float) -> Step:
+    def step(self, unknowns: Array, point: WhitenedPoint, damping: float) -> SolverStep:
         """Gauss-Newton step; none, and `runaway` set, where a sensitivity leaves the finite numbers."""
         problem, n = self.problem, self.n
         values, locals_ = self.unpacked(unknowns)
@@ -321,7 +321,7 @@ class Unknowns:
             products = point.products[i] if point.products else linearised_in(problem, i, values, local, n)
             if products is None:
                 self.runaway = True
-                return Step(np.zeros_like(unknowns), 0.0)
+                return SolverStep(np.zeros_like(unknowns), 0.0)
             block = record_blocks(problem, products, local, n)
             information, gradient = block.reduced()
             H, g = H + information, g + gradient
@@ -332,27 +332,29 @@ class Unknowns:
         low[list(self.held)] = high[list(self.held)] = 0.0
         shared = step_within(H, g, low, high)
         own = [block.local(shared) for block in blocks]
-        return Step(np.concatenate([shared, *own]), decrement + float(shared @ g - 0.5 * shared @ H @ shared))
+        return SolverStep(np.concatenate([shared, *own]), decrement + float(shared @ g - 0.5 * shared @ H @ shared))
 
 
-def cost_at(problem: Problem, values: Mapping[str, float]) -> float:
+def cost_at(problem: LikelihoodProblem, values: Mapping[str, float]) -> float:
     """Whitened cost at shared `values` (the model's own where not given), every record from its measured initial state; infinite
     where the motion runs away."""
-    view = Unknowns(problem, {**problem.starts(), **values}, 0, (), np.zeros((0, 0)))
+    view = ProblemUnknowns(problem, {**problem.starts(), **values}, 0, (), np.zeros((0, 0)))
     return view.evaluate(view.packed(problem.starting_locals()), False).cost
 
 
-def linearised_in(problem: Problem, index: int, values: Mapping[str, float], local: Local, n: int) -> Linearised | None:
+def linearised_in(
+    problem: LikelihoodProblem, index: int, values: Mapping[str, float], local: Local, n: int
+) -> LinearisedRecord | None:
     """One record linearised in the first n shared unknowns and its own; None where the motion runs away."""
     found = problem.linearised(index, values, local)
     if found is None:
         return None
     residual, dy = found
     columns = np.concatenate([dy[:, :, :n], dy[:, :, len(problem.free) :], residual[:, :, None]], axis=2)
-    return Linearised(residual, problem.whiteners[index].gram(columns))
+    return LinearisedRecord(residual, problem.whiteners[index].gram(columns))
 
 
-def record_blocks(problem: Problem, products: Linearised, local: Local, n: int) -> FlightBlocks:
+def record_blocks(problem: LikelihoodProblem, products: LinearisedRecord, local: Local, n: int) -> FlightBlocks:
     """Information of one record about the first n shared unknowns and its own."""
     gram = products.gram
     information, gradient, m = gram[:-1, :-1].copy(), gram[:-1, -1].copy(), len(gram) - 1
@@ -362,14 +364,14 @@ def record_blocks(problem: Problem, products: Linearised, local: Local, n: int) 
     return FlightBlocks.split(information, gradient, np.arange(n), np.arange(n, m))
 
 
-def local_prior(problem: Problem, local: Local, count: int) -> tuple[Array, Array]:
+def local_prior(problem: LikelihoodProblem, local: Local, count: int) -> tuple[Array, Array]:
     """(weights, weighted distances) of the priors of a record's own `count` unknowns; initial states have none."""
     w, d = prior_terms(problem, problem.local_names, local.parameters)
     return np.pad(w, (0, count - w.size)), np.pad(d, (0, count - d.size))
 
 
 def fit(
-    problem: Problem,
+    problem: LikelihoodProblem,
     start: Mapping[str, float] | None = None,
     locals_: Sequence[Local] | None = None,
     iterations: int = ITERATIONS,
@@ -377,14 +379,14 @@ def fit(
     enough: float = ENOUGH,
     held: Collection[str] = (),
     beyond: float = np.inf,
-) -> Fit:
+) -> ModelFit:
     """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
     enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are.
     beyond: a fit whose steps promise nothing near this cost is left where it is."""
     n = 0 if frozen else len(problem.free)
     names = problem.free[:n]
     values = {**problem.starts(), **(start or {})}
-    view = Unknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
+    view = ProblemUnknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
     begin = view.packed(locals_ if locals_ is not None else problem.starting_locals())
     options = LoopOptions(
         iterations,
@@ -402,4 +404,4 @@ def fit(
     done, own = view.unpacked(outcome.unknowns)
     converged = outcome.status is Status.CONVERGED and not view.runaway
     diverged = outcome.status is Status.DIVERGED or view.runaway
-    return Fit(problem.model, names, done, own, point.residuals, point.cost, view.hessian, converged, diverged)
+    return ModelFit(problem.model, names, done, own, point.residuals, point.cost, view.hessian, converged, diverged)

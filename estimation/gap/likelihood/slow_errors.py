@@ -16,7 +16,7 @@ from scipy.fft import idct
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.gap.likelihood.whitening import Shapes, Source
+from estimation.gap.likelihood.whitening import NoiseSource, Shapes
 
 SLOW = 0.5  # Hz, up to which
 RUNAWAY = 1e6  # a change that grows so far is no small one any more
@@ -63,5 +63,5 @@ def slow_errors(
 def without_slow(shapes: Shapes, below: float) -> Shapes:
     """The shapes with nothing slower than `below` [Hz] in what is wrong with the controls."""
     fast = (np.fft.rfftfreq(shapes.count, shapes.step) >= below)[:, None]
-    parts = {n: p * fast if n.source is Source.PREPARED else p for n, p in shapes.parts.items()}
+    parts = {n: p * fast if n.source is NoiseSource.PREPARED else p for n, p in shapes.parts.items()}
     return replace(shapes, parts=parts)

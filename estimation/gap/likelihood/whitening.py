@@ -43,7 +43,7 @@ SPAN = REFERENCE["b"]
 FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
 
 
-class Source(Enum):
+class NoiseSource(Enum):
     """Where noise enters."""
 
     RATE = "rate of a state"  # white, or with a memory: the derivative of coloured noise, as gusts have it
@@ -56,14 +56,14 @@ class Source(Enum):
     GYRO = "gyro of an attitude filter"  # of one sample on the attitude's rate, integrated with the same forgetting
 
 
-ON_FORCES = (Source.RATE, Source.TWIST)
+ON_FORCES = (NoiseSource.RATE, NoiseSource.TWIST)
 
 
 @dataclass(frozen=True, slots=True)
 class NoisePart:
     """One way in which noise enters. of: the state, control or attitude; memory: correlation time [s], 0 where white."""
 
-    source: Source
+    source: NoiseSource
     of: str
     memory: float = 0.0
 
@@ -310,22 +310,22 @@ def shapes_of(
     parts: dict[NoisePart, Complex] = {}
     for name in force_states(model) if states is None else states:
         i = model.state_names.index(name)
-        parts[NoisePart(Source.RATE, name)] = reply[:, :, i]
-        parts[NoisePart(Source.RATE, name, lasting)] = reply[:, :, i] * (s / (s + 1 / lasting))[:, None]
-        parts[NoisePart(Source.TWIST, name, fading)] = reply[:, :, i] / (1 + s * fading)[:, None]
+        parts[NoisePart(NoiseSource.RATE, name)] = reply[:, :, i]
+        parts[NoisePart(NoiseSource.RATE, name, lasting)] = reply[:, :, i] * (s / (s + 1 / lasting))[:, None]
+        parts[NoisePart(NoiseSource.TWIST, name, fading)] = reply[:, :, i] / (1 + s * fading)[:, None]
     for j, name in enumerate(linear.controls):
         moved = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
-        parts[NoisePart(Source.CONTROL, name)] = moved
+        parts[NoisePart(NoiseSource.CONTROL, name)] = moved
         # of every record, for one flight's control may be too coarse to have its noise taken off, and the next one's not
-        parts[NoisePart(Source.PREPARED, name)] = moved * np.sqrt(left.get(name, np.zeros(s.size)))[:, None]
+        parts[NoisePart(NoiseSource.PREPARED, name)] = moved * np.sqrt(left.get(name, np.zeros(s.size)))[:, None]
     for i, name in enumerate(model.output_names):
         if name in RATE_OF:
             before = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
             summed = (linear.dt / (1.0 - np.exp(-linear.dt / criteria.filter_memory) * before))[:, None] * np.eye(ny)[i]
-            parts[NoisePart(Source.WANDERING, name)] = summed
+            parts[NoisePart(NoiseSource.WANDERING, name)] = summed
             if RATE_OF[name] in model.output_names:
                 own = np.eye(ny)[model.output_names.index(RATE_OF[name])]
-                parts[NoisePart(Source.GYRO, name)] = own + 0.5 * (1.0 + before)[:, None] * summed
+                parts[NoisePart(NoiseSource.GYRO, name)] = own + 0.5 * (1.0 + before)[:, None] * summed
     return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, linear.dt)
 
 
@@ -401,7 +401,7 @@ def estimate_noise(
     names, power = [n for n, p in zip(names, power, strict=True) if p > 0.0], power[power > 0.0]
     R, v, turns = start.copy(), BEGIN / power, ITERATIONS
     v = np.array([known.get(n, x) for n, x in zip(names, v, strict=True)])
-    free = np.array([n.source is not Source.PREPARED for n in names], dtype=bool)
+    free = np.array([n.source is not NoiseSource.PREPARED for n in names], dtype=bool)
     v[~free] = 1.0
     if begin is not None and all(n in begin.process for n in names):
         R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING

@@ -3,11 +3,11 @@
 import re
 from collections.abc import Mapping, Sequence
 
-from estimation.gap.answer.result import Gap, GapResult, Step
-from estimation.gap.answer.shape import Curve
+from estimation.gap.answer.result import EffectStep, Gap, GapResult
+from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects.base import Effect
 from estimation.report.notes import collected
-from estimation.report.tables import Table, number, pair, significant
+from estimation.report.tables import ReportTable, number, pair, significant
 
 GAP_HEAD = ("before [σ]", "after [σ]", "floor [σ]", "closed [%]")
 BEFORE_FLYING, MIGRATED = ("from [1/rad]", "to [1/rad]"), "moved by [bounds]"
@@ -22,33 +22,35 @@ SHARED = (
 """Reasons for which effects are rejected in many rounds, with other numbers in each."""
 
 
-def step_gap(step: Step) -> Table:
+def step_gap(step: EffectStep) -> ReportTable:
     """The disagreement before and after a step, on the flights it was found on and on those held out."""
     rows = [("training flights", *_gap(step.gap))]
     if step.holdout is not None:
         rows.append(("held-out flights", *_gap(step.holdout)))
-    return Table(f"gap_{step.effect}", "Disagreement of model and flight", ("", *GAP_HEAD), tuple(rows), symbols=False)
+    return ReportTable(
+        f"gap_{step.effect}", "Disagreement of model and flight", ("", *GAP_HEAD), tuple(rows), symbols=False
+    )
 
 
 def _gap(gap: Gap) -> tuple[str, str, str, str]:
     return number(gap.before, 3), number(gap.after, 3), number(gap.floor, 3), f"{100.0 * gap.closed:.0f}"
 
 
-def step_parameters(step: Step) -> Table | None:
+def step_parameters(step: EffectStep) -> ReportTable | None:
     """What was estimated of the effect."""
     if not step.estimates:
         return None
     rows = tuple((n, *pair(*e), _unit(step.units.get(n, ""))) for n, e in step.estimates.items())
     head = ("", "estimate", "bound", "unit")
-    return Table(f"parameters_{step.effect}", "Estimate of the effect", head, rows)
+    return ReportTable(f"parameters_{step.effect}", "Estimate of the effect", head, rows)
 
 
-def step_members(step: Step) -> Table | None:
+def step_members(step: EffectStep) -> ReportTable | None:
     """Effects that explain the disagreement about as well, where there are any."""
     if len(step.members) < 2:
         return None
     rows = tuple((m.effect, m.title, number(m.weight, 2), m.separate_by) for m in step.members)
-    return Table(
+    return ReportTable(
         f"members_{step.effect}",
         "What it could be",
         ("effect", "what it is", "weight", "what would separate it"),
@@ -59,17 +61,19 @@ def step_members(step: Step) -> Table | None:
     )
 
 
-def step_migrated(step: Step) -> Table | None:
+def step_migrated(step: EffectStep) -> ReportTable | None:
     """Derivatives of the base that had absorbed the effect."""
     if not step.migrated:
         return None
     rows = tuple((n, number(m.before), number(m.after), number(m.bounds, 1)) for n, m in step.migrated.items())
-    return Table(f"migrated_{step.effect}", "Derivatives that had absorbed it", ("", *BEFORE_FLYING, MIGRATED), rows)
+    return ReportTable(
+        f"migrated_{step.effect}", "Derivatives that had absorbed it", ("", *BEFORE_FLYING, MIGRATED), rows
+    )
 
 
-def step_formulas(step: Step) -> Table | None:
+def step_formulas(step: EffectStep) -> ReportTable | None:
     """Plain formulas tried in place of a nameless curve."""
-    if not isinstance(step.shape, Curve) or not step.shape.candidates:
+    if not isinstance(step.shape, ShapeCurve) or not step.shape.candidates:
         return None
     rows = tuple(
         (
@@ -82,14 +86,16 @@ def step_formulas(step: Step) -> Table | None:
     )
     head = ("formula", "unknowns", "closed [%]", "")
     note = "Share of the whitened energy above the nulls' that is gone on the held-out flights, or on the training flights."
-    return Table("formulas", "Plain formulas in place of the curve", head, rows, symbols=False, texts=(1, 3), note=note)
+    return ReportTable(
+        "formulas", "Plain formulas in place of the curve", head, rows, symbols=False, texts=(1, 3), note=note
+    )
 
 
-def missing_table(result: GapResult) -> Table:
+def missing_table(result: GapResult) -> ReportTable:
     """What is missing in each coefficient, stage by stage."""
     first = result.views[0]
     rows = tuple((n, *(significant(v.equations[n], 2) for v in result.views)) for n in first.equations)
-    return Table(
+    return ReportTable(
         "missing",
         "Missing in each coefficient, rms [1]",
         ("coefficient", *(v.stage for v in result.views)),
@@ -98,7 +104,7 @@ def missing_table(result: GapResult) -> Table:
     )
 
 
-def repeat_table(result: GapResult) -> Table | None:
+def repeat_table(result: GapResult) -> ReportTable | None:
     """Whether the flights repeat each other; those beyond the limit are in red."""
     entries = result.details["repeatability"]
     if not entries:
@@ -114,7 +120,7 @@ def repeat_table(result: GapResult) -> Table | None:
         for f in entries
     )
     failed = frozenset((i, c) for i, f in enumerate(entries) if f["odd"] for c in (1, 4))
-    return Table(
+    return ReportTable(
         "repeatability",
         "Do the flights repeat each other?",
         ("flight", "fitted alone instead of together gains [χ²]", "usual [χ²]", "limit [χ²]", "verdict"),
@@ -126,7 +132,7 @@ def repeat_table(result: GapResult) -> Table | None:
     )
 
 
-def ties_table(result: GapResult) -> Table | None:
+def ties_table(result: GapResult) -> ReportTable | None:
     """Pairs of effects with nearly the same signature."""
     if not result.ties:
         return None
@@ -135,7 +141,7 @@ def ties_table(result: GapResult) -> Table | None:
     note = "|cos| of their signatures in the residuals, 1: the same." + (
         f" {left} pairs that are told apart better are in gap.json." if left else ""
     )
-    return Table(
+    return ReportTable(
         "ties",
         "Effects that these flights cannot tell apart",
         ("effect", "effect", "|cos| [1]"),
@@ -145,12 +151,12 @@ def ties_table(result: GapResult) -> Table | None:
     )
 
 
-def cannot_table(result: GapResult) -> Table | None:
+def cannot_table(result: GapResult) -> ReportTable | None:
     """Effects that these flights would not show, by the manoeuvre that would."""
     by = collected((c["separate_by"], c["effect"]) for c in result.details["cannot_tell"])
     if not by:
         return None
-    return Table(
+    return ReportTable(
         "fly_next",
         "Not visible on these flights",
         ("fly next", "it would show"),
@@ -160,12 +166,12 @@ def cannot_table(result: GapResult) -> Table | None:
     )
 
 
-def rejected_table(result: GapResult) -> Table | None:
+def rejected_table(result: GapResult) -> ReportTable | None:
     """What was looked at and not taken, by the reason; the same effect is looked at again in every round."""
     by = collected((_reason(r.why, r.effect), r.effect) for r in result.rejected)
     if not by:
         return None
-    return Table(
+    return ReportTable(
         "rejected",
         "Looked at and rejected",
         ("why", "effects"),
@@ -182,14 +188,14 @@ def _reason(why: str, effect: str) -> str:
     return why.removeprefix(f"{effect.partition(' ')[0]} ") if why.endswith("to nothing") else why
 
 
-def sizes_table(result: GapResult, effects: Sequence[Effect]) -> Table:
+def sizes_table(result: GapResult, effects: Sequence[Effect]) -> ReportTable:
     """Score of every hypothesis, and the smallest size that would have been seen, with its unit."""
     units = _units(effects)
     rows = []
     for name, size in sorted(result.minimum_detectable.items(), key=lambda item: -result.scores.get(item[0], 0.0)):
         score = result.scores.get(name)
         rows.append((name, "" if score is None else number(score, 1), significant(size, 2), units.get(name, "")))
-    return Table(
+    return ReportTable(
         "sizes",
         "Smallest size that would have been seen",
         ("effect or its parameter", "score [σ of nulls]", "smallest size", "unit"),

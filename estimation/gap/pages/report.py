@@ -7,8 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from estimation.gap.answer.result import GapResult, Histories, Step
-from estimation.gap.answer.shape import Curve
+from estimation.gap.answer.result import EffectStep, GapResult, Histories
+from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
@@ -17,7 +17,7 @@ from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_a
 from estimation.report.markup.html import write_page
 from estimation.report.names import axis_label, face
 from estimation.report.notes import notes_table
-from estimation.report.tables import Table, write_all
+from estimation.report.tables import ReportTable, write_all
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -37,8 +37,8 @@ TITLES = {
 class Told:
     """A step as the page shows it."""
 
-    step: Step
-    tables: tuple[Table, ...]
+    step: EffectStep
+    tables: tuple[ReportTable, ...]
     equation: "Markup | None"
     curve: Picture | None = None
 
@@ -49,7 +49,7 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
     effects: those that were asked for, for their units; by default the catalogue.
     """
     steps = [_told(s) for s in result.steps]
-    tables: dict[str, Table | None] = {
+    tables: dict[str, ReportTable | None] = {
         "missing": gap_tables.missing_table(result) if result.views else None,
         "repeat": gap_tables.repeat_table(result),
         "ties": gap_tables.ties_table(result),
@@ -85,7 +85,7 @@ def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:
     if result.views:
         drawn["residual_maps"] = partial(residual_maps, result)
     for step in result.steps:
-        if isinstance(step.shape, Curve):
+        if isinstance(step.shape, ShapeCurve):
             drawn[f"nameless_{step.shape.output}"] = partial(curve_figure, step.shape)
     return drawn | {f"history_{h.flight}": partial(history_figure, h, result) for h in result.histories}
 
@@ -96,7 +96,7 @@ def _of_flight(note: str) -> tuple[str, str]:
     return (flight, text) if found else ("all", note)
 
 
-def _told(step: Step) -> Told:
+def _told(step: EffectStep) -> Told:
     tables = (
         gap_tables.step_gap(step),
         gap_tables.step_parameters(step),
@@ -104,7 +104,7 @@ def _told(step: Step) -> Told:
         gap_tables.step_migrated(step),
         gap_tables.step_formulas(step),
     )
-    curve = curve_figure(step.shape) if isinstance(step.shape, Curve) else None
+    curve = curve_figure(step.shape) if isinstance(step.shape, ShapeCurve) else None
     shown = tuple(t for t in tables if t is not None)
     return Told(step, shown, typeset(step.equation) if step.equation else None, curve)
 
@@ -149,7 +149,7 @@ def history_figure(h: Histories, result: GapResult) -> Picture:
     )
 
 
-def curve_figure(curve: Curve) -> Picture:
+def curve_figure(curve: ShapeCurve) -> Picture:
     """A nameless part of a coefficient with its band, two standard deviations to either side, over the range flown."""
     from matplotlib.figure import Figure
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimation.gap.answer.result import GapResult, View
+from estimation.gap.answer.result import DisagreementView, GapResult
 from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.names import literal, tex
 
@@ -43,7 +43,7 @@ def residual_maps(result: GapResult) -> Picture:
     )
 
 
-def _channels(axis: "Axes", stages: list[View], colours: list[str]) -> None:
+def _channels(axis: "Axes", stages: list[DisagreementView], colours: list[str]) -> None:
     names = list(stages[0].channels)
     width = 0.8 / len(stages)
     for i, (view, colour) in enumerate(zip(stages, colours, strict=True)):
@@ -57,7 +57,7 @@ def _channels(axis: "Axes", stages: list[View], colours: list[str]) -> None:
     axis.set_ylim(0.8, 1.3 * max(max(v.channels.values()) for v in stages))
 
 
-def _times(axis: "Axes", stages: list[View], colours: list[str]) -> None:
+def _times(axis: "Axes", stages: list[DisagreementView], colours: list[str]) -> None:
     for view, colour in zip(stages, colours, strict=True):
         axis.step(range(len(view.times)), [g for *_, g in view.times], where="mid", color=colour, lw=1.0)
     names = [n for n, *_ in stages[0].times]
@@ -70,7 +70,7 @@ def _times(axis: "Axes", stages: list[View], colours: list[str]) -> None:
     axis.set_title(f"rms residual [σ] over time (windows of {end - begin:.0f} s, flight after flight)")
 
 
-def _missing(axis: "Axes", name: str, stages: list[View], colours: list[str]) -> None:
+def _missing(axis: "Axes", name: str, stages: list[DisagreementView], colours: list[str]) -> None:
     """What is missing in one coefficient over all training flights, one after the other."""
     for view, colour in zip(stages, colours, strict=True):
         course = np.concatenate([m[name] for m in view.missing])
@@ -85,7 +85,7 @@ def _missing(axis: "Axes", name: str, stages: list[View], colours: list[str]) ->
     axis.set_xticks([])
 
 
-def _regime(axis: "Axes", view: View, highest: float) -> None:
+def _regime(axis: "Axes", view: DisagreementView, highest: float) -> None:
     """Map of the gap over equally filled bins of every signal, low to high."""
     names = list(view.regime)
     bins = max(len(rows) for rows in view.regime.values())

@@ -29,7 +29,7 @@ SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own ste
 
 
 @dataclass(frozen=True)
-class Record:
+class FlightRecord:
     """One unbroken stretch of one flight.
 
     flight: index of the flight. first: index of the first sample in it. inputs: name -> (N,) de-noised; z: (N, ny)
@@ -91,7 +91,7 @@ class FlightRecords:
 
     base: Model
     names: tuple[str, ...]
-    records: tuple[Record, ...]
+    records: tuple[FlightRecord, ...]
     training: tuple[int, ...]
     holdout: tuple[int, ...]
     available: frozenset[str]
@@ -99,7 +99,7 @@ class FlightRecords:
     criteria: Criteria
     stale: tuple[str, ...] = ()
 
-    def of(self, flights: Iterable[int]) -> tuple[Record, ...]:
+    def of(self, flights: Iterable[int]) -> tuple[FlightRecord, ...]:
         """Records of the named flights."""
         wanted = set(flights)
         return tuple(r for r in self.records if r.flight in wanted)
@@ -126,7 +126,7 @@ def prepare_flights(
     usable = [s for s in extra.values() if s.name not in known and all(f.measured(s.source) for f in flights)]
     probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
     controls = [i for i, s in enumerate(probe.inputs) if s.control]
-    records: list[Record] = []
+    records: list[FlightRecord] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
         data = prepare(probe, flight)
@@ -144,7 +144,7 @@ def prepare_flights(
             wrong = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
             apart = _not_compared(base, flight, segment)
             records.append(
-                Record(
+                FlightRecord(
                     index,
                     segment.first,
                     segment.time,
@@ -246,7 +246,7 @@ def _with_unseen_paths(
     return wrong
 
 
-def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:
+def with_own_noise(records: Sequence[FlightRecord], training: int, criteria: Criteria) -> tuple[FlightRecord, ...]:
     """The records, marked where an output is clearly noisier than usual on the training flights.
 
     A quieter one is left as usual: the scatter of few samples may look quiet by chance, and trusting it too much names effects.

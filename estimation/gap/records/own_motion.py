@@ -14,14 +14,14 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.models.base import Model
 
 LATE = (0.0, 0.05, 0.1, 0.15, 0.2)  # s: a hand, or an autopilot with its servo, is late by these and what lies between
 ENOUGH = 4  # samples for each of its regressors: a record with fewer says nothing
 
 
-def only_following(records: Sequence[Record], model: Model, criteria: Criteria) -> tuple[str, ...]:
+def only_following(records: Sequence[FlightRecord], model: Model, criteria: Criteria) -> tuple[str, ...]:
     """Controls of `model` that follow the measured motion on every record, but for less than a share of their noise."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(n for n in controls if all(_follows(r, n, criteria) for r in records))
@@ -32,7 +32,7 @@ def words_on(control: str) -> str:
     return f"{control} rests or only follows the motion: whether it is late or has play is not asked; move it by itself, in steps"
 
 
-def _follows(record: Record, control: str, criteria: Criteria) -> bool:
+def _follows(record: FlightRecord, control: str, criteria: Criteria) -> bool:
     noise = record.input_noise.get(control, 0.0)
     motion = followed(record)
     if noise <= 0.0 or len(record) < ENOUGH * motion.shape[1]:
@@ -48,7 +48,7 @@ def own_motion(values: Array, motion: Array) -> float:
     return float(np.sqrt(left @ left / (len(values) - columns.shape[1])))
 
 
-def followed(record: Record) -> Array:
+def followed(record: FlightRecord) -> Array:
     """(N, k) what a control may follow: a straight line, the measured states now and a little before, and their integrals."""
     count = len(record)
     line = np.vander(np.linspace(-1.0, 1.0, count), 2)

@@ -10,8 +10,8 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import prior_cost
-from estimation.gap.search.confirm import Candidate
-from estimation.gap.search.search_state import Finding, Setting
+from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.search.search_state import AcceptedEffect, Setting
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.calibration import Round, by_name
 from estimation.gap.tests_of_fit.measure import predictive_cost
@@ -21,7 +21,7 @@ from estimation.gap.tests_of_fit.omnibus import Omnibus
 
 def accept(
     setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus, shapes: Callable[[], float] = lambda: 0.0
-) -> tuple[Finding | None, list[Rejected]]:
+) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The best candidate that is significant, explains what a nameless term or shape can, and holds on flights it was not fitted
     to. shapes: what the best nameless function of the motion gains, asked only where a candidate is significant."""
     said: list[Rejected] = []
@@ -44,13 +44,15 @@ def accept(
         child, why = confirmed(setting, round_, candidate, nameless)
         if child is not None:
             doubted = doubtful(candidate, shape, round_.threshold, round_.criteria)
-            return Finding(round_, choice.without(refused), candidate, round_.baseline, child, doubted), said
+            return AcceptedEffect(round_, choice.without(refused), candidate, round_.baseline, child, doubted), said
         refused.add(candidate.hypothesis.key)
         said.append(Rejected(candidate.hypothesis.label, why))
     return None, said
 
 
-def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: float) -> tuple[Baseline | None, str]:
+def confirmed(
+    setting: Setting, round_: Round, candidate: FittedHypothesis, nameless: float
+) -> tuple[Baseline | None, str]:
     """The model with a significant candidate in it, or None and why not. nameless: gain of the best term without a name."""
     criteria = round_.criteria
     if not explains(candidate.gain, nameless, criteria):
@@ -75,7 +77,7 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
     return child, ""
 
 
-def estimates_of(round_: Round, candidate: Candidate, child: Baseline) -> dict[str, tuple[float, float]]:
+def estimates_of(round_: Round, candidate: FittedHypothesis, child: Baseline) -> dict[str, tuple[float, float]]:
     """Unknown of a candidate -> value and bound in the model that has it, as widely as the nulls scatter."""
     wider, std = float(np.sqrt(by_name(round_).get(candidate.hypothesis.key, 1.0))), child.fit.std()
     return {
@@ -84,7 +86,7 @@ def estimates_of(round_: Round, candidate: Candidate, child: Baseline) -> dict[s
     }
 
 
-def none_of(candidate: Candidate, baseline: Baseline) -> dict[str, float]:
+def none_of(candidate: FittedHypothesis, baseline: Baseline) -> dict[str, float]:
     """Unknown of a candidate -> its value where there is no effect."""
     return {p.name: p.null_value(baseline.problem.model) for p in candidate.hypothesis.form.parameters}
 
@@ -100,14 +102,14 @@ def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
     return gain >= criteria.named_share * nameless
 
 
-def doubtful(candidate: Candidate, shape: float, threshold: float, criteria: Criteria) -> bool:
+def doubtful(candidate: FittedHypothesis, shape: float, threshold: float, criteria: Criteria) -> bool:
     """Whether a name has the wrong form: a smooth function without a name gains more (twice a log-likelihood, less what chance
     gives its unknowns) by a clear share and by what would itself be significant. One that is right gains as much."""
     better = shape - candidate.gain
     return candidate.gain < criteria.shape_share * shape and better > own_inflation(candidate) * threshold**2
 
 
-def own_inflation(candidate: Candidate) -> float:
+def own_inflation(candidate: FittedHypothesis) -> float:
     """By how much the nulls scatter a candidate's gain, on held-out flights as on those it was fitted to."""
     return max(candidate.gain / candidate.score**2, 1.0) if candidate.score > 0.0 else 1.0
 
@@ -148,7 +150,7 @@ def to_spare(score: float, threshold: float) -> float:
     return max(score**2 - threshold**2, 0.0)
 
 
-def flight_gains(round_: Round, candidate: Candidate) -> list[float]:
+def flight_gains(round_: Round, candidate: FittedHypothesis) -> list[float]:
     """Twice the log-likelihood that a fitted candidate gains on each training flight."""
     gains: dict[int, float] = {}
     pairs = zip(round_.baseline.fit.residuals, candidate.fit.residuals, strict=True)
@@ -157,7 +159,7 @@ def flight_gains(round_: Round, candidate: Candidate) -> list[float]:
     return list(gains.values())
 
 
-def by_timing(round_: Round, candidate: Candidate) -> bool:
+def by_timing(round_: Round, candidate: FittedHypothesis) -> bool:
     """Whether the base had to move its surfaces in time by more than the sampling leaves open to follow the flights.
 
     Then the base fits as well as the effect does, flight by flight; what it cannot explain is that shift.

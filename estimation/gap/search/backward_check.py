@@ -11,8 +11,8 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline, deeper, fit_baseline
 from estimation.gap.likelihood.channel_noise import sample_interval
 from estimation.gap.search.accept import confirmed, own_inflation
-from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
-from estimation.gap.search.search_state import Finding, Setting, afresh_with
+from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
+from estimation.gap.search.search_state import AcceptedEffect, Setting, afresh_with
 from estimation.gap.search.select import Choice, alone, control_noise, material
 from estimation.gap.tests_of_fit.calibration import Round, by_name
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
@@ -20,7 +20,9 @@ from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gain
 from estimation.gap.tests_of_fit.tangent import Tangent
 
 
-def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[Finding], list[Rejected]] | None:
+def backward_check(
+    setting: Setting, findings: Sequence[AcceptedEffect]
+) -> tuple[list[AcceptedEffect], list[Rejected]] | None:
     """Every earlier effect asked again with the later ones in the model: dropped where it has become insignificant,
     exchanged where a rival now explains the same flights better. None where all stand."""
     last = findings[-1]
@@ -43,7 +45,7 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
             why = f"{rival[0].hypothesis.label} explains the same better with the other effects in the model"
             candidate, child = rival
             choice = Choice((candidate,), {candidate.hypothesis.effect.name: 1.0}, ())
-            exchanged = Finding(last.round_, choice, candidate, without, child)
+            exchanged = AcceptedEffect(last.round_, choice, candidate, without, child)
             return [*others, exchanged], [Rejected(old.hypothesis.label, why)]
     return None
 
@@ -54,8 +56,8 @@ def idle(gain: float, threshold: float) -> bool:
 
 
 def _rival(
-    setting: Setting, without: Baseline, old: Finding, last: Round, gain: float
-) -> tuple[Candidate, Baseline] | None:
+    setting: Setting, without: Baseline, old: AcceptedEffect, last: Round, gain: float
+) -> tuple[FittedHypothesis, Baseline] | None:
     """The best hypothesis that beats an earlier effect, which gains `gain`, by a clear margin where that was taken out, and is
     confirmed there as any is that gets a name, with the model that has it; or None.
 
@@ -96,7 +98,9 @@ def questioners(gains: Array, criteria: Criteria) -> list[int]:
     return [int(h) for h in np.argsort(-gains)[: criteria.rivals]]
 
 
-def better_rivals(found: Sequence[Candidate], gain: float, threshold: float, criteria: Criteria) -> list[Candidate]:
+def better_rivals(
+    found: Sequence[FittedHypothesis], gain: float, threshold: float, criteria: Criteria
+) -> list[FittedHypothesis]:
     """The significant candidates that gain more than an accepted effect's `gain` by a clear margin, the most first; gains over
     what the nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
     sound = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]

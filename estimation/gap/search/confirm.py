@@ -14,7 +14,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.likelihood.fitting import Fit, Problem, carried, fit, prior_cost
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, carried, fit, prior_cost
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis, one_sided
@@ -31,13 +31,13 @@ ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, whi
 
 
 @dataclass(frozen=True)
-class Candidate:
+class FittedHypothesis:
     """One fitted hypothesis. gain: twice the log-likelihood gained over the base fit with the same whitening.
     evidence: log evidence relative to the base. why_not: reason for rejection, or empty. noise: of these flights with the
     hypothesis in the model, where it was estimated."""
 
     hypothesis: Hypothesis
-    fit: Fit
+    fit: ModelFit
     gain: float
     score: float
     evidence: float
@@ -48,12 +48,12 @@ class Candidate:
 
 
 def fit_hypothesis(
-    problem: Problem,
-    base_fit: Fit,
+    problem: LikelihoodProblem,
+    base_fit: ModelFit,
     hypothesis: Hypothesis,
     guess: Mapping[str, float],
     beyond: float = np.inf,
-) -> tuple[Problem, Fit]:
+) -> tuple[LikelihoodProblem, ModelFit]:
     """Fit base and hypothesis together from `guess`; (problem, fit).
 
     Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
@@ -72,7 +72,7 @@ def fit_hypothesis(
         if not done[-1][1].diverged:
             break
     ordered = sorted(done, key=_cost)
-    ends: list[tuple[Problem, Fit]] = []
+    ends: list[tuple[LikelihoodProblem, ModelFit]] = []
     for trial, begun in ordered:
         if ends and (begun.diverged or _nothing(hypothesis, problem, begun)):
             continue
@@ -88,24 +88,24 @@ def fit_hypothesis(
     return best
 
 
-def _cost(pair: tuple[Problem, Fit]) -> float:
+def _cost(pair: tuple[LikelihoodProblem, ModelFit]) -> float:
     return pair[1].cost if not pair[1].diverged else np.inf
 
 
-def _lost(hypothesis: Hypothesis, problem: Problem, base_fit: Fit, found: Fit) -> bool:
+def _lost(hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> bool:
     """Whether a fit came to rest above the base that it holds, not at a limit: another valley lies between."""
     inside = all(p.lower < found.values[p.name] < p.upper for p in hypothesis.form.parameters)
     above = found.cost > base_fit.cost + ABOVE
     return found.converged and above and inside and not _nothing(hypothesis, problem, found)
 
 
-def _carried_on(trial: Problem, begun: Fit, beyond: float) -> Fit:
+def _carried_on(trial: LikelihoodProblem, begun: ModelFit, beyond: float) -> ModelFit:
     if begun.converged or begun.diverged:
         return begun
     return fit(trial, begun.values, begun.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 
 
-def _nothing(hypothesis: Hypothesis, problem: Problem, found: Fit) -> bool:
+def _nothing(hypothesis: Hypothesis, problem: LikelihoodProblem, found: ModelFit) -> bool:
     """Whether a fit ended where the hypothesis does nothing."""
     return all(
         abs(found.values[p.name] - p.null_value(problem.model)) < AT_NOTHING * p.typical
@@ -114,8 +114,8 @@ def _nothing(hypothesis: Hypothesis, problem: Problem, found: Fit) -> bool:
 
 
 def _begun(
-    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, start: Mapping[str, float], beyond: float
-) -> tuple[Problem, Fit]:
+    problem: LikelihoodProblem, base_fit: ModelFit, hypothesis: Hypothesis, start: Mapping[str, float], beyond: float
+) -> tuple[LikelihoodProblem, ModelFit]:
     """The first steps of base and hypothesis together from a start."""
     model = awakened(problem.model, hypothesis.form, start)
     trial = replace(problem, model=model)
@@ -124,13 +124,15 @@ def _begun(
     return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 
 
-def _nearer(hypothesis: Hypothesis, problem: Problem, start: Mapping[str, float], share: float) -> dict[str, float]:
+def _nearer(
+    hypothesis: Hypothesis, problem: LikelihoodProblem, start: Mapping[str, float], share: float
+) -> dict[str, float]:
     """A start moved to a share of its distance from no effect."""
     none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
     return {n: none[n] + share * (value - none[n]) for n, value in start.items()}
 
 
-def _inside(hypothesis: Hypothesis, problem: Problem, guess: Mapping[str, float]) -> dict[str, float]:
+def _inside(hypothesis: Hypothesis, problem: LikelihoodProblem, guess: Mapping[str, float]) -> dict[str, float]:
     """Start values inside the physical range and not exactly at no effect, where one-sided effects have no slope."""
     start = {}
     for p in hypothesis.form.parameters:
@@ -143,8 +145,13 @@ def _inside(hypothesis: Hypothesis, problem: Problem, guess: Mapping[str, float]
 
 
 def assess(
-    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, inflation: float, own: float | None = None
-) -> Candidate:
+    problem: LikelihoodProblem,
+    base_fit: ModelFit,
+    hypothesis: Hypothesis,
+    found: ModelFit,
+    inflation: float,
+    own: float | None = None,
+) -> FittedHypothesis:
     """Gain, score, evidence and admissibility of a fitted hypothesis.
 
     inflation: by which rivals' gains are divided alike for the evidence; own: the hypothesis' own, for its score.
@@ -168,16 +175,16 @@ def assess(
     evidence -= 0.5 * begun  # what as many unknowns gain of noise
     unknowns = len(hypothesis.form.parameters) + begun
     score = equivalent_z(deflated(gain, freed, inflation if own is None else own), unknowns)
-    return Candidate(hypothesis, found, gain, score, evidence, estimates, size, why_not)
+    return FittedHypothesis(hypothesis, found, gain, score, evidence, estimates, size, why_not)
 
 
-def begun_anew(problem: Problem) -> int:
+def begun_anew(problem: LikelihoodProblem) -> int:
     """Stretches that a state begins in beyond one for each flight: where a link breaks twenty times, what a lag or a flow of its
     own begins with is free twenty times, and pays for much that is no such effect."""
     return len(problem.records) - len({r.flight for r in problem.records})
 
 
-def freed_by(problem: Problem, base_fit: Fit, found: Fit) -> float:
+def freed_by(problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> float:
     """What a fit gains (twice a log-likelihood) as what is only nuisance, surfaces moved in time, need not bend as far for it."""
     names = [n for n in problem.free if problem.nuisance(n)]
     return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, found.values))

@@ -4,12 +4,12 @@ from functools import partial
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.errors import GapError
-from estimation.gap.form.places import Flown, places_of
+from estimation.gap.form.places import ModelMotion, places_of
 from estimation.gap.form.screen import rank
 from estimation.gap.likelihood.baseline import Baseline, deeper, fit_baseline
 from estimation.gap.search.accept import accept
 from estimation.gap.search.backward_check import backward_check
-from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.search.search_state import AcceptedEffect, SearchState, Setting
 from estimation.gap.search.select import Choice, choose
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.omnibus import examine
@@ -20,7 +20,7 @@ DEEPER = 2  # better valleys of the base that one round is asked again for
 def shape_gain(setting: Setting, round_: Round) -> float:
     """What the best function of one variable without a name gains about a fitted model (twice the log-likelihood); nothing where
     none stands out of the nulls."""
-    flown = Flown.of(round_.baseline.problem, round_.baseline.fit)
+    flown = ModelMotion.of(round_.baseline.problem, round_.baseline.fit)
     return rank(flown, round_, places_of(setting.base)).best_gain
 
 
@@ -41,7 +41,7 @@ def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | 
 
 def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     """Add one effect after the other to `baseline` as long as one is accepted; what is left is examined at the end."""
-    findings: list[Finding] = []
+    findings: list[AcceptedEffect] = []
     rounds: list[Round] = []
     rejected: list[Rejected] = []
     again = 0

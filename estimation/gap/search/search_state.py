@@ -11,7 +11,7 @@ from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baselin
 from estimation.gap.random_streams import ROUND
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords
-from estimation.gap.search.confirm import Candidate
+from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.calibration import Round, name_threshold, screen_round
 from estimation.gap.tests_of_fit.nulls import InputErrors
@@ -36,13 +36,13 @@ AS_USUAL = Options()
 
 
 @dataclass(frozen=True)
-class Finding:
+class AcceptedEffect:
     """An effect accepted in some round: the hypothesis, its rivals, the model before and after. doubted: whether a shape
     without a name explains clearly more."""
 
     round_: Round
     choice: Choice
-    candidate: Candidate
+    candidate: FittedHypothesis
     parent: Baseline
     child: Baseline
     doubted: bool = False
@@ -52,7 +52,7 @@ class Finding:
 class SearchState:
     """All that the rounds left. omnibus: what is still there without a name; rejected: hypotheses that were turned down."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[AcceptedEffect, ...]
     rounds: tuple[Round, ...]
     omnibus: Omnibus
     rejected: tuple[Rejected, ...]
@@ -82,7 +82,7 @@ class Setting:
         controls = {s.name for s in self.base.inputs if s.control}
         return bool(controls) and controls <= set(self.following)
 
-    def child(self, parent: Baseline, candidate: Candidate) -> Baseline:
+    def child(self, parent: Baseline, candidate: FittedHypothesis) -> Baseline:
         """The parent with a candidate's form, fitted afresh with its own noise."""
         at = {n: v for n, (v, _) in candidate.estimates.items()}
         clean = candidate.hypothesis.form.added_to(parent.clean, at)
@@ -112,7 +112,7 @@ class Setting:
         )
 
 
-def afresh_with(setting: Setting, findings: Sequence[Finding], child: Baseline) -> Baseline | None:
+def afresh_with(setting: Setting, findings: Sequence[AcceptedEffect], child: Baseline) -> Baseline | None:
     """The working model with the effects of some findings, fitted afresh with the noise of `child`, which has more in it; None
     where the motion runs away without that."""
     model, clean = setting.working, setting.clean

@@ -11,9 +11,9 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import whiteners_for
 from estimation.gap.likelihood.channel_noise import sample_interval
 from estimation.gap.likelihood.fitting import fit, prior_cost
-from estimation.gap.records.flight_records import FlightRecords, Record
+from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.gap.records.nuisance import TIMING
-from estimation.gap.search.confirm import ENOUGH, Candidate, assess, fit_hypothesis, leading
+from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_hypothesis, leading
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import linear_guess
 
@@ -25,12 +25,12 @@ AGAIN = 8  # steps from where the first fit ended, with another whitening
 class Choice:
     """The outcome of one round: ranked candidates with weights over effects, and what was rejected."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[FittedHypothesis, ...]
     weights: Mapping[str, float]
     rejected: tuple[Rejected, ...]
 
     @property
-    def best(self) -> Candidate | None:
+    def best(self) -> FittedHypothesis | None:
         return self.candidates[0] if self.candidates else None
 
     def without(self, refused: Collection[tuple[str, str]]) -> "Choice":
@@ -52,7 +52,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
         return Choice((), {}, ())
     inflation, own = comparable(round_), alone(round_)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
-    judged: list[Candidate] = []
+    judged: list[FittedHypothesis] = []
     beyond = np.inf
     for h in leading(screen, promise(round_), criteria):
         hypothesis = screen.hypotheses[h]
@@ -68,7 +68,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     return Choice(ranked, _weights(ranked), tuple(rejected))
 
 
-def worth_comparing(sound: Sequence[Candidate], criteria: Criteria) -> Sequence[Candidate]:
+def worth_comparing(sound: Sequence[FittedHypothesis], criteria: Criteria) -> Sequence[FittedHypothesis]:
     """The candidates, best evidence first, that are compared again with sharper noise; none where the best is nothing yet."""
     return sound[: criteria.compared] if sound and sound[0].score >= criteria.promising else ()
 
@@ -129,12 +129,14 @@ def alone(round_: Round) -> dict[tuple[str, str], float]:
     }
 
 
-def control_noise(records: Sequence[Record]) -> dict[str, float]:
+def control_noise(records: Sequence[FlightRecord]) -> dict[str, float]:
     """Input -> standard deviation of the noise found on it, median over the records."""
     return {n: float(np.median([r.input_noise.get(n, 0.0) for r in records])) for n in records[0].inputs}
 
 
-def material(candidate: Candidate, interval: float, noise: Mapping[str, float], criteria: Criteria) -> Candidate:
+def material(
+    candidate: FittedHypothesis, interval: float, noise: Mapping[str, float], criteria: Criteria
+) -> FittedHypothesis:
     """The candidate, rejected where its estimate is far below the size at which the effect matters, where a surface would
     be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell, or where a play is no wider
     than the noise of its control. noise: input -> standard deviation."""
@@ -157,8 +159,11 @@ def material(candidate: Candidate, interval: float, noise: Mapping[str, float], 
 
 
 def _compared_again(
-    round_: Round, prepared: FlightRecords, sound: Sequence[Candidate], inflation: Mapping[tuple[str, str], float]
-) -> tuple[Candidate, ...]:
+    round_: Round,
+    prepared: FlightRecords,
+    sound: Sequence[FittedHypothesis],
+    inflation: Mapping[tuple[str, str], float],
+) -> tuple[FittedHypothesis, ...]:
     """The candidates with the noise re-estimated from the best one's residuals: sharper, and the same for all."""
     best, problem = sound[0], round_.baseline.problem
     noise, whiteners = whiteners_for(
@@ -183,7 +188,7 @@ def _compared_again(
     return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))
 
 
-def _weights(candidates: Sequence[Candidate], misfit: float = 1.0) -> dict[str, float]:
+def _weights(candidates: Sequence[FittedHypothesis], misfit: float = 1.0) -> dict[str, float]:
     """Weight of each effect: the evidence of its forms together, over a misfit that they share."""
     if not candidates:
         return {}

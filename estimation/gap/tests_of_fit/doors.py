@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
-from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 
 AT_ONCE = 60  # disturbances in one run: the arrays of some hundred would fill a small machine
@@ -18,7 +18,9 @@ def is_door(name: str) -> bool:
     return name.startswith(DISTURBANCE.format(""))
 
 
-def through_doors(problem: Problem, found: Fit, index: int, asks: Sequence[tuple[str, Array]]) -> Iterator[Array]:
+def through_doors(
+    problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequence[tuple[str, Array]]
+) -> Iterator[Array]:
     """(N, ny) changes of the outputs of one record, by unit of each of `asks`: a door and the course (N,) through it.
 
     Nothing where they run away or nothing was measured.

@@ -8,7 +8,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form
-from estimation.gap.likelihood.fitting import Fit, Problem, carried
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, carried
 from estimation.gap.records.candidate_model import awakened
 from estimation.models.base import Model
 
@@ -33,7 +33,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class Column:
+class HypothesisColumn:
     """One unknown of one hypothesis."""
 
     hypothesis: int
@@ -41,7 +41,11 @@ class Column:
 
 
 def sensitivity(
-    problem: Problem, fit: Fit, base_residuals: Sequence[Array], hypothesis: Hypothesis, column: EffectParameter
+    problem: LikelihoodProblem,
+    fit: ModelFit,
+    base_residuals: Sequence[Array],
+    hypothesis: Hypothesis,
+    column: EffectParameter,
 ) -> list[Array] | None:
     """Per record (N, ny) change of the outputs per unit of a hypothesis' parameter, by secants of a typical size.
 

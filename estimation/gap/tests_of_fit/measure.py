@@ -10,7 +10,7 @@ from estimation.estimators.arrow import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit, Problem, local_prior
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, local_prior
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.tests_of_fit.calibration import Round
@@ -18,7 +18,7 @@ from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
 from estimation.gap.tests_of_fit.tangent import Tangent
 
 
-def rms_over_noise(problem: Problem, found: Fit, scatter: Array) -> float:
+def rms_over_noise(problem: LikelihoodProblem, found: ModelFit, scatter: Array) -> float:
     """Gap of a fitted model: rms over records, samples and outputs of residual / noise.
 
     The whitened fit forgives slow drifts (gusts make them); for this plain measure every record's initial states and
@@ -33,19 +33,19 @@ def rms_over_noise(problem: Problem, found: Fit, scatter: Array) -> float:
     return float(np.sqrt(squares / max(count, 1.0)))
 
 
-def plain_residuals(problem: Problem, found: Fit, index: int, scatter: Array) -> Array:
+def plain_residuals(problem: LikelihoodProblem, found: ModelFit, index: int, scatter: Array) -> Array:
     """(N, ny) residuals of a record after its initial states and biases were fitted with plain weights."""
     residual = found.residuals[index]
     rows = _plain_rows(problem, found, index, np.nan_to_num(residual)[:, :, None], scatter)
     return np.where(np.isfinite(residual), rows.reshape(residual.shape) * scatter, np.nan)
 
 
-def _plainly(problem: Problem, found: Fit, index: int, residuals: Array, scatter: Array) -> Array:
+def _plainly(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
     """(m,) sums of squares over noise of residuals (N, ny, m) after the record's own unknowns were fitted to them."""
     return np.sum(_plain_rows(problem, found, index, residuals, scatter) ** 2, axis=0)
 
 
-def _plain_rows(problem: Problem, found: Fit, index: int, residuals: Array, scatter: Array) -> Array:
+def _plain_rows(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
     """(N ny, m) residuals over noise after the record's own unknowns were fitted to them."""
     linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
     finite = np.isfinite(problem.coarse[index].z)
@@ -106,7 +106,9 @@ class Floors:
         return float(np.median(self.holdout)) if self.holdout.size else None
 
 
-def floors(round_: Round, held: tuple[Problem, Fit] | None, held_errors: Sequence[InputErrors], seed: int) -> Floors:
+def floors(
+    round_: Round, held: tuple[LikelihoodProblem, ModelFit] | None, held_errors: Sequence[InputErrors], seed: int
+) -> Floors:
     """Gap of the nulls of a round after the same refit, by linear theory about the fitted point."""
     baseline = round_.baseline
     problem, found, scatter = baseline.problem, baseline.fit, baseline.scatter
@@ -130,14 +132,14 @@ def _flown(flyer: NullFlyer, index: int, count: int, seed: int) -> Array:
     return np.stack([nowhere if residual is None else residual for residual in flown], axis=2)
 
 
-def _gaps(problem: Problem, found: Fit, flown: Sequence[Array], shift: Array, scatter: Array) -> Array:
+def _gaps(problem: LikelihoodProblem, found: ModelFit, flown: Sequence[Array], shift: Array, scatter: Array) -> Array:
     """(nulls,) gap of null residuals, per record (N, ny, nulls), after the shared parameters moved by `shift`."""
     parts = [_after_refit(problem, found, i, residuals, shift, scatter) for i, residuals in enumerate(flown)]
     return np.asarray(np.sqrt(np.sum([p for p, _ in parts], axis=0) / max(sum(n for _, n in parts), 1.0)))
 
 
 def _after_refit(
-    problem: Problem, found: Fit, index: int, residuals: Array, shift: Array, scatter: Array
+    problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, shift: Array, scatter: Array
 ) -> tuple[Array, float]:
     """(nulls,) sums of squares over noise of null residuals (N, ny, nulls) after the shared parameters moved by `shift`
     (n, nulls) and the record's own unknowns were fitted; and the number of values in each sum."""
@@ -148,6 +150,6 @@ def _after_refit(
     return _plainly(problem, found, index, moved, scatter), _values(problem, index)
 
 
-def _values(problem: Problem, index: int) -> float:
+def _values(problem: LikelihoodProblem, index: int) -> float:
     """Measured values of one record."""
     return float(np.isfinite(problem.coarse[index].z).sum())

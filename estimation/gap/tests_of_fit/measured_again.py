@@ -22,9 +22,9 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
 from estimation.signals.preprocess import denoise_many
 from estimation.signals.raw_steps import with_raw_steps
@@ -63,7 +63,7 @@ class MeasuredAgain:
                 made.append(tuple(r for r in records if r is not None))
         return tuple(made)
 
-    def share(self, gain: float, found: Fit) -> float:
+    def share(self, gain: float, found: ModelFit) -> float:
         """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
 
         Half the difference from its mean gain on flights without the effect, less what the sum of both, twice what the noise of
@@ -95,7 +95,7 @@ class MeasuredAgain:
         return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - usual))
 
 
-def _gain(problem: Problem, remade: Sequence[Remade], found: Fit) -> float | None:
+def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit) -> float | None:
     """What a fitted hypothesis gains on one set made anew (twice a log-likelihood); None where its motion runs away."""
     total = 0.0
     for index, record in enumerate(remade):
@@ -113,7 +113,7 @@ def own_share(gain: float, without: float, criteria: Criteria) -> float:
     return float(np.clip(own / gain, 0.0, 1.0))
 
 
-def course(record: Record, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
+def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
     """(N,) a course that a control may have taken: as prepared, with one draw of what that leaves open; by its steps, where the
     measured values stand with all of their noise, without it."""
     near = record.raw.get(name)
@@ -125,7 +125,7 @@ def course(record: Record, name: str, prepared: Array, noise: float, rng: np.ran
     return np.where(near, smooth, prepared + error)
 
 
-def prepared_anew(record: Record, name: str, measured: Array, noise: float, baseline: Baseline) -> Array:
+def prepared_anew(record: FlightRecord, name: str, measured: Array, noise: float, baseline: Baseline) -> Array:
     """(N,) a measured control without its noise, by its steps as measured where the record's own is."""
     smooth = denoise_many([measured], noise=noise)[0].values
     near = record.raw.get(name)

@@ -14,12 +14,12 @@ from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
-from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit
 from estimation.gap.likelihood.surface_steps import find_surface_steps
-from estimation.gap.likelihood.whitening import ON_FORCES, NoiseModel, NoisePart, Source, linear_motion
+from estimation.gap.likelihood.whitening import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import DISTURBANCE
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.models.base import Model
 
@@ -43,7 +43,9 @@ class InputErrors:
         return np.column_stack([self.bank[n][number] if n in self.bank else still for n in names])
 
 
-def with_errors(records: Sequence[Record], model: Model, errors: Sequence[InputErrors]) -> tuple[Record, ...]:
+def with_errors(
+    records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors]
+) -> tuple[FlightRecord, ...]:
     """The records with the spectra of what is wrong with their controls, as the nulls have it."""
     controls = [s.name for s in model.inputs if s.control]
     return tuple(
@@ -62,7 +64,7 @@ def spectrum(courses: Array) -> Array:
     return np.asarray((total[high] - total[low]) / (high - low))
 
 
-def input_errors(record: Record, model: Model, rng: np.random.Generator) -> InputErrors:
+def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -> InputErrors:
     """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
     bank = {}
     for signal in model.inputs:
@@ -98,8 +100,8 @@ class NullFlyer:
     input column that does it. driven: per record, its inputs as the fit has them, with the middles between samples. intervals:
     per record, between its samples [s]."""
 
-    problem: Problem
-    fit: Fit
+    problem: LikelihoodProblem
+    fit: ModelFit
     noise: NoiseModel
     modelled: tuple[Modelled | None, ...]
     jumps: tuple[tuple[NDArray[np.int64], NDArray[np.int64], Array], ...]
@@ -108,7 +110,9 @@ class NullFlyer:
     intervals: tuple[float, ...]
 
     @classmethod
-    def build(cls, problem: Problem, fit: Fit, noise: NoiseModel, errors: Sequence[InputErrors]) -> "NullFlyer":
+    def build(
+        cls, problem: LikelihoodProblem, fit: ModelFit, noise: NoiseModel, errors: Sequence[InputErrors]
+    ) -> "NullFlyer":
         names = problem.model.input_names
         disturbed = {part.of for part in noise.process if part.source in ON_FORCES}
         states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
@@ -161,10 +165,10 @@ class NullFlyer:
         outputs, process, count = self.problem.model.output_names, self.noise.process, len(noise)
         memory = self.problem.criteria.filter_memory
         for c, name in enumerate(outputs):
-            strength = process.get(NoisePart(Source.WANDERING, name), 0.0)
+            strength = process.get(NoisePart(NoiseSource.WANDERING, name), 0.0)
             if strength > 0.0:  # density strength h on the rate
                 noise[:, c] += _forgetting(np.sqrt(strength) * rng.standard_normal(count), h, memory, rng)
-            strength = process.get(NoisePart(Source.GYRO, name), 0.0)
+            strength = process.get(NoisePart(NoiseSource.GYRO, name), 0.0)
             if strength > 0.0:
                 white = np.sqrt(strength) * rng.standard_normal(count)
                 noise[:, outputs.index(RATE_OF[name])] += white
@@ -192,11 +196,11 @@ class NullFlyer:
             for i, course in zip(alike, slow, strict=True):
                 part, strength = at_work[i]
                 # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
-                shown = course if part.source is Source.TWIST else drawn[i] - course
+                shown = course if part.source is NoiseSource.TWIST else drawn[i] - course
                 u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * shown
 
 
-def _modelled(problem: Problem, fit: Fit, index: int, errors: InputErrors) -> Modelled | None:
+def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors) -> Modelled | None:
     """Courses of errors with which the model runs away are left out."""
     own, coarse = fit.locals[index], problem.coarse[index]
     usual = problem.modelled(index, fit.values, own)

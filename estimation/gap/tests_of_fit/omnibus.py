@@ -13,7 +13,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit
 from estimation.gap.likelihood.surface_steps import jumping_outputs
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
@@ -30,7 +30,7 @@ FEWEST = 4  # samples a window has at the least
 
 
 @dataclass(frozen=True)
-class Signal:
+class OmnibusSignal:
     """What stood out. kind: term | time | activity. place: channel or equation. what: words. score: in units of its
     scatter on nulls. gain: twice the log-likelihood (terms only). span: seconds in a flight (time only)."""
 
@@ -49,7 +49,7 @@ class Omnibus:
 
     score: float
     threshold: float
-    leading: tuple[Signal, ...]
+    leading: tuple[OmnibusSignal, ...]
 
     @property
     def significant(self) -> bool:
@@ -71,14 +71,14 @@ def examine(round_: Round) -> Omnibus:
     return summed_up([*terms, *times, *activity], np.max([term_null, time_null, activity_null], axis=0), criteria)
 
 
-def summed_up(signals: Sequence[Signal], largest: Array, criteria: Criteria) -> Omnibus:
+def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criteria) -> Omnibus:
     """The strongest signals against the largest score of every null, (nulls,)."""
     ranked = tuple(sorted(signals, key=lambda s: -s.score)[:LEADING])
     threshold = upper_quantile(largest, criteria.nameless_level)
     return Omnibus(ranked[0].score if ranked else 0.0, threshold, ranked)
 
 
-def _regressors(problem: Problem, found: Fit, index: int) -> dict[tuple[str, str], Array]:
+def _regressors(problem: LikelihoodProblem, found: ModelFit, index: int) -> dict[tuple[str, str], Array]:
     """(signal, shape) -> (N,) functions of the fitted motion and the controls."""
     residual = found.residuals[index]
     coarse = problem.coarse[index]
@@ -110,7 +110,7 @@ def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[t
     return made
 
 
-def _terms(tangent: Tangent) -> tuple[list[Signal], Array]:
+def _terms(tangent: Tangent) -> tuple[list[OmnibusSignal], Array]:
     """Scores of nameless terms on the data, and the largest standardised score of every null."""
     problem, found = tangent.problem, tangent.fit
     doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
@@ -121,7 +121,7 @@ def _terms(tangent: Tangent) -> tuple[list[Signal], Array]:
     gram = gram_of(tangent, lambda i: _changes(problem, found, i, asks[i]))
     z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
     signals = [
-        Signal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
+        OmnibusSignal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
         for j, (p, s, shape) in enumerate(keys)
     ]
     return signals, standard[:, 1:].max(axis=0)
@@ -138,7 +138,7 @@ def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array
     return z, standard
 
 
-def _changes(problem: Problem, found: Fit, index: int, asks: Sequence[tuple[str, Array]]) -> list[Array]:
+def _changes(problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequence[tuple[str, Array]]) -> list[Array]:
     """(N, ny) changes of the outputs by each of `asks`: an output that a tenth of its scatter is added to in the course of a
     regressor (N,) of unit rms, or a door with what goes through it."""
     z, outputs = problem.coarse[index].z, problem.model.output_names
@@ -154,7 +154,7 @@ def _changes(problem: Problem, found: Fit, index: int, asks: Sequence[tuple[str,
     return made
 
 
-def whitened(problem: Problem, found: Fit, round_: Round) -> list[Array]:
+def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list[Array]:
     """Per record (N, ny, 1 + nulls): whitened residuals of the data and the nulls, local unknowns taken out."""
     result = []
     for i in range(len(problem.records)):
@@ -170,9 +170,9 @@ def whitened(problem: Problem, found: Fit, round_: Round) -> list[Array]:
     return result
 
 
-def restless_times(problem: Problem, white: Sequence[Array], nulls: int) -> tuple[list[Signal], Array]:
+def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: int) -> tuple[list[OmnibusSignal], Array]:
     """Energy of every channel in windows of a second, standardised by the same window on the nulls."""
-    signals: list[Signal] = []
+    signals: list[OmnibusSignal] = []
     largest = np.zeros(nulls)
     for i, series in enumerate(white):
         time = problem.coarse[i].time
@@ -184,7 +184,7 @@ def restless_times(problem: Problem, white: Sequence[Array], nulls: int) -> tupl
             span = (float(time[w * width]), float(time[(w + 1) * width - 1]))
             what = f"residual {float(np.exp(energy[w, c, 0] / 2)):.1f} times its usual size"
             place, flight = problem.model.output_names[c], problem.records[i].flight
-            signals.append(Signal("time", place, what, float(z[w, c, 0]), flight=flight, span=span))
+            signals.append(OmnibusSignal("time", place, what, float(z[w, c, 0]), flight=flight, span=span))
     return signals, largest
 
 
@@ -213,8 +213,8 @@ def beside_others(values: Array) -> Array:
 
 
 def scatter_with_activity(
-    problem: Problem, found: Fit, white: Sequence[Array], nulls: int
-) -> tuple[list[Signal], Array]:
+    problem: LikelihoodProblem, found: ModelFit, white: Sequence[Array], nulls: int
+) -> tuple[list[OmnibusSignal], Array]:
     """Does the energy of a channel follow the size or the rate of some signal?"""
     total: dict[tuple[int, str], Array] = {}
     jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
@@ -233,7 +233,9 @@ def scatter_with_activity(
     for (c, what), values in total.items():
         z = beside_others(values)
         largest = np.maximum(largest, z[1:])
-        signals.append(Signal("activity", problem.model.output_names[c], f"scatter grows with {what}", float(z[0])))
+        signals.append(
+            OmnibusSignal("activity", problem.model.output_names[c], f"scatter grows with {what}", float(z[0]))
+        )
     return signals, largest
 
 

@@ -13,7 +13,7 @@ from estimation.gap.tests_of_fit.calibration import Round
 
 
 @dataclass(frozen=True)
-class Repeats:
+class Repeatability:
     """How much better one flight is fitted by itself than together with the others. chi2: twice the log-likelihood; usual:
     its median on the nulls; limit: what 199 of 200 nulls stay below (over all flights)."""
 
@@ -36,7 +36,7 @@ class Repeats:
         }
 
 
-def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeats, ...]:
+def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, ...]:
     """Every training flight against the others, by linear theory about the joint fit; empty for one flight alone."""
     screen = round_.screen
     flights = sorted(set(screen.flights))
@@ -53,7 +53,7 @@ def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeats, ...]:
     table = np.array(chi2)
     usual, limit = usual_and_limit(table[:, 1:], round_.criteria)
     rows = zip(flights, table[:, 0], usual, limit, strict=True)
-    return tuple(Repeats(names[f], float(chi), float(u), float(most)) for f, chi, u, most in rows)
+    return tuple(Repeatability(names[f], float(chi), float(u), float(most)) for f, chi, u, most in rows)
 
 
 def usual_and_limit(nulls: Array, criteria: Criteria) -> tuple[Array, Array]:

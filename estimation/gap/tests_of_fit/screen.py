@@ -14,8 +14,8 @@ from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
-from estimation.gap.likelihood.fitting import Fit, Problem, prior_terms
-from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis, one_sided, sensitivity
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, prior_terms
+from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn, one_sided, sensitivity
 from estimation.gap.tests_of_fit.tangent import Tangent
 
 TINY = 1e-300  # keeps a column without length from dividing by zero
@@ -35,7 +35,7 @@ class Screen:
 
     shared: tuple[str, ...]
     hypotheses: tuple[Hypothesis, ...]
-    columns: tuple[Column, ...]
+    columns: tuple[HypothesisColumn, ...]
     reduced: tuple[Reduced, ...]
     prior: Array
     flights: tuple[int, ...]  # of each record
@@ -138,7 +138,7 @@ def equivalent_z(gain: float, unknowns: int) -> float:
 def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
     """Linearise all hypotheses at the fit of a tangent. Raises GapError where its motion cannot be linearised."""
     problem, fit = tangent.problem, tangent.fit
-    columns: list[Column] = []
+    columns: list[HypothesisColumn] = []
     changes: list[list[Array]] = []
     kept: list[Hypothesis] = []
     for hypothesis in hypotheses:
@@ -146,7 +146,7 @@ def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
         if any(c is None or max(np.abs(x).max() for x in c) == 0.0 for _, c in found):
             continue  # diverges, or these flights do not excite it at all
         for parameter, change in found:
-            columns.append(Column(len(kept), parameter))
+            columns.append(HypothesisColumn(len(kept), parameter))
             changes.append(change or [])
         kept.append(hypothesis)
     reduced = tuple(Reduced(tangent.record(i).gram_with([c[i] for c in changes])) for i in range(len(problem.records)))
@@ -154,7 +154,7 @@ def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
     return Screen(problem.free, tuple(kept), tuple(columns), reduced, prior, tuple(r.flight for r in problem.records))
 
 
-def shared_prior(problem: Problem, fit: Fit, size: int, k: int) -> Array:
+def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -> Array:
     """(size, size) Gram matrix of the priors of the shared parameters, the data's residual behind k hypotheses."""
     prior, n = np.zeros((size, size)), len(problem.free)
     weight, distance = prior_terms(problem, problem.free, fit.values)
@@ -176,7 +176,7 @@ def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]] = lambda
 
 
 def linear_gains(
-    screen: Screen, problem: Problem, column: int | slice = 0, flights: Sequence[int] | None = None
+    screen: Screen, problem: LikelihoodProblem, column: int | slice = 0, flights: Sequence[int] | None = None
 ) -> Array:
     """Gains in twice the log-likelihood by linear theory, (hypotheses,) for one residual column, (columns, hypotheses)
     for a slice of them; zero where the sign is physically impossible."""
@@ -194,7 +194,7 @@ def linear_gains(
     return gains if isinstance(column, slice) else gains[0]
 
 
-def linear_guess(screen: Screen, problem: Problem, hypothesis: int) -> dict[str, float]:
+def linear_guess(screen: Screen, problem: LikelihoodProblem, hypothesis: int) -> dict[str, float]:
     """Parameter values of a hypothesis by linear theory."""
     projected = screen.projected()
     span = screen.span(hypothesis)

@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.gap.errors import GapError
-from estimation.gap.likelihood.fitting import Fit, Problem, local_prior
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, local_prior
 from estimation.gap.likelihood.whitening import White
 
 KEPT = 2**26  # bytes of white columns kept from one question to the next: of hours of flight they are made anew
 
 
 @dataclass(frozen=True)
-class Columns:
+class TangentColumns:
     """Columns of one record. white: as they are weighed; own: (unknowns of its own, k) their products with these."""
 
     white: White
     own: Array
 
-    def some(self, columns: Sequence[int]) -> "Columns":
+    def some(self, columns: Sequence[int]) -> "TangentColumns":
         """Some of them."""
-        return Columns(self.white.some(np.asarray(columns, dtype=np.intp)), self.own[:, list(columns)])
+        return TangentColumns(self.white.some(np.asarray(columns, dtype=np.intp)), self.own[:, list(columns)])
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,15 @@ class RecordTangent:
     """One record. fixed: [shared unknowns | residual of the flight | of every null]; of_own: unknowns of its own; left:
     inverse of their information with its priors."""
 
-    problem: Problem
+    problem: LikelihoodProblem
     index: int
-    fixed: Columns
+    fixed: TangentColumns
     left: Array
     of_own: White
     missing: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit, index: int, nulls: Sequence[Array]) -> "RecordTangent":
+    def of(cls, problem: LikelihoodProblem, fit: ModelFit, index: int, nulls: Sequence[Array]) -> "RecordTangent":
         """nulls: residuals (N, ny) of this record. Raises GapError where the fitted motion cannot be linearised."""
         found = problem.linearised(index, fit.values, fit.locals[index])
         if found is None:
@@ -64,25 +64,25 @@ class RecordTangent:
         left = pseudo_inverse(of_own.products(of_own) + np.diag(weight))[0]
         own = of_own.products(fixed)
         own[:, n] += distance
-        return cls(problem, index, Columns(fixed, own), left, of_own, missing)
+        return cls(problem, index, TangentColumns(fixed, own), left, of_own, missing)
 
     @property
     def size(self) -> int:
         """Bytes that its columns take."""
         return self.fixed.white.rows.nbytes + self.of_own.rows.nbytes
 
-    def columns(self, changes: Sequence[Array]) -> Columns:
+    def columns(self, changes: Sequence[Array]) -> TangentColumns:
         """Changes of the outputs, (N, ny) each."""
         block = np.stack(changes, axis=2) if len(changes) else np.zeros((*self.missing.shape, 0))
         block[self.missing] = 0.0
         white = self.problem.whiteners[self.index].white(block)
-        return Columns(white, self.of_own.products(white))
+        return TangentColumns(white, self.of_own.products(white))
 
-    def products(self, a: Columns, b: Columns) -> Array:
+    def products(self, a: TangentColumns, b: TangentColumns) -> Array:
         """(columns of a, columns of b), what is the record's own taken out."""
         return np.asarray(a.white.products(b.white) - a.own.T @ self.left @ b.own)
 
-    def squares(self, a: Columns) -> Array:
+    def squares(self, a: TangentColumns) -> Array:
         """(columns,) the products of all with themselves."""
         return np.asarray(a.white.squares() - np.sum(a.own * (self.left @ a.own), axis=0))
 
@@ -110,8 +110,8 @@ class RecordTangent:
 class Tangent:
     """All records of a fit. nulls: each a tuple of residuals (N, ny) per record."""
 
-    problem: Problem
-    fit: Fit
+    problem: LikelihoodProblem
+    fit: ModelFit
     nulls: tuple[tuple[Array, ...], ...] = ()
 
     @cached_property

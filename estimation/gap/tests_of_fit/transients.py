@@ -16,7 +16,7 @@ from scipy.stats import chi2, norm
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, fit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.doors import is_door, through_doors
@@ -32,7 +32,7 @@ SEEN = 1e-6  # of a column's length: one of which the base leaves less says noth
 FEWEST = 4  # samples to either side of a step
 
 
-class Happening(StrEnum):
+class EventKind(StrEnum):
     """What changes with time alone."""
 
     DRIFT = "drift"
@@ -41,11 +41,11 @@ class Happening(StrEnum):
 
 
 @dataclass(frozen=True)
-class Event:
+class TransientEvent:
     """One happening. channel: the output, or "" for a disturbance of the motion. record: in which; -1 for a drift, which may be
     in all. start, end: s on the flight's clock. air: of a gust the state that it moves."""
 
-    kind: Happening
+    kind: EventKind
     channel: str
     record: int
     start: float
@@ -54,11 +54,11 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Found:
+class DetectedEvent:
     """An event taken. score, threshold: as of a nameless signal. gain: twice the log-likelihood. sizes: estimates of its columns
     with bounds: of a drift the change over each record, of a slip the step, of a burst the peak rates that it adds."""
 
-    event: Event
+    event: TransientEvent
     score: float
     threshold: float
     gain: float
@@ -69,7 +69,7 @@ class Found:
 class Transients:
     """All events taken, the one that stands out most first, and the round without what they did; None where that runs away."""
 
-    found: tuple[Found, ...]
+    found: tuple[DetectedEvent, ...]
     cleared: Round | None
 
 
@@ -83,7 +83,7 @@ class Course(StrEnum):
 
 
 @dataclass(frozen=True)
-class Column:
+class EventColumn:
     """One unknown of an event. record: the only one that shows it; place: an output, or a door of the motion."""
 
     record: int
@@ -108,22 +108,22 @@ class Column:
 class Asked:
     """Events with their columns. inside: of every event, which; columns: of all events."""
 
-    events: tuple[Event, ...]
+    events: tuple[TransientEvent, ...]
     inside: tuple[tuple[int, ...], ...]
-    columns: tuple[Column, ...]
+    columns: tuple[EventColumn, ...]
 
     def showing_in(self, record: int) -> list[int]:
         """The columns that show in a record."""
         return [c for c, column in enumerate(self.columns) if column.record == record]
 
 
-def asked_of(problem: Problem) -> Asked:
+def asked_of(problem: LikelihoodProblem) -> Asked:
     """Every event that these records could show."""
-    events: list[Event] = []
+    events: list[TransientEvent] = []
     inside: list[tuple[int, ...]] = []
-    columns: list[Column] = []
+    columns: list[EventColumn] = []
 
-    def put(event: Event, made: Sequence[Column]) -> None:
+    def put(event: TransientEvent, made: Sequence[EventColumn]) -> None:
         events.append(event)
         inside.append(tuple(range(len(columns), len(columns) + len(made))))
         columns.extend(made)
@@ -131,20 +131,26 @@ def asked_of(problem: Problem) -> Asked:
     times = [segment.time for segment in problem.coarse]
     for name in problem.model.output_names:
         ends = [(i, float(time[0]), float(time[-1])) for i, time in enumerate(times)]
-        put(Event(Happening.DRIFT, name, -1, *ends[0][1:]), [Column(i, name, Course.RAMP, a, b) for i, a, b in ends])
+        put(
+            TransientEvent(EventKind.DRIFT, name, -1, *ends[0][1:]),
+            [EventColumn(i, name, Course.RAMP, a, b) for i, a, b in ends],
+        )
         for i, time in enumerate(times):
             for at in np.arange(time[FEWEST], time[-FEWEST], EVERY):
                 span = (float(at), float(time[-1]))
-                put(Event(Happening.SLIP, name, i, *span), [Column(i, name, Course.STEP, *span)])
+                put(TransientEvent(EventKind.SLIP, name, i, *span), [EventColumn(i, name, Course.STEP, *span)])
     doors = [n for n in problem.model.input_names if is_door(n)]
     for i, time in enumerate(times if doors else ()):
         for width in STRETCHES:
             for at in np.arange(time[0], time[-1] - width, width / 3.0):
                 span = (float(at), float(at + width))
-                put(Event(Happening.BURST, "", i, *span), [Column(i, d, Course.SWELL, *span) for d in doors])
+                put(
+                    TransientEvent(EventKind.BURST, "", i, *span),
+                    [EventColumn(i, d, Course.SWELL, *span) for d in doors],
+                )
                 for d in (d for d in doors if d in AIR):
                     air = d.removeprefix(DISTURBANCE.format(""))
-                    put(Event(Happening.BURST, "", i, *span, air=air), [Column(i, d, Course.TURN, *span)])
+                    put(TransientEvent(EventKind.BURST, "", i, *span, air=air), [EventColumn(i, d, Course.TURN, *span)])
     return Asked(tuple(events), tuple(inside), tuple(columns))
 
 
@@ -200,7 +206,9 @@ class Products:
         return made
 
 
-def _changes(problem: Problem, found: Fit, index: int, asked: Asked, columns: Sequence[int]) -> Iterator[Array]:
+def _changes(
+    problem: LikelihoodProblem, found: ModelFit, index: int, asked: Asked, columns: Sequence[int]
+) -> Iterator[Array]:
     """(N, ny) changes of the outputs of a record by unit size of some columns in it."""
     z, outputs, time = problem.coarse[index].z, problem.model.output_names, problem.coarse[index].time
     some = [asked.columns[c] for c in columns]
@@ -219,7 +227,7 @@ def _in_output(z: Array, column: int, course: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Beside:
+class ProjectedColumns:
     """All columns with the shared unknowns and some events' columns projected out. square: (columns,) what is left of each;
     b: (columns, residuals); own: of every event with several columns, these with each other."""
 
@@ -228,7 +236,7 @@ class Beside:
     own: Mapping[int, Array]
 
     @classmethod
-    def of(cls, products: Products, taken: Sequence[int], rows: Mapping[int, Array]) -> "Beside":
+    def of(cls, products: Products, taken: Sequence[int], rows: Mapping[int, Array]) -> "ProjectedColumns":
         """taken: columns that are projected out; rows: their products with all."""
         n, across, inside = products.n, products.across, list(taken)
         right = np.concatenate([products.outer[:n, n:], across[inside, n:]])
@@ -267,7 +275,7 @@ def find_transients(round_: Round) -> Transients:
     for e in taken:
         scores, gains, limit = _scored(products, [o for o in taken if o != e], rows, criteria)
         sizes = tuple(at[c] for c in asked.inside[e])
-        made.append(Found(asked.events[e], float(scores[e]), limit, float(gains[e]), sizes))
+        made.append(DetectedEvent(asked.events[e], float(scores[e]), limit, float(gains[e]), sizes))
     made.sort(key=lambda f: -f.score)
     return Transients(tuple(made), _without(round_, asked, {c: v for c, (v, _) in at.items()}) if made else round_)
 
@@ -277,7 +285,7 @@ def _scored(
 ) -> tuple[Array, Array, float]:
     """(events,) scores and gains of all events beside those taken, nothing for the latter; and the limit from the nulls."""
     asked = products.asked
-    beside = Beside.of(products, [c for e in taken for c in asked.inside[e]], rows)
+    beside = ProjectedColumns.of(products, [c for e in taken for c in asked.inside[e]], rows)
     single = beside.b**2 / np.maximum(beside.square, TINY)[:, None]
     single[beside.square <= SEEN * products.raw] = 0.0
     gains = np.zeros((len(asked.events), beside.b.shape[1]))
@@ -331,7 +339,7 @@ def equivalent(gains: Array, unknowns: Array) -> Array:
     return np.asarray(norm.isf(0.5 * np.exp(np.maximum(tail, SMALLEST_TAIL))))
 
 
-def _gains(products: Products, beside: Beside, event: int) -> Array:
+def _gains(products: Products, beside: ProjectedColumns, event: int) -> Array:
     """(residual columns,) gain of an event of several columns; nothing where the base absorbs one."""
     columns, B = list(products.asked.inside[event]), beside.own[event]
     b = beside.b[columns]

@@ -12,22 +12,22 @@ from dataclasses import dataclass, replace
 from estimation.gap.answer.result import Rejected
 from estimation.gap.errors import GapError
 from estimation.gap.form.fitted import fit_increment
-from estimation.gap.form.search import Shape, ShapeSearch
+from estimation.gap.form.search import CoefficientShape, ShapeSearch
 from estimation.gap.form.swing import Swing
 from estimation.gap.likelihood.baseline import Baseline, fit_baseline
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.search_state import Finding, SearchState, Setting, afresh_with
+from estimation.gap.search.search_state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.verdict.decide import Decision
 from estimation.gap.verdict.nameless import searched
 
 
 @dataclass(frozen=True)
-class Beside:
+class ShapeContinuation:
     """findings: of the rounds about the model with the shape; round_: the last of them. standing: the model with the names and
     without the shape; found: the shape about that."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[AcceptedEffect, ...]
     round_: Round
     standing: Baseline
     found: ShapeSearch
@@ -36,7 +36,7 @@ class Beside:
 
 def names_beside(
     setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
-) -> Beside | None:
+) -> ShapeContinuation | None:
     """Effects that stand beside a shape found about `standing`, or beside one found with the names that a rest outweighs.
 
     None where there is none, or the shape does not stand beside them.
@@ -64,12 +64,12 @@ def names_beside(
         return None
     if again.shape is None or again.shape.fitted.increment.place != shape.fitted.increment.place:
         return None
-    return Beside(more.findings, more.rounds[-1], without, again, more.rejected)
+    return ShapeContinuation(more.findings, more.rounds[-1], without, again, more.rejected)
 
 
 def _shaped(
     setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
-) -> tuple[Shape | None, Baseline | None]:
+) -> tuple[CoefficientShape | None, Baseline | None]:
     """A shape and the standing model with it.
 
     Where a rest outweighs names of which it is no part, neither closes the gap alone: the shape is sought about the model with
@@ -87,7 +87,9 @@ def _shaped(
     return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
 
 
-def in_its_place(setting: Setting, search: SearchState, kept: Sequence[Finding], beside: Beside) -> SearchState | None:
+def in_its_place(
+    setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], beside: ShapeContinuation
+) -> SearchState | None:
     """The search in which, with the names that stood beside a shape, the rounds name what the shape stood for; None where they
     name nothing. Of two effects that are missing each can be too much of a rest for the other to be named beside it."""
     standing, before = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
@@ -114,11 +116,11 @@ def in_its_place(setting: Setting, search: SearchState, kept: Sequence[Finding],
     )
 
 
-def _without_shape(setting: Setting, before: Baseline, beside: Beside) -> list[Finding] | None:
+def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation) -> list[AcceptedEffect] | None:
     """The findings beside a shape, each held against the model `before` it and those before without the shape; None where the
     motion runs away."""
     bare = replace(setting, working=before.model, clean=before.clean)
-    made: list[Finding] = []
+    made: list[AcceptedEffect] = []
     for count, finding in enumerate(beside.findings, 1):
         whole = count == len(beside.findings)
         child = beside.standing if whole else afresh_with(bare, beside.findings[:count], finding.child)

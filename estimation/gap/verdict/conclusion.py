@@ -5,26 +5,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.answer.result import Gap, GapResult, Histories, Rejected, Step, Verdict
-from estimation.gap.answer.shape import Held, Late, Swinging
+from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
+from estimation.gap.answer.shape import HeldInstrument, Late, Swinging
 from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
-from estimation.gap.form.search import Shape, ShapeSearch
+from estimation.gap.form.search import CoefficientShape, ShapeSearch
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.accept import estimates_of
-from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.search.search_state import AcceptedEffect, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
-from estimation.gap.verdict.beside_shape import Beside, in_its_place, names_beside
+from estimation.gap.verdict.beside_shape import ShapeContinuation, in_its_place, names_beside
 from estimation.gap.verdict.decide import (
     Decision,
-    Facts,
     Named,
+    VerdictFacts,
     as_unknown,
     decide,
     only_steered,
@@ -52,7 +52,7 @@ from estimation.models.base import Model
 
 BAND = 20  # nulls from which the band of the floor in pictures is taken
 NOT_SEARCHED = ShapeSearch(None, ())
-EXPLAINED = (Verdict.NO_GAP, Verdict.GAP_CLOSED, Verdict.GAP_REDUCED)
+EXPLAINED = (GapVerdict.NO_GAP, GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED)
 LEFT = 5  # nameless signals in the JSON file
 
 
@@ -74,7 +74,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         decision, kept, standing, found, beside = instead
     rest = search.omnibus
     unsearched = found.shape is None and not setting.steered
-    if unsearched and (not kept or decision.verdict is Verdict.UNKNOWN):
+    if unsearched and (not kept or decision.verdict is GapVerdict.UNKNOWN):
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
@@ -118,7 +118,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     asked = {h.effect.name for h in first.screen.hypotheses}
     tied = tuple(e for e in setting.effects if e.tied_to and e.name in asked)
     odd = [r.flight for r in repeats if r.odd]
-    told_of = [s.shape.channel for s in steps if isinstance(s.shape, Held)]
+    told_of = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
     stale = [n for n in prepared.stale if n not in told_of]
     before_model, after_model = models(setting.base, first.baseline, kept, found.shape)
     return GapResult(
@@ -168,7 +168,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     )
 
 
-def sized(step: Step, finding: Finding, after: Baseline) -> Step:
+def sized(step: EffectStep, finding: AcceptedEffect, after: Baseline) -> EffectStep:
     """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it."""
     return replace(step, estimates=estimates_of(finding.round_, finding.candidate, after))
 
@@ -182,7 +182,7 @@ def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
     return rest, how_it_shows(rest) if rest.matters(round_.criteria) else ""
 
 
-def turned_down(search: SearchState, beside: Beside | None) -> tuple[Rejected, ...]:
+def turned_down(search: SearchState, beside: ShapeContinuation | None) -> tuple[Rejected, ...]:
     """Hypotheses that the rounds turned down, but for those that stand beside a shape in the end."""
     if beside is None:
         return search.rejected
@@ -190,15 +190,19 @@ def turned_down(search: SearchState, beside: Beside | None) -> tuple[Rejected, .
     return tuple(r for r in (*search.rejected, *beside.rejected) if r.effect not in standing)
 
 
-def as_good(shape: Shape, name: Step, criteria: Criteria) -> bool:
+def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
     """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
     closed = name.gap.closed if name.holdout is None else name.holdout.closed
     return shape.measured.closed >= closed - criteria.form_equal
 
 
 def without_doubted(
-    setting: Setting, search: SearchState, kept: Sequence[Finding], named: Sequence[Step], decision: Decision
-) -> tuple[Decision, tuple[Finding, ...], Baseline, ShapeSearch, Beside | None] | None:
+    setting: Setting,
+    search: SearchState,
+    kept: Sequence[AcceptedEffect],
+    named: Sequence[EffectStep],
+    decision: Decision,
+) -> tuple[Decision, tuple[AcceptedEffect, ...], Baseline, ShapeSearch, ShapeContinuation | None] | None:
     """A shape in place of the first name that it explains more than: the decision, the names before it, the model with these, the
     shape and what stands beside it. None where there is no such name, or names found after it do not stand beside it."""
     number = next((k for k, f in enumerate(kept) if f.doubted), None)
@@ -216,7 +220,7 @@ def without_doubted(
     return without, tuple(kept[:number]), about.baseline, again, beside
 
 
-def without_name(decision: Decision, finding: Finding, number: int, shape: Shape) -> Decision:
+def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
     """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
     place = shape.fitted.increment.place.words
     why = f"a smooth function without a name ({place}) explains clearly more than this form of it"
@@ -225,12 +229,12 @@ def without_name(decision: Decision, finding: Finding, number: int, shape: Shape
 
 
 def facts_of(
-    search: SearchState, named: Sequence[Step], covered: bool, cannot: Sequence[Effect], untold: int = 0
-) -> Facts:
+    search: SearchState, named: Sequence[EffectStep], covered: bool, cannot: Sequence[Effect], untold: int = 0
+) -> VerdictFacts:
     """What decides, from the state of the search and the steps of all accepted effects. untold: not asked at all."""
     forms = [f.candidate.hypothesis.form for f in search.findings]
     hypotheses = search.rounds[0].screen.hypotheses
-    return Facts(
+    return VerdictFacts(
         named=tuple(
             Named(s.effect, s.score, s.gap, s.holdout, frozenset((*form.outputs, *form.output_delays)))
             for s, form in zip(named, forms, strict=True)
@@ -246,14 +250,14 @@ def facts_of(
 
 def told(
     decision: Decision,
-    named: Sequence[Step],
+    named: Sequence[EffectStep],
     rest: Omnibus,
     check: KinematicCheck,
     left: float,
     floor: Floors,
-    unnamed: Step | None = None,
+    unnamed: EffectStep | None = None,
     late: Late | Swinging | None = None,
-) -> tuple[Step, ...]:
+) -> tuple[EffectStep, ...]:
     """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict.
 
     rest: what stands out without a name; unnamed: it with a shape or a time, where one was found; late: a lag or swing that gains
@@ -262,14 +266,16 @@ def told(
     steps = list(named[: decision.kept])
     if unnamed is not None:
         steps.append(unnamed)
-    elif decision.verdict is Verdict.UNKNOWN:
+    elif decision.verdict is GapVerdict.UNKNOWN:
         steps.append(replace(unknown_step(rest, Gap(left, left, floor.training_median)), shape=late))
     if steps:
         steps[0] = replace(steps[0], where=replace(steps[0].where, origin=check.origin))
     return tuple(replace(s, text=describe_step(s)) for s in steps)
 
 
-def models(base: Model, first: Baseline, kept: Sequence[Finding], shape: Shape | None = None) -> tuple[Model, Model]:
+def models(
+    base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
+) -> tuple[Model, Model]:
     """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
     before = fitted(base, first.fit.values)
     if not kept and shape is None:

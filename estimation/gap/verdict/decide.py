@@ -7,17 +7,17 @@ a decision, and the words are written from that.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from estimation.gap.answer.result import Gap, Verdict
+from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.criteria import Criteria
 
 ANY = None
-TABLE: tuple[tuple[bool | None, bool | None, bool | None, bool | None, Verdict], ...] = (
+TABLE: tuple[tuple[bool | None, bool | None, bool | None, bool | None, GapVerdict], ...] = (
     # a rest matters, names stand, closed, blind -> verdict; the first row that fits
-    (True, ANY, ANY, ANY, Verdict.UNKNOWN),
-    (False, True, True, ANY, Verdict.GAP_CLOSED),
-    (False, True, False, ANY, Verdict.GAP_REDUCED),
-    (False, False, ANY, True, Verdict.CANNOT_TELL),
-    (False, False, ANY, False, Verdict.NO_GAP),
+    (True, ANY, ANY, ANY, GapVerdict.UNKNOWN),
+    (False, True, True, ANY, GapVerdict.GAP_CLOSED),
+    (False, True, False, ANY, GapVerdict.GAP_REDUCED),
+    (False, False, ANY, True, GapVerdict.CANNOT_TELL),
+    (False, False, ANY, False, GapVerdict.NO_GAP),
 )
 
 
@@ -34,7 +34,7 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Facts:
+class VerdictFacts:
     """What is known when all rounds are over.
 
     named: accepted effects in the order found. rest, rest_threshold, rest_place: score of the strongest nameless signal, its
@@ -55,12 +55,12 @@ class Facts:
 class Decision:
     """The verdict; the first `kept` names stand, each of the others is withdrawn for a reason."""
 
-    verdict: Verdict
+    verdict: GapVerdict
     kept: int
     withdrawn: tuple[tuple[str, str], ...]
 
 
-def decide(facts: Facts, criteria: Criteria) -> Decision:
+def decide(facts: VerdictFacts, criteria: Criteria) -> Decision:
     """The verdict that the facts give."""
     rest = rest_matters(facts, criteria)
     kept, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
@@ -71,7 +71,7 @@ def decide(facts: Facts, criteria: Criteria) -> Decision:
     return Decision(verdict, kept, withdrawn)
 
 
-def only_steered(facts: Facts) -> Facts:
+def only_steered(facts: VerdictFacts) -> VerdictFacts:
     """The facts of flights on which every control only follows the motion: no rest without a name counts, and what has no name
     could not have been seen."""
     return replace(facts, rest=0.0, blind=facts.asked)
@@ -79,7 +79,7 @@ def only_steered(facts: Facts) -> Facts:
 
 def with_shape(decision: Decision) -> Decision:
     """The decision where a nameless shape was found for the rest: the gap is smaller, and it still has no name."""
-    return replace(decision, verdict=Verdict.GAP_REDUCED)
+    return replace(decision, verdict=GapVerdict.GAP_REDUCED)
 
 
 def with_names(decision: Decision, names: Sequence[str]) -> Decision:
@@ -91,10 +91,10 @@ def with_names(decision: Decision, names: Sequence[str]) -> Decision:
 def as_unknown(decision: Decision) -> Decision:
     """The decision where something stands out that is no term with a name: a fault of an instrument, what happened at one time, a
     coefficient that follows late or swings."""
-    return replace(decision, verdict=Verdict.UNKNOWN)
+    return replace(decision, verdict=GapVerdict.UNKNOWN)
 
 
-def rest_matters(facts: Facts, criteria: Criteria) -> bool:
+def rest_matters(facts: VerdictFacts, criteria: Criteria) -> bool:
     """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap.
 
     In the very instrument that a name blames it is never mere scatter: it says that something else is wrong with it.
@@ -105,7 +105,7 @@ def rest_matters(facts: Facts, criteria: Criteria) -> bool:
     return facts.rest > criteria.unknown_margin * facts.rest_threshold and not restless
 
 
-def standing(facts: Facts, criteria: Criteria) -> tuple[int, tuple[tuple[str, str], ...]]:
+def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[str, str], ...]]:
     """How many names stand beside a nameless rest that matters, and why the others do not.
 
     The last name falls where it closes little and the rest outweighs it. Then the first falls that blames the very instrument

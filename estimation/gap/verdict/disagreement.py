@@ -12,14 +12,14 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
-from estimation.gap.answer.result import View
+from estimation.gap.answer.result import DisagreementView
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, fit
 from estimation.gap.likelihood.whitening import (
     NoiseModel,
     NoisePart,
-    Source,
+    NoiseSource,
     as_seen,
     linear_motion,
     shapes_of,
@@ -33,7 +33,7 @@ from estimation.models.driven import force_states
 LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
 
 
-def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[View, ...]:
+def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
     """The stages there are: prior frozen (unless its motion runs away), refit, and with the named effects."""
     made = []
     frozen = prior_frozen(first)
@@ -53,7 +53,7 @@ def prior_frozen(baseline: Baseline) -> Baseline | None:
     return None if found.diverged or not found.residuals else replace(baseline, fit=found)
 
 
-def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> View:
+def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> DisagreementView:
     """Maps of the residuals of one fitted model."""
     problem, found, scatter = baseline.problem, baseline.fit, baseline.scatter
     plain = [plain_residuals(problem, found, i, scatter) for i in range(len(problem.records))]
@@ -61,7 +61,7 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> View:
     squares = [(r / scatter) ** 2 for r in plain]
     everything = np.concatenate(squares)
     missing = tuple(missing_coefficients(problem, found, i, r, scatter) for i, r in enumerate(plain))
-    return View(
+    return DisagreementView(
         stage=stage,
         gap=float(np.sqrt(np.nanmean(everything))),
         channels={n: float(np.sqrt(np.nanmean(everything[:, c]))) for c, n in enumerate(outputs)},
@@ -87,7 +87,9 @@ def windows(time: Array, squares: Array, criteria: Criteria) -> list[tuple[float
     ]
 
 
-def missing_coefficients(problem: Problem, found: Fit, index: int, residual: Array, scatter: Array) -> dict[str, Array]:
+def missing_coefficients(
+    problem: LikelihoodProblem, found: ModelFit, index: int, residual: Array, scatter: Array
+) -> dict[str, Array]:
     """Equation -> (N,) disturbance that most likely made a residual (N, ny): a Wiener smoother over the linearised motion,
     every equation given the strength at which it alone would double the measurement noise."""
     model, segment = problem.model, problem.coarse[index]
@@ -99,11 +101,11 @@ def missing_coefficients(problem: Problem, found: Fit, index: int, residual: Arr
     strength = {}
     for name in states:
         power = (
-            float(np.mean(np.sum(np.abs(shapes.parts[NoisePart(Source.RATE, name)]) ** 2 / scatter**2, axis=1)))
+            float(np.mean(np.sum(np.abs(shapes.parts[NoisePart(NoiseSource.RATE, name)]) ** 2 / scatter**2, axis=1)))
             / scatter.size
         )
         if power > 0.0:
-            strength[NoisePart(Source.RATE, name)] = 1.0 / power
+            strength[NoisePart(NoiseSource.RATE, name)] = 1.0 / power
     S = spectral_matrix(NoiseModel(scatter**2, strength), shapes)
     weighed = np.linalg.solve(S, np.fft.rfft(np.nan_to_num(residual), axis=0)[:, :, None])[:, :, 0]
     result = {}
@@ -116,7 +118,7 @@ def missing_coefficients(problem: Problem, found: Fit, index: int, residual: Arr
     return result
 
 
-def _coefficient_per_rate(problem: Problem, state: str, index: int) -> float | None:
+def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> float | None:
     """Coefficient that makes a unit rate of a state at the mean dynamic pressure; None where the model does not say."""
     known, record = problem.model.constants, problem.records[index]
     if state not in LINES or LINES[state] not in problem.model.definitions or "V" not in record.inputs:

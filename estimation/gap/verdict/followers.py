@@ -7,10 +7,10 @@ from dataclasses import replace
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.form.memory import Memory
-from estimation.gap.form.places import Flown
+from estimation.gap.form.places import ModelMotion
 from estimation.gap.form.swing import Swing, rings
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit
+from estimation.gap.likelihood.fitting import ModelFit
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis
 from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
@@ -24,12 +24,12 @@ OCTAVE = 2.0  # to either side of the frequency it was found at
 NEAR_LIMIT = 1.01  # times a limit: stopped there by it
 
 
-def hypothesis_of(follower: Follower, flown: Flown) -> tuple[Hypothesis, dict[str, float]]:
+def hypothesis_of(follower: Follower, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """What a lag or a swing adds to its coefficient, and where its fit begins."""
     return lag_of(follower, flown) if isinstance(follower, Memory) else swing_of(follower, flown)
 
 
-def lag_of(memory: Memory, flown: Flown) -> tuple[Hypothesis, dict[str, float]]:
+def lag_of(memory: Memory, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """How far a first-order lag of a variable is behind it."""
     line, variable = memory.place.line, memory.place.variable
     usual = flown.scale[line] / flown.reach(variable)
@@ -44,7 +44,7 @@ def lag_of(memory: Memory, flown: Flown) -> tuple[Hypothesis, dict[str, float]]:
     return _unnamed(f"{line} late after {variable}", form), {SIZE: 0.0}
 
 
-def swing_of(swing: Swing, flown: Flown) -> tuple[Hypothesis, dict[str, float]]:
+def swing_of(swing: Swing, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """What an oscillator makes of accelerations; its frequency and damping are unknowns too."""
     sizes = {f"{SWING}_{a}": size for a, size in swing.by.items()}
     usual = {f"{SWING}_{a}": flown.scale[swing.line] / flown.reach(a) for a in swing.by}
@@ -78,20 +78,20 @@ def settled(follower: Follower | None, baseline: Baseline, seed: int) -> Followe
     the fit runs away."""
     if follower is None:
         return None
-    hypothesis, start = hypothesis_of(follower, Flown.of(baseline.problem, baseline.fit))
+    hypothesis, start = hypothesis_of(follower, ModelMotion.of(baseline.problem, baseline.fit))
     _, found = fit_hypothesis(baseline.problem, baseline.fit, hypothesis, start)
     if not found.diverged and not stands(follower, baseline, found, seed):
         return None
     return as_fitted(follower, found, baseline.criteria)
 
 
-def stands(follower: Follower, baseline: Baseline, found: Fit, seed: int) -> bool:
+def stands(follower: Follower, baseline: Baseline, found: ModelFit, seed: int) -> bool:
     """Whether a fitted lag or swing is significant by what of its gain is its own."""
     share = MeasuredAgain(baseline, seed).share(2.0 * (baseline.fit.cost - found.cost), found)
     return follower.score * math.sqrt(share) > follower.threshold
 
 
-def as_fitted(follower: Follower, found: Fit, criteria: Criteria) -> Follower | None:
+def as_fitted(follower: Follower, found: ModelFit, criteria: Criteria) -> Follower | None:
     """A lag as it is, a swing with what was fitted; none where that does not ring, or where a limit stopped it: a tone that never
     dies is driven by nothing, and one that is elsewhere than it was found is another."""
     if not isinstance(follower, Swing) or found.diverged:

@@ -3,14 +3,14 @@
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.result import Gap, Step, Where
-from estimation.gap.answer.shape import Held
+from estimation.gap.answer.result import EffectStep, Gap, Where
+from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 
 
-def held_back(baseline: Baseline, prepared: FlightRecords) -> Held | None:
+def held_back(baseline: Baseline, prepared: FlightRecords) -> HeldInstrument | None:
     """The stale output that is farthest from the model where it repeats; None where none is too far."""
     problem, fit = baseline.problem, baseline.fit
     modelled = [problem.modelled(i, fit.values, local) for i, local in enumerate(fit.locals)]
@@ -26,7 +26,7 @@ def held_back(baseline: Baseline, prepared: FlightRecords) -> Held | None:
     return max(found, key=lambda h: h.ratio, default=None)
 
 
-def judged(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> Held | None:
+def judged(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> HeldInstrument | None:
     """Residuals of a channel where it repeats a value, (n,), against those at new values, (m,), of records sampled every `step`
     [s]; None where the former are little farther."""
     usual = float(np.sqrt(np.mean(near**2))) if near.size else 0.0
@@ -36,12 +36,12 @@ def judged(channel: str, far: Array, near: Array, step: float, criteria: Criteri
     if ratio <= criteria.held_ratio:
         return None
     share = far.size / (far.size + near.size)
-    return Held(channel, step / (1.0 - share), share, ratio, criteria.held_ratio)
+    return HeldInstrument(channel, step / (1.0 - share), share, ratio, criteria.held_ratio)
 
 
-def held_step(held: Held, gap: Gap) -> Step:
+def held_step(held: HeldInstrument, gap: Gap) -> EffectStep:
     """The step of an unknown that is an instrument's."""
-    return Step(
+    return EffectStep(
         effect="unknown", title="an instrument that holds its values", form="", confidence=0.0, members=(),
         separate_by=f"read {held.channel} at the rate of the other channels, and repeat the flight", estimates={}, units={},
         score=held.ratio, threshold=held.threshold,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.outputs import write_json
-from estimation.gap.answer.result import Step
+from estimation.gap.answer.result import EffectStep
 from estimation.models.base import Model
 from estimation.models.load import write_model
 from groundstation.flight import Flight
@@ -41,7 +41,7 @@ def software() -> str:
 
 
 def write_lineage(
-    folder: Path, parent: Model, child: Model, steps: Sequence[Step], flights: Sequence[Flight], seed: int
+    folder: Path, parent: Model, child: Model, steps: Sequence[EffectStep], flights: Sequence[Flight], seed: int
 ) -> tuple[Path, Path]:
     """Write parent and child as TOML and the record of how one came from the other; (parent file, child file)."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -4,19 +4,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimation.gap.answer.result import Gap, Rejected, Step, Verdict, Where
-from estimation.gap.answer.shape import Alike, Curve, Happened, Happening, Late, Swinging
+from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Rejected, Where
+from estimation.gap.answer.shape import Alike, EventReport, Happened, Late, ShapeCurve, Swinging
 from estimation.gap.errors import GapError
 from estimation.gap.form.analytic import Plain
-from estimation.gap.form.fitted import Fitted
-from estimation.gap.form.search import Shape, ShapeSearch, Task, Tried, find_shape
+from estimation.gap.form.fitted import FittedIncrement
+from estimation.gap.form.search import CoefficientShape, SearchTask, ShapeSearch, Tried, find_shape
 from estimation.gap.form.swing import Swing
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.search.search_state import AcceptedEffect, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.measure import Floors, floors
 from estimation.gap.tests_of_fit.omnibus import examine
-from estimation.gap.tests_of_fit.transients import Found, find_transients
+from estimation.gap.tests_of_fit.transients import DetectedEvent, find_transients
 from estimation.gap.verdict.decide import Decision
 from estimation.gap.verdict.effect_location import SPANS, channels_that_gain, regime, signals_of, spans_of
 from estimation.gap.verdict.same_form import alike
@@ -28,7 +28,7 @@ ANGLES = ("alpha", "beta", "delta_a", "delta_e", "delta_r")
 SLOW_SWEEP = "sweep {x} slowly and evenly through {low:.3g} to {high:.3g} {unit} with everything else held"
 
 
-def standing_round(setting: Setting, search: SearchState, kept: Sequence[Finding]) -> Round:
+def standing_round(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect]) -> Round:
     """The round about the model with the names that stand."""
     standing = kept[-1].child if kept else search.rounds[0].baseline
     round_ = next((r for r in search.rounds if r.baseline is standing), None)
@@ -45,7 +45,7 @@ def searched(setting: Setting, search: SearchState, round_: Round, decision: Dec
     """Look for a shape of what the standing names leave: at length where a rest is known to matter."""
     setting.tell("a shape for what has no name", 0.92)
     number = len(search.rounds)
-    task = Task(
+    task = SearchTask(
         setting.prepared,
         setting.errors,
         setting.options.seed,
@@ -53,12 +53,14 @@ def searched(setting: Setting, search: SearchState, round_: Round, decision: Dec
         lambda r: floor_about(setting, r),
     )
     try:
-        return find_shape(round_, task, decision.verdict is Verdict.UNKNOWN)
+        return find_shape(round_, task, decision.verdict is GapVerdict.UNKNOWN)
     except GapError:  # a motion that cannot be linearised: the answer stands without a shape
         return ShapeSearch(None, ())
 
 
-def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]) -> Step:
+def shaped_step(
+    shape: CoefficientShape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]
+) -> EffectStep:
     """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
     child = shape.measured.child
     gain = [
@@ -72,7 +74,7 @@ def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Se
     order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), child.criteria)
     spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), child.criteria) for i, g in enumerate(gain)]
     names = child.model.output_names
-    return Step(
+    return EffectStep(
         effect="unknown", title=UNNAMED if known else UNKNOWN, form="", confidence=0.0, members=(),
         separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold,
         where=Where(
@@ -83,16 +85,16 @@ def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Se
     )  # fmt: skip
 
 
-def curve_of(shape: Shape, setting: Setting, where: str, known: tuple[Alike, ...]) -> Curve:
+def curve_of(shape: CoefficientShape, setting: Setting, where: str, known: tuple[Alike, ...]) -> ShapeCurve:
     increment = shape.fitted.increment
     place, flown = increment.place, increment.flown
     child = shape.measured.child
-    final = Fitted(increment, child.problem, child.fit, shape.fitted.gain)
+    final = FittedIncrement(increment, child.problem, child.fit, shape.fitted.gain)
     x, value, std = final.curve()
     unit = "rad" if place.variable in ANGLES else _unit(setting.base, place.variable)
     variables = (place.variable, place.by) if place.by else (place.variable,)
     shown = [(p, c, True) for p, c in shape.plain] + [(p, c, False) for p, c in shape.refused]
-    return Curve(
+    return ShapeCurve(
         output=place.line, variables=variables, grid=x, value=value / increment.reach, std=std / increment.reach, unit=unit,
         low=flown.low, high=flown.high, closed=shape.measured.closed,
         analytic=shape.plain[0][0].text if shape.plain else None,
@@ -146,7 +148,7 @@ def happened(setting: Setting, round_: Round) -> Happened | None:
     return Happened([happening(f, setting.base, flight) for f, flight in zip(found.found, flights, strict=True)])
 
 
-def happening(found: Found, base: Model, flight: str) -> Happening:
+def happening(found: DetectedEvent, base: Model, flight: str) -> EventReport:
     """An event in the words of the answer. flight: its name, "" for all of them."""
     event, sizes = found.event, found.sizes
     unit = next((s.unit for s in base.outputs if s.name == event.channel), "1/s")
@@ -154,7 +156,7 @@ def happening(found: Found, base: Model, flight: str) -> Happening:
         unit = next(s.unit for s in base.states if s.name == event.air)
         share = (event.end - event.start) / np.pi
         sizes = tuple((share * v, share * s) for v, s in sizes)
-    return Happening(
+    return EventReport(
         event.kind.value,
         event.channel,
         flight,
@@ -168,12 +170,12 @@ def happening(found: Found, base: Model, flight: str) -> Happening:
     )
 
 
-def event_step(shape: Happened, gap: Gap) -> Step:
+def event_step(shape: Happened, gap: Gap) -> EffectStep:
     """The step of an unknown that goes with time."""
     first = shape.events[0]
     spans = tuple(dict.fromkeys((e.start, e.end) for e in shape.events[:SPANS]))
     channels = tuple(dict.fromkeys(e.channel or e.air for e in shape.events if e.channel or e.air))
-    return Step(
+    return EffectStep(
         effect="unknown", title="something that happened at one time", form="", confidence=0.0, members=(),
         separate_by="look at the instrument or the weather there, or repeat the flight", estimates={}, units={},
         score=first.score, threshold=first.threshold,

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.answer.result import Gap, Migration, Step, Weighed, Where
+from estimation.gap.answer.result import EffectStep, Gap, Migration, Weighed, Where
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import fit
 from estimation.gap.records.nuisance import timing_of
 from estimation.gap.search.accept import by_timing
-from estimation.gap.search.search_state import Finding, Setting
+from estimation.gap.search.search_state import AcceptedEffect, Setting
 from estimation.gap.search.select import credible_set
 from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus
@@ -24,12 +24,12 @@ UNKNOWN = "an effect the catalogue does not hold"
 TOLD = 3  # nameless signals in the words; the JSON file has more
 
 
-def unknown_step(omnibus: Omnibus, gap: Gap) -> Step:
+def unknown_step(omnibus: Omnibus, gap: Gap) -> EffectStep:
     """Where and how the nameless rest shows."""
     leading = [s for s in omnibus.leading if s.score > omnibus.threshold]
     channels = tuple(dict.fromkeys(s.place for s in leading))
     spans = tuple(s.span for s in leading if s.span is not None)
-    return Step(
+    return EffectStep(
         effect="unknown", title=UNKNOWN, form="", confidence=0.0, members=(),
         separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
         score=omnibus.score, threshold=omnibus.threshold,
@@ -49,7 +49,7 @@ def misfit_of(rest: Omnibus, criteria: Criteria) -> float:
     return (rest.score / rest.threshold) ** 2 if rest.matters(criteria) else 1.0
 
 
-def step_of(setting: Setting, finding: Finding, floor: Floors, misfit: float = 1.0) -> Step:
+def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: float = 1.0) -> EffectStep:
     """The step of an accepted effect; its size is told with the final model. misfit: of what is left without a name beside it."""
     criteria = setting.options.criteria
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
@@ -71,7 +71,7 @@ def step_of(setting: Setting, finding: Finding, floor: Floors, misfit: float = 1
     if held_before is not None and held_after is not None and floor.holdout_median is not None:
         held = Gap(rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median)
     titles = {e.name: e for e in setting.effects}
-    return Step(
+    return EffectStep(
         effect=effect.name, title=effect.title, form=form.label,
         confidence=dict(members)[effect.name],
         members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
@@ -85,7 +85,7 @@ def step_of(setting: Setting, finding: Finding, floor: Floors, misfit: float = 1
     )  # fmt: skip
 
 
-def followed_by_timing(finding: Finding) -> dict[str, float]:
+def followed_by_timing(finding: AcceptedEffect) -> dict[str, float]:
     """Control -> time [s] by which the base had moved it where it followed the effect in that way."""
     if not by_timing(finding.round_, finding.candidate):
         return {}
@@ -113,7 +113,7 @@ def _separate(effect: Effect, names: Sequence[str]) -> str:
     return next((effect.confusions[n] for n in names if n in effect.confusions), effect.separate_by)
 
 
-def _absorbed(finding: Finding) -> float | None:
+def _absorbed(finding: AcceptedEffect) -> float | None:
     """Share of the effect's whitened signature that the base's own parameters can take over."""
     screen = finding.round_.screen
     if finding.candidate.hypothesis not in screen.hypotheses:

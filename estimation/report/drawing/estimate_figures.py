@@ -14,14 +14,14 @@ from estimation.report.names import axis_label, face, literal, tex
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
-    from estimation.session.proof_of_match import Proof
-    from estimation.session.session import FlightEstimates, Session
+    from estimation.session.proof_of_match import ProofOfMatch
+    from estimation.session.session import EstimationSession, FlightEstimates
 
 ACROSS = 4
 PUBLISHED = "#8b95a1"
 
 
-def scatter_figure(session: "Session") -> Picture:
+def scatter_figure(session: "EstimationSession") -> Picture:
     """Figure 8: each derivative over flights and methods, joint band, wind tunnel, published flights."""
     from matplotlib.figure import Figure
 
@@ -46,7 +46,7 @@ def scatter_figure(session: "Session") -> Picture:
     return picture(figure, "figure8", caption)
 
 
-def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
+def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
     width = 0.6 / max(1, len(session.methods))
     for k, method in enumerate(session.methods):
         at = [
@@ -116,7 +116,7 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
     return picture(figure, f"figure9_{f.flight.name}", caption + how, points)
 
 
-def _channels(axes: Any, model: "Model", first: "FlightFit | Proof", curves: Mapping[str, Any]) -> None:
+def _channels(axes: Any, model: "Model", first: "FlightFit | ProofOfMatch", curves: Mapping[str, Any]) -> None:
     for i, signal in enumerate(model.outputs):
         factor, unit = face(signal.name, signal.unit)
         axes[i].plot(first.time, factor * first.measured[:, i], ".", color=MEASURED, ms=2.4, label="measured")
@@ -160,7 +160,7 @@ def correlation_figure(result: Result, whose: str) -> Picture:
     return picture(figure, "correlations", f"Correlation of the estimates, {whose}; numbers from 0.5.")
 
 
-def proof_figure(proofs: Sequence[tuple[str, "Proof"]], refitted: str, of_paper: bool) -> Picture:
+def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of_paper: bool) -> Picture:
     """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof);
     refitted: what was not; of_paper: the caption says so."""
     from matplotlib.figure import Figure

@@ -12,15 +12,15 @@ from estimation.report.drawing.figures import save_figure
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
     from estimation.models.base import Model
-    from estimation.session.proof_of_match import Proof
-    from estimation.session.session import Session
+    from estimation.session.proof_of_match import ProofOfMatch
+    from estimation.session.session import EstimationSession
     from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
 DEGREES = 57.29577951308232
 
 
-def write_histories(session: "Session", path: Path) -> None:
+def write_histories(session: "EstimationSession", path: Path) -> None:
     """Measured and estimated outputs of every flight, one curve for each method; format by the suffix of `path`."""
     columns = []
     for f in session.flights:
@@ -32,13 +32,13 @@ def write_histories(session: "Session", path: Path) -> None:
     _draw(next(iter(session.flights[0].results.values())).model, columns, path)
 
 
-def write_proof(proofs: Sequence["Proof"], path: Path) -> None:
+def write_proof(proofs: Sequence["ProofOfMatch"], path: Path) -> None:
     """Measured and predicted outputs of every flight."""
     columns = [(p.name, p.time, p.measured, {"predicted": p.predicted}) for p in proofs]
     _draw(proofs[0].result.model, columns, path)
 
 
-def write_flights(session: "Session", folder: Path, most: int | None = None) -> list[Path]:
+def write_flights(session: "EstimationSession", folder: Path, most: int | None = None) -> list[Path]:
     """Each flight (the first `most`) with the outputs of its first method beside the measured ones; returns the files."""
     used = [f for f in session.flights if f.results][:most]
     return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in used]

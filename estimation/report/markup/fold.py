@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from estimation.report.tables import CANNOT_TELL, Table
+from estimation.report.tables import CANNOT_TELL, ReportTable
 
 SHEET = 1124
 """Width of a page's text [CSS pixels]: 1180 less its margins, as in style.css; fits a window of 1280."""
@@ -26,7 +26,7 @@ SHORT = 16  # rows of a table that a printed page keeps in one piece
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class TableSlice:
     """Columns of a table that go beside each other. groups: (label, columns spanned); wide: to be set small."""
 
     columns: tuple[int, ...]
@@ -35,20 +35,20 @@ class Piece:
     short: bool
 
 
-def width(table: Table, columns: Sequence[int], *, small: bool = False) -> float:
+def width(table: ReportTable, columns: Sequence[int], *, small: bool = False) -> float:
     """Width of some columns of a table [CSS pixels]."""
     letter, margin = (SMALL_LETTER, SMALL_MARGIN) if small else (LETTER, MARGIN)
     return sum(letter * _letters(table, c) + margin for c in columns)
 
 
-def _letters(table: Table, column: int) -> int:
+def _letters(table: ReportTable, column: int) -> int:
     longest_word = max((len(word) for word in table.head[column].split()), default=0)
     if column in table.texts:
         return max(longest_word, SENTENCE)
     return max(longest_word, *(len(row[column]) for row in table.rows), 1)
 
 
-def pieces(table: Table) -> list[Piece]:
+def pieces(table: ReportTable) -> list[TableSlice]:
     """The table in as few pieces as fit the sheet; one that has no groups stays whole."""
     columns = tuple(range(len(table.head)))
     groups = _spans(table)
@@ -64,7 +64,7 @@ def pieces(table: Table) -> list[Piece]:
     return [_piece(table, [first, *part]) for part in found]
 
 
-def _spans(table: Table) -> list[tuple[str, tuple[int, ...]]]:
+def _spans(table: ReportTable) -> list[tuple[str, tuple[int, ...]]]:
     """Groups with the columns that they span; all in one without groups."""
     if not table.groups:
         return [("", tuple(range(len(table.head))))]
@@ -75,13 +75,13 @@ def _spans(table: Table) -> list[tuple[str, tuple[int, ...]]]:
     return found
 
 
-def _piece(table: Table, groups: Sequence[tuple[str, tuple[int, ...]]]) -> Piece:
+def _piece(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) -> TableSlice:
     columns = tuple(c for _, span in groups for c in span)
     named = tuple((label, len(span)) for label, span in groups) if table.groups else ()
-    return Piece(columns, named, width(table, columns) > SHEET, len(table.rows) <= SHORT)
+    return TableSlice(columns, named, width(table, columns) > SHEET, len(table.rows) <= SHORT)
 
 
-def words(table: Table) -> frozenset[int]:
+def words(table: ReportTable) -> frozenset[int]:
     """Columns that hold no number: they are read from the left."""
     return frozenset(
         c
@@ -90,12 +90,12 @@ def words(table: Table) -> frozenset[int]:
     ) - _without_words(table)
 
 
-def _without_words(table: Table) -> frozenset[int]:
+def _without_words(table: ReportTable) -> frozenset[int]:
     """Columns that are empty, or say of a number that it cannot be told."""
     return frozenset(c for c in range(len(table.head)) if {row[c] for row in table.rows} <= {"", CANNOT_TELL})
 
 
-def label(table: Table, column: int) -> str:
+def label(table: ReportTable, column: int) -> str:
     """What a cell is called where the head of its table is not in sight: group and head."""
     above = next((g for g, span in _spans(table) if column in span), "")
     return f"{above} {table.head[column]}".strip()
@@ -103,7 +103,7 @@ def label(table: Table, column: int) -> str:
 
 def needs_width(found: Any) -> bool:
     """Whether any table in what a page shows is better printed across."""
-    if isinstance(found, Table):
+    if isinstance(found, ReportTable):
         return any(width(found, p.columns, small=p.wide) > PORTRAIT for p in pieces(found))
     if isinstance(found, dict):
         return any(needs_width(v) for v in found.values())

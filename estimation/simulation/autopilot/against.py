@@ -17,7 +17,7 @@ from estimation.simulation.autopilot.ardupilot_equations import SitlPlane, sitl_
 from estimation.simulation.autopilot.ardupilot_equations import air_of as air_of_sitl
 from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
 from estimation.simulation.autopilot.gazebo_equations import air_of as air_of_gazebo
-from estimation.simulation.autopilot.linear import AXES, LinearAircraft, Motion, accelerations, forces, gyroscopic
+from estimation.simulation.autopilot.linear import AXES, FlightStates, LinearAircraft, accelerations, forces, gyroscopic
 from estimation.simulation.autopilot.neutral import BuildUp, evaluated
 from estimation.simulation.autopilot.states import ALPHAS, random_motion
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array
@@ -32,7 +32,7 @@ Axes = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class OmittedTerm:
     """A term that the simulator lacks. value: the derivative, or NaN where it is none; share: of the largest on `axis`."""
 
     name: str
@@ -52,7 +52,7 @@ class SimulatorProof:
 
     states: int
     deviation: Mapping[str, float]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[OmittedTerm, ...]
     limit: float
 
     @property
@@ -95,7 +95,7 @@ def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[st
     told = _told(craft, motion, without, ardupilot.INDUCED, air_of_sitl)
     told += _gyroscopic(craft, motion)
 
-    def model(m: Motion) -> Axes:
+    def model(m: FlightStates) -> Axes:
         return accelerations(
             craft.aircraft, forces(craft.without(without), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
         )
@@ -115,7 +115,7 @@ def against_gazebo(
     far = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
     told = _told(craft, motion, without, gazebo.INDUCED, air_of_gazebo)
 
-    def model(m: Motion) -> Axes:
+    def model(m: FlightStates) -> Axes:
         return forces(craft.without(without), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
 
     told += _blend(lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL)
@@ -161,11 +161,11 @@ def _off_of_body(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
 
 def _told(
     craft: LinearAircraft,
-    motion: Motion,
+    motion: FlightStates,
     without: tuple[str, ...],
     induced: tuple[str, ...],
-    air: Callable[[Motion], tuple[Array, Array, Array]],
-) -> list[LeftOut]:
+    air: Callable[[FlightStates], tuple[Array, Array, Array]],
+) -> list[OmittedTerm]:
     """Derivatives without a key, parts of induced drag, and air data that are defined otherwise, each with what it weighs."""
     whole = accelerations(craft.aircraft, forces(craft, motion))
     found = []
@@ -184,25 +184,25 @@ def _told(
     return [t for t in found if t.share > LEAST_SHARE]
 
 
-def _gyroscopic(craft: LinearAircraft, motion: Motion) -> list[LeftOut]:
+def _gyroscopic(craft: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
     whole = accelerations(craft.aircraft, forces(craft, motion))
     turning = gyroscopic(craft.aircraft, motion)
     return [_largest("gyroscopic terms", np.nan, whole, {**whole, **{n: whole[n] + v for n, v in turning.items()}})]
 
 
 def _blend(
-    flown: Callable[[Motion], Axes], model: Callable[[Motion], Axes], motion: Motion, wanted: bool
-) -> list[LeftOut]:
+    flown: Callable[[FlightStates], Axes], model: Callable[[FlightStates], Axes], motion: FlightStates, wanted: bool
+) -> list[OmittedTerm]:
     """What the stall, where it is near, changes at which the aircraft flies."""
     return [_largest("blend into the stall", np.nan, model(motion), flown(motion))] if wanted else []
 
 
-def _largest(name: str, value: float, whole: Axes, less: Axes) -> LeftOut:
+def _largest(name: str, value: float, whole: Axes, less: Axes) -> OmittedTerm:
     shares = {axis: _share(whole[axis] - less[axis], whole[axis]) for axis in AXES}
     axis = max(shares, key=lambda n: shares[n])
-    return LeftOut(name, value, shares[axis], axis)
+    return OmittedTerm(name, value, shares[axis], axis)
 
 
-def _beyond(beyond: tuple[tuple[str, float], ...]) -> list[LeftOut]:
+def _beyond(beyond: tuple[tuple[str, float], ...]) -> list[OmittedTerm]:
     """What of the model is in none of its coefficients: nothing more is known than its size."""
-    return [LeftOut(name, size, np.nan, "") for name, size in beyond]
+    return [OmittedTerm(name, size, np.nan, "") for name, size in beyond]

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from estimation.simulation.autopilot.linear import Motion
+from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array
 
 MASS = 2.0  # kg
@@ -58,13 +58,13 @@ def lift(plane: SitlPlane, alpha: Array) -> Array:
     return np.asarray((1.0 - share) * (k["c_lift_0"] + k["c_lift_a"] * held) + share * plate)
 
 
-def air_of(motion: Motion) -> tuple[Array, Array, Array]:
+def air_of(motion: FlightStates) -> tuple[Array, Array, Array]:
     """Airspeed, angle of attack, sideslip as SITL takes them."""
     u, v, w = motion.velocity()
     return np.sqrt(u**2 + v**2 + w**2), np.arctan2(w, u), np.arctan2(v, u)
 
 
-def sitl_forces(plane: SitlPlane, motion: Motion) -> dict[str, Array]:
+def sitl_forces(plane: SitlPlane, motion: FlightStates) -> dict[str, Array]:
     """X, Y, Z [N] on its 2 kg and L, M, N [N m] on its 1 kg m2, (N,) each, of a motion with true surfaces [rad]."""
     k = plane.values
     V, alpha, beta = air_of(motion)
@@ -92,7 +92,7 @@ def sitl_forces(plane: SitlPlane, motion: Motion) -> dict[str, Array]:
     return {"X": X, "Y": Y, "Z": Z, "L": L + y * Z - z * Y, "M": M + z * X - x * Z, "N": N + x * Y - y * X}
 
 
-def sitl_accelerations(plane: SitlPlane, motion: Motion) -> dict[str, Array]:
+def sitl_accelerations(plane: SitlPlane, motion: FlightStates) -> dict[str, Array]:
     """Specific force [m/s2] and angular acceleration [rad/s2] that SITL moves by."""
     force = sitl_forces(plane, motion)
     return {axis: value / MASS if axis in "XYZ" else value for axis, value in force.items()}

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimation.aircraft import Aircraft
 from estimation.simulation.autopilot.ardupilot_equations import blend
-from estimation.simulation.autopilot.linear import Motion
+from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array
 
 SHARPNESS = 15.0  # 1/rad, fixed in the plugin
@@ -49,7 +49,7 @@ class GazeboPlane:
     notes: tuple[str, ...] = ()
 
 
-def gazebo_forces(plane: GazeboPlane, motion: Motion) -> dict[str, Array]:
+def gazebo_forces(plane: GazeboPlane, motion: FlightStates) -> dict[str, Array]:
     """X, Y, Z [N] and L, M, N [N m] about the centre of gravity, (N,) each, body axes x forward, y right, z down."""
     k, at = plane.values, motion.values
     x, y, z = plane.cp
@@ -88,7 +88,7 @@ def gazebo_forces(plane: GazeboPlane, motion: Motion) -> dict[str, Array]:
     return {"X": X, "Y": Y, "Z": Z, "L": L + y * Z - z * Y, "M": M + z * X - x * Z, "N": N + x * Y - y * X}
 
 
-def air_of(motion: Motion) -> tuple[Array, Array, Array]:
+def air_of(motion: FlightStates) -> tuple[Array, Array, Array]:
     """Airspeed, angle of attack and sideslip as the plugin takes them where cp is the centre of gravity."""
     u, v, w = motion.velocity()
     return np.sqrt(u**2 + w**2), np.arctan2(w, u), np.arctan2(v, u)

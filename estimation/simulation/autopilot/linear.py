@@ -57,7 +57,7 @@ class LinearAircraft:
 
 
 @dataclass(frozen=True)
-class Motion:
+class FlightStates:
     """N states of flight. values: `V` [m/s], `alpha`, `beta`, surfaces [rad], `p`, `q`, `r` [rad/s] and `rho` [kg/m3] -> (N,)."""
 
     values: Mapping[str, Array]
@@ -74,12 +74,14 @@ class Motion:
         V, alpha, beta = (self.values[n] for n in ("V", "alpha", "beta"))
         return V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
 
-    def with_air(self, V: Array, alpha: Array, beta: Array) -> "Motion":
+    def with_air(self, V: Array, alpha: Array, beta: Array) -> "FlightStates":
         """The same with air data as somebody else defines them."""
-        return Motion({**self.values, "V": V, "alpha": alpha, "beta": beta})
+        return FlightStates({**self.values, "V": V, "alpha": alpha, "beta": beta})
 
 
-def coefficients(craft: LinearAircraft, motion: Motion, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
+def coefficients(
+    craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None
+) -> dict[str, Array]:
     """Each of LINES -> (N,). induced: endings of the terms of lift that enter induced drag, all by default."""
     at = motion.values
     span, chord = craft.aircraft.span, craft.aircraft.chord
@@ -98,7 +100,7 @@ def coefficients(craft: LinearAircraft, motion: Motion, induced: tuple[str, ...]
     return made
 
 
-def forces(craft: LinearAircraft, motion: Motion, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
+def forces(craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
     """Each of AXES -> (N,): aerodynamic force [N] and moment about the centre of gravity [N m] in body axes."""
     c = coefficients(craft, motion, induced)
     at, a = motion.values, craft.aircraft
@@ -124,7 +126,7 @@ def accelerations(aircraft: Aircraft, force: Mapping[str, Array]) -> dict[str, A
     return made
 
 
-def gyroscopic(aircraft: Aircraft, motion: Motion) -> dict[str, Array]:
+def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     """L, M, N -> (N,): what turning about several axes at once adds to angular accelerations [rad/s2]."""
     p, q, r = (motion.values[n] for n in ("p", "q", "r"))
     roll = aircraft.Ixz * p * q - (aircraft.Izz - aircraft.Iyy) * q * r

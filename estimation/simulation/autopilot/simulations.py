@@ -15,7 +15,7 @@ from estimation.simulation.autopilot.ardupilot_equations import MASS, SitlPlane,
 from estimation.simulation.autopilot.ardupilot_file import read_sitl_plane
 from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
 from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
-from estimation.simulation.autopilot.linear import Motion
+from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array, Simulation, SimulationError, States
 
 ARDUPILOT, GAZEBO = "ardupilot:", "gazebo:"  # before the file of a simulation
@@ -46,8 +46,8 @@ class GazeboOracle:
         return _over_pressure(states, self.plane.aircraft, [states.rho * v for v in force.values()])
 
 
-def _motion(states: States) -> Motion:
-    return Motion({**states.values, "rho": states.rho})
+def _motion(states: States) -> FlightStates:
+    return FlightStates({**states.values, "rho": states.rho})
 
 
 def _over_pressure(states: States, a: Aircraft, force: list[Array]) -> Array:

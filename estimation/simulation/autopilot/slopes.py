@@ -9,8 +9,8 @@ from estimation.simulation.autopilot.linear import (
     CONSTANT,
     POLAR,
     SLOPES,
+    FlightStates,
     LinearAircraft,
-    Motion,
     accelerations,
     coefficients,
     forces,
@@ -26,7 +26,7 @@ SAME = 1e-9  # of the largest of a coefficient: a linear line differs from its s
 DROP = 1e-12  # of the largest slope of its line: what differences of rounded numbers leave of nothing
 THRUSTS, RATES, DENSITIES = (0.0, 10.0), (-0.5, 0.5), (0.7, 1.3)  # N, rad/s, kg/m3 beside which lines are tried
 LATERAL, PITCH = ("CY", "Cl", "Cn"), ("CL", "CD", "Cm")
-Line = Callable[[Motion, Array, Array], Array]
+Line = Callable[[FlightStates, Array, Array], Array]
 """Value of a line at a motion, rate of alpha [rad/s] and thrust [N]."""
 
 
@@ -35,7 +35,7 @@ def lines_of(model: Model) -> dict[str, Line]:
     oracle, has = TextOracle(model), model.definitions
 
     def asked(name: str) -> Line:
-        def line(motion: Motion, alpha_dot: Array, thrust: Array) -> Array:
+        def line(motion: FlightStates, alpha_dot: Array, thrust: Array) -> Array:
             values = {n: motion.values[n] for n in ("V", "alpha", "beta", "p", "q", "r", *motion.surfaces)}
             return oracle.line(name, States({**values, "thrust": thrust}, motion.values["rho"], alpha_dot))
 
@@ -67,7 +67,7 @@ def derivatives_of(model: Model, frame: LinearAircraft) -> dict[str, float]:
     return found
 
 
-def _points(frame: LinearAircraft, hatted: Mapping[str, Array], count: int) -> tuple[Motion, Array]:
+def _points(frame: LinearAircraft, hatted: Mapping[str, Array], count: int) -> tuple[FlightStates, Array]:
     """Motion and rate of alpha at which variables of SLOPES have these values."""
     a, nothing = frame.aircraft, np.zeros(count)
     V = np.full(count, SPEED)
@@ -76,7 +76,7 @@ def _points(frame: LinearAircraft, hatted: Mapping[str, Array], count: int) -> t
     values |= {n: hatted.get(n, nothing) * 2.0 * V / lengths[n] for n in ("p", "q", "r")}
     alphadot = hatted.get("alphadot", nothing)
     values |= {"V": V, "rho": np.full(count, DENSITY), "alphadot_hat": alphadot}
-    return Motion(values), alphadot * 2.0 * V / lengths["alphadot"]
+    return FlightStates(values), alphadot * 2.0 * V / lengths["alphadot"]
 
 
 def _slopes(name: str, line: Line, frame: LinearAircraft) -> dict[str, float]:
@@ -116,7 +116,7 @@ def _check(model: Model, lines: Mapping[str, Line], craft: LinearAircraft) -> No
     rng = np.random.default_rng(STATES + 1)
     rate, thrust, density = (rng.uniform(*ends, STATES) for ends in (RATES, THRUSTS, DENSITIES))
     hat = rate * craft.aircraft.chord / (2.0 * motion.values["V"])
-    motion = Motion({**motion.values, "rho": density, "alphadot_hat": hat})
+    motion = FlightStates({**motion.values, "rho": density, "alphadot_hat": hat})
     linear = coefficients(craft, motion)
     for name, line in lines.items():
         at = line(motion, rate, thrust)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from estimation.aircraft import GRAVITY
-from estimation.simulation.autopilot.linear import LinearAircraft, Motion
+from estimation.simulation.autopilot.linear import FlightStates, LinearAircraft
 from estimation.simulation.oracle import SURFACES
 
 STATES = 200
@@ -20,7 +20,7 @@ SEA_LEVEL = 1.225  # kg/m3: where true and equivalent airspeed are one
 
 def random_motion(
     craft: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL, count: int = STATES
-) -> Motion:
+) -> FlightStates:
     """States in which the aircraft may fly; rho [kg/m3] and the range of angle of attack [rad] are given."""
     rng, aircraft = np.random.default_rng(SEED), craft.aircraft
     cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL * aircraft.area * CRUISE))
@@ -30,4 +30,4 @@ def random_motion(
         values[name] = rng.uniform(max(least, -DEFLECTION), min(greatest, DEFLECTION), count)
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*alphas, count)
     values["rho"] = np.full(count, rho)
-    return Motion(values)
+    return FlightStates(values)

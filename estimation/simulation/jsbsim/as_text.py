@@ -40,7 +40,7 @@ SOLVED = (  # the equation of motion in alpha with that lift on its left side wh
 
 
 @dataclass(frozen=True)
-class Air:
+class StandardTroposphere:
     """A standard troposphere from one point of it. sound: its speed [m/s]; temperature [K]; rho: density [kg/m3]; power: that of
     density with which the speed of sound goes, half of that of temperature; viscosity: Sutherland's constant [kg/(m s K^.5)]."""
 
@@ -52,7 +52,7 @@ class Air:
 
 
 @dataclass(frozen=True)
-class Source:
+class AircraftSource:
     """What is known of an aircraft beside its XML. arm: of AERORP from the centre of gravity [m, body axes]. asked: see
     `Reader`."""
 
@@ -62,7 +62,7 @@ class Source:
     section: ET.Element
     surfaces: Mapping[str, tuple[str, Follows]]
     arm: tuple[float, float, float]
-    air: Air
+    air: StandardTroposphere
     asked: Callable[[str], list[float] | None]
 
 
@@ -88,7 +88,7 @@ class Imported:
         ]
 
 
-def imported(source: Source) -> Imported:
+def imported(source: AircraftSource) -> Imported:
     """The model. Raises SimulationError naming every function that has no exact form in our text."""
     skeleton = six_dof(source.aircraft)
     text = Text(taken=_reserved(skeleton))
@@ -122,7 +122,7 @@ def _reserved(skeleton: Model) -> set[str]:
     return {*names, *skeleton.definitions, *WHOLE, LIFT, *ours.split()}
 
 
-def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str, source: Source) -> Model:
+def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str, source: AircraftSource) -> Model:
     """rate: lift over the rate of alpha, `0` where only other forces go with that, nothing where none does."""
     lines = {n: t for n, t in skeleton.definitions.items() if n not in (*AXES.values(), "CX", "CZ")}
     total = {AXES[axis]: " + ".join(terms).replace("+ -", "- ") or "0" for axis, terms in sums.items()}

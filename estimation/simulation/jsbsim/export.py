@@ -25,7 +25,7 @@ SAME_MASS = 1e-3  # relative: by which the model's mass may differ from the airc
 
 
 @dataclass(frozen=True)
-class Exported:
+class JsbsimExport:
     """file: the aircraft's XML. terms: names of the functions and components that were added. left_out: what is no aircraft's."""
 
     file: Path
@@ -44,7 +44,7 @@ class Written:
 
 def export_aircraft(
     model: Model, source: Path, folder: Path, lineage: str, rate: float
-) -> tuple[Exported, Written, Increments]:
+) -> tuple[JsbsimExport, Written, Increments]:
     """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: steps per second it is meant for, in
     which delays are counted. Raises SimulationError for what cannot be written, before anything is."""
     found = increments_of(model)
@@ -60,7 +60,7 @@ def export_aircraft(
         (new / source.name).unlink()
         with whole(new / f"{name}.xml") as file:
             ET.ElementTree(made.root).write(file, encoding="utf-8", xml_declaration=True)
-    return Exported(target / f"{name}.xml", made.terms, found.left_out), made, found
+    return JsbsimExport(target / f"{name}.xml", made.terms, found.left_out), made, found
 
 
 def written(found: Increments, source: Path, rate: float, lineage: str) -> Written:

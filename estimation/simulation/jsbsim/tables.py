@@ -24,14 +24,14 @@ class TableError(Exception):
 
 
 @dataclass(frozen=True)
-class Table:
+class LookupTable:
     """Values at points of the last variable; what stands there are numbers, or tables of the variables before."""
 
     points: Array
-    values: "tuple[float | Table, ...]"
+    values: "tuple[float | LookupTable, ...]"
 
 
-def table_of(element: ET.Element) -> tuple[Table, list[str]]:
+def table_of(element: ET.Element) -> tuple[LookupTable, list[str]]:
     """The numbers of a <table> and the properties it is looked up by, the last one first. Raises TableError."""
     variables = {e.get("lookup", "row"): (e.text or "").strip() for e in element.findall("independentVar")}
     data = element.findall("tableData")
@@ -46,13 +46,13 @@ def table_of(element: ET.Element) -> tuple[Table, list[str]]:
     return table, [variables[w] for w in reversed(wanted)]
 
 
-def _risen(points: list[float], values: "tuple[float | Table, ...]") -> Table:
+def _risen(points: list[float], values: "tuple[float | LookupTable, ...]") -> LookupTable:
     if np.any(np.diff(points) <= 0.0):
         raise TableError("a table whose points do not rise")
-    return Table(np.array(points), values)
+    return LookupTable(np.array(points), values)
 
 
-def _of_one(text: str) -> Table:
+def _of_one(text: str) -> LookupTable:
     numbers = _numbers(text)
     if len(numbers) % 2 or not numbers:
         raise TableError("a table with a number missing")
@@ -60,7 +60,7 @@ def _of_one(text: str) -> Table:
     return _risen(rows[:, 0].tolist(), tuple(rows[:, 1].tolist()))
 
 
-def _of_two(text: str) -> Table:
+def _of_two(text: str) -> LookupTable:
     lines = [line for line in text.splitlines() if line.strip()]
     columns = _numbers(lines[0]) if lines else []
     rest = [n for line in lines[1:] for n in _numbers(line)]
@@ -82,7 +82,7 @@ def _number(word: str) -> float:
         raise TableError(f"a table with {word!r} for a number") from error
 
 
-def looked_up(table: Table, at: list[Sum], line: Line) -> Sum:
+def looked_up(table: LookupTable, at: list[Sum], line: Line) -> Sum:
     """The value of a table at variables, the last one first; where one is a number, the table is looked up there and then."""
     x, *others = at
     number = x.number

@@ -24,7 +24,7 @@ from firmware_sim.hardware.autopilots.frames import (
     RC_CHANNELS,
     RC_CHANNELS_OVERRIDE,
     SERVO_OUTPUT_RAW,
-    Received,
+    ReceivedFrame,
     text_of,
 )
 from firmware_sim.hardware.autopilots.looped import LEAST_US, MS, TRAVEL_US, TRIM_US, LoopedAutopilot
@@ -122,7 +122,7 @@ class ArduPlane(LoopedAutopilot):
 
     # ---------------------------------------------------------------------------------------- messages
 
-    def _take(self, message: Received, now_ns: int) -> None:
+    def _take(self, message: ReceivedFrame, now_ns: int) -> None:
         f = message.fields
         if message.number == RC_CHANNELS_OVERRIDE.number:
             if message.system == self._ground_system():

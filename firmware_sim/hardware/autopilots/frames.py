@@ -38,7 +38,7 @@ TAKEN = {m.number: m for m in (PARAM_REQUEST_READ, PARAM_SET, MANUAL_CONTROL, RC
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class ReceivedFrame:
     """A message that came in whole: its number, the system that sent it, and its fields in the order of the wire."""
 
     number: int
@@ -68,7 +68,7 @@ class Unpacker:
     def __init__(self) -> None:
         self._buffer = bytearray()
 
-    def feed(self, data: bytes) -> Iterator[Received]:
+    def feed(self, data: bytes) -> Iterator[ReceivedFrame]:
         """Messages completed by `data`; others, and damaged ones, are passed over."""
         self._buffer += data
         buffer = self._buffer
@@ -84,7 +84,7 @@ class Unpacker:
                 del buffer[0]
                 continue
             payload = bytes(buffer[_HEADER:end]).ljust(message.codec.size, b"\0")[: message.codec.size]
-            yield Received(message.number, buffer[5], message.codec.unpack(payload))
+            yield ReceivedFrame(message.number, buffer[5], message.codec.unpack(payload))
             del buffer[: end + 2]
 
     def _sound(self, message: Message, end: int) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 BAUD = 115_200
 
 
-class Line:
+class LossyLine:
     """lost, late_ns: whether what is sent at a time [ns] is lost, and how much later it arrives [ns]."""
 
     def __init__(self, baud: int = BAUD) -> None:

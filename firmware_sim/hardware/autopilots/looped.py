@@ -4,8 +4,8 @@ from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 
-from firmware_sim.hardware.autopilots.frames import Packer, Received, Unpacker
-from firmware_sim.hardware.autopilots.line import Line
+from firmware_sim.hardware.autopilots.frames import Packer, ReceivedFrame, Unpacker
+from firmware_sim.hardware.autopilots.line import LossyLine
 
 MS = 1_000_000
 TRIM_US, TRAVEL_US = 1500, 500
@@ -17,7 +17,7 @@ class LoopedAutopilot(ABC):
     """A Talker. loop_ns: period of its loop; origin_ns: when it was switched on."""
 
     def __init__(self, loop_ns: int, origin_ns: int) -> None:
-        self.inward, self.outward = Line(), Line()
+        self.inward, self.outward = LossyLine(), LossyLine()
         self.loops = 0
         self.origin_ns = self._next_ns = origin_ns
         self._loop_ns = loop_ns
@@ -46,7 +46,7 @@ class LoopedAutopilot(ABC):
         """Take bytes, which arrive at the speed of the line."""
         self.inward.send(data, now_ns)
 
-    def heard(self, now_ns: int) -> Iterator[Received]:
+    def heard(self, now_ns: int) -> Iterator[ReceivedFrame]:
         """Messages that have come in whole."""
         return self._unpacker.feed(self.inward.arrived(now_ns))
 

@@ -18,7 +18,7 @@ from firmware_sim.hardware.autopilots.frames import (
     PARAM_REQUEST_READ,
     PARAM_VALUE,
     RC_CHANNELS,
-    Received,
+    ReceivedFrame,
     text_of,
 )
 from firmware_sim.hardware.autopilots.looped import LEAST_US, MS, TRAVEL_US, TRIM_US, LoopedAutopilot
@@ -105,7 +105,7 @@ class Px4(LoopedAutopilot):
 
     # ---------------------------------------------------------------------------------------- messages
 
-    def _take(self, message: Received, now_ns: int) -> None:
+    def _take(self, message: ReceivedFrame, now_ns: int) -> None:
         f = message.fields
         if message.number == MANUAL_CONTROL.number:
             pitch, roll, throttle, yaw = (float(v) / 1000.0 for v in f[:4])

@@ -4,7 +4,7 @@ HEARTBEAT once a second and SERVO_OUTPUT_RAW at its stream rate, in whole micros
 """
 
 from firmware_sim.hardware.autopilots.frames import HEARTBEAT, SERVO_OUTPUT_RAW, Packer
-from firmware_sim.hardware.autopilots.line import Line
+from firmware_sim.hardware.autopilots.line import LossyLine
 from firmware_sim.hardware.sensing.instruments import Instruments
 
 STREAM_NS = 50_000_000
@@ -16,7 +16,7 @@ class Autopilot:
     def __init__(self, instruments: Instruments) -> None:
         self._inputs = instruments.inputs(*(f"pwm_{i}" for i in range(1, 7)))
         self._next_ns = instruments.origin_ns
-        self._packer, self._line = Packer(), Line()
+        self._packer, self._line = Packer(), LossyLine()
         self._powered = True
 
     def set_power(self, on: bool, now_ns: int) -> None:

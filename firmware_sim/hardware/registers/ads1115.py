@@ -21,7 +21,7 @@ Volts = Callable[[int, int], float]
 """Volts at an input (0 to 3) averaged over a conversion around a time [ns]."""
 
 
-class Ads1115(PoweredChip):
+class Ads1115Chip(PoweredChip):
     """An ADS1115; clock_error: relative error of its conversion time, up to +-0.1 by the datasheet."""
 
     def __init__(self, volts: Volts, clock_error: float = 0.0) -> None:

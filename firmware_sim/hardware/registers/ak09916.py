@@ -6,7 +6,7 @@ Inputs: magnetic field x y z [T] in the axes of the AK09916 die (in the ICM-2094
 import numpy as np
 
 from firmware_sim.hardware.registers.chip import Inputs, RegisterChip, to_counts
-from firmware_sim.hardware.registers.icm20948 import Icm20948
+from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
 
 TESLA_PER_COUNT = 0.15e-6
 OVERFLOW_T = 4912e-6
@@ -15,10 +15,10 @@ _CONTINUOUS_HZ = {0x02: 10.0, 0x04: 20.0, 0x06: 50.0, 0x08: 100.0}
 _SINGLE, _SINGLE_NS = 0x01, 7_200_000
 
 
-class Ak09916(RegisterChip):
+class Ak09916Chip(RegisterChip):
     """An AK09916 behind `host`; noise: standard deviation of a sample [T]."""
 
-    def __init__(self, host: Icm20948, inputs: Inputs, noise: float, rng: np.random.Generator) -> None:
+    def __init__(self, host: Icm20948Chip, inputs: Inputs, noise: float, rng: np.random.Generator) -> None:
         super().__init__()
         self._host = host
         self._inputs = inputs

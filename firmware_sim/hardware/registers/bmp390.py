@@ -66,7 +66,7 @@ class Trimming:
         return raw
 
 
-class Bmp390(RegisterChip):
+class Bmp390Chip(RegisterChip):
     """A BMP390; noise: standard deviation of a pressure sample [Pa] and a temperature sample [K] before the IIR filter."""
 
     def __init__(self, inputs: Inputs, noise: tuple[float, float], rng: np.random.Generator) -> None:

@@ -17,7 +17,7 @@ _COARSE_NS = 5_000_000  # while nothing moves; inputs are known on this grid
 _FORGET_NS = 500_000_000
 
 
-class Capture(RegisterChip):
+class CaptureChip(RegisterChip):
     """The co-processor; its loop looks at the inputs every millisecond."""
 
     def __init__(self, inputs: Inputs) -> None:

@@ -37,7 +37,7 @@ _RESET_VALUES: tuple[dict[int, int], ...] = (
 _GRID_NS = 5_000_000  # longest step of the filters
 
 
-class Icm20948(RegisterChip):
+class Icm20948Chip(RegisterChip):
     """An ICM-20948 that samples `inputs` at the configured rate.
 
     noise: standard deviation of accelerometer x y z [m/s2] and gyro x y z [rad/s] samples.

@@ -12,7 +12,7 @@ START_UP_NS = 8_400_000  # from power to the first valid data
 STATUS_OK, STATUS_STALE, STATUS_FAULT = 0, 2, 3
 
 
-class Ms4525do(PoweredChip):
+class Ms4525doChip(PoweredChip):
     """An MS4525DO of type A (10 to 90 % of 14 bits over its range); faulty: report a diagnostic fault."""
 
     def __init__(self, inputs: Inputs, range_psi: tuple[float, float] = (-1.0, 1.0)) -> None:

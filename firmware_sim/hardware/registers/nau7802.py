@@ -15,7 +15,7 @@ _RR, _PUD, _PUA, _PUR, _CS, _CR = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20
 _CALS = 0x04
 
 
-class Nau7802(RegisterChip):
+class Nau7802Chip(RegisterChip):
     """A NAU7802 on channel 1."""
 
     def __init__(self, inputs: Inputs) -> None:

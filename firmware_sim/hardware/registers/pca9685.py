@@ -26,7 +26,7 @@ _KEPT = 64  # sets of values kept, so that what the outputs did some cycles ago 
 Enable = Callable[[int], bool]
 
 
-class Pca9685(RegisterChip):
+class Pca9685Chip(RegisterChip):
     """oscillator_error: relative, within +-0.08 by the data sheet (23 to 27 MHz). enabled: whether OE is low at a time [ns]."""
 
     def __init__(self, oscillator_error: float = 0.0, enabled: Enable = lambda time_ns: True) -> None:
@@ -160,7 +160,7 @@ class Pca9685(RegisterChip):
 class AllCall(PoweredChip):
     """What answers at the address of all PCA9685s: every one whose ALLCALL bit is still set."""
 
-    def __init__(self, chip: Pca9685) -> None:
+    def __init__(self, chip: Pca9685Chip) -> None:
         super().__init__()
         self._chip = chip
 

@@ -102,7 +102,7 @@ def nav_pvt(fix: Fix) -> bytes:
     return frame(NAV_PVT, payload)
 
 
-class Ublox:
+class UbloxReceiver:
     """The receiver's message side: gives bytes for fixes, takes configuration bytes and gives the answers.
 
     saved_period_ms: navigation period of a configuration with NAV-PVT kept in the receiver; None: factory settings.

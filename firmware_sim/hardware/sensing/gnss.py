@@ -8,7 +8,7 @@ the speed of the line.
 import math
 from collections.abc import Callable
 
-from firmware_sim.hardware.registers.ublox import Fix, Ublox
+from firmware_sim.hardware.registers.ublox import Fix, UbloxReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments
 
 BAUD = 115_200
@@ -32,7 +32,7 @@ class GnssReceiver:
         self._model = instruments.models.gnss
         self._start_utc_ns = start_utc_ns
         self._corrupt = corrupt
-        self._ublox = Ublox(round(1000.0 / self._model.rate_hz) if self._model.configured else None)
+        self._ublox = UbloxReceiver(round(1000.0 / self._model.rate_hz) if self._model.configured else None)
         self._rng = instruments.generator("gnss")
         self._pulse_rng = instruments.generator("gnss pulse")
         self._pulse: tuple[int, int] | None = None  # edge, and when it was stamped

@@ -26,11 +26,11 @@ COUNTS_PER_NEWTON = 40_000.0
 NAU7802_GAIN = 128.0
 
 
-class _Table(BaseModel):
+class _SensorModelTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class TriadModel(_Table):
+class TriadModel(_SensorModelTable):
     """Three axes: reading = matrix true + bias + bias_per_kelvin (T - 298.15 K) + noise, in body axes."""
 
     matrix: Matrix = Field(default=_IDENTITY, description="scale factors and misalignment (magnetometer: soft iron)")
@@ -40,7 +40,7 @@ class TriadModel(_Table):
     noise: Vector = Field(default=_ZERO, description="standard deviation of a sample")
 
 
-class ImuModel(_Table):
+class ImuModel(_SensorModelTable):
     """[sensors.imu]: ICM-20948. body_from_chip: matrix that turns printed chip axes into body axes (chip face down)."""
 
     position: Vector = _ZERO
@@ -50,13 +50,13 @@ class ImuModel(_Table):
     die_above_air_k: float = Field(default=8.0, description="self-heating of the board [K]")
 
 
-class MagModel(_Table):
+class MagModel(_SensorModelTable):
     """[sensors.mag]: AK09916 inside the ICM-20948."""
 
     field: TriadModel = TriadModel(noise=(0.4e-6, 0.4e-6, 0.4e-6))
 
 
-class VaneModel(_Table):
+class VaneModel(_SensorModelTable):
     """[sensors.alpha_vane], [sensors.beta_vane]: a balanced vane on a potentiometer or Hall sensor.
 
     The vane follows the local flow as a second-order system; its delay at low frequency is damping / (pi frequency_hz).
@@ -76,7 +76,7 @@ class VaneModel(_Table):
     cubic_v_per_rad3: float = Field(default=0.0, description="curvature of the transfer [V/rad3]")
 
 
-class PotentiometerModel(_Table):
+class PotentiometerModel(_SensorModelTable):
     """[sensors.elevon_left], [sensors.elevon_right], [sensors.rudder_pot]."""
 
     centre_v: float = 2.5
@@ -85,7 +85,7 @@ class PotentiometerModel(_Table):
     cubic_v_per_rad3: float = 0.0
 
 
-class SupplyModel(_Table):
+class SupplyModel(_SensorModelTable):
     """[sensors.supply]: the 5 V sensor supply, to which vanes and potentiometers are ratiometric, and the dividers."""
 
     sensor_v: float = 5.0
@@ -95,7 +95,7 @@ class SupplyModel(_Table):
     sensor_divider: Positive = 2.0
 
 
-class PitotModel(_Table):
+class PitotModel(_SensorModelTable):
     """[sensors.pitot]: MS4525DO, +-1 psi. factor multiplies the impact pressure (position error of the total port)."""
 
     factor: Positive = 1.0
@@ -108,7 +108,7 @@ class PitotModel(_Table):
     die_above_air_k: float = 3.0
 
 
-class StaticModel(_Table):
+class StaticModel(_SensorModelTable):
     """[sensors.static]: BMP390. position_error: (measured - true static pressure) / dynamic pressure."""
 
     position_error: float = 0.0
@@ -118,7 +118,7 @@ class StaticModel(_Table):
     die_above_air_k: float = 0.0
 
 
-class ThrustModel(_Table):
+class ThrustModel(_SensorModelTable):
     """[sensors.thrust]: load cell behind a NAU7802 at gain 128."""
 
     counts_per_newton: float = COUNTS_PER_NEWTON
@@ -126,13 +126,13 @@ class ThrustModel(_Table):
     noise_n: Sigma = 0.05
 
 
-class CaptureModel(_Table):
+class CaptureModel(_SensorModelTable):
     """[sensors.capture]: the pulse-measuring co-processor."""
 
     jitter_us: Sigma = 0.1
 
 
-class GnssModel(_Table):
+class GnssModel(_SensorModelTable):
     """[sensors.gnss]: u-blox receiver."""
 
     position: Vector = (0.10, 0.0, -0.03)
@@ -151,7 +151,7 @@ class GnssModel(_Table):
     )
 
 
-class SensorModels(_Table):
+class SensorModels(_SensorModelTable):
     """The whole table `[sensors]`, with `[sensors.bus]` and `[sensors.delays]`."""
 
     unit: Annotated[int, Field(ge=0)] = 0

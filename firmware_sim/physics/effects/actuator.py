@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from firmware_sim.physics.effects.base import Effect, Host
+from firmware_sim.physics.effects.base import HiddenEffect, Host
 from firmware_sim.physics.maths import Maths, State, Value
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class History:
+class DelayedHistory:
     """Values on the time grid, looked up in the past with linear interpolation; one value or one per flight."""
 
     def __init__(self, longest: float, step: float, first: Value, xp: Maths) -> None:
@@ -45,7 +45,7 @@ class History:
         return out
 
 
-class _Delay(Effect):
+class _Delay(HiddenEffect):
     """Dead time between arm and surface; `size` in s."""
 
     group, unit, typical = "actuator", "s", 0.06
@@ -53,11 +53,11 @@ class _Delay(Effect):
 
     def bind(self, plant: Host) -> None:
         super().bind(plant)
-        self._past: list[History] = []
+        self._past: list[DelayedHistory] = []
 
     def start(self, m: "Motion", x: State) -> None:
         longest = float(np.max(self.size)) + 0.02
-        self._past = [History(longest, self.plant.step_size, getattr(m, arm), self.xp) for arm, _ in self.arms]
+        self._past = [DelayedHistory(longest, self.plant.step_size, getattr(m, arm), self.xp) for arm, _ in self.arms]
 
     def linkage(self, m: "Motion", x: State) -> None:
         for past, (_, surface) in zip(self._past, self.arms, strict=False):
@@ -82,7 +82,7 @@ class RudderDelay(_Delay):
     arms = (("arm_r", "surface_r"),)
 
 
-class AileronLag(Effect):
+class AileronLag(HiddenEffect):
     """Elastic linkages: elevons follow their arms with a first-order lag of `size` s."""
 
     name, title, group, unit, typical = "aileron_lag", "lag of the elevons", "actuator", "s", 0.06
@@ -100,7 +100,7 @@ class AileronLag(Effect):
         dx[self.at + 1] = (m.arm_right - x[self.at + 1]) / tau
 
 
-class RudderLag(Effect):
+class RudderLag(HiddenEffect):
     """Elastic linkage: the fin follows its arm with a first-order lag of `size` s."""
 
     name, title, group, unit, typical = "rudder_lag", "lag of the rudder", "actuator", "s", 0.06
@@ -123,7 +123,7 @@ class ServoDelay(_Delay):
     arms = (("arm_left", "surface_left"), ("arm_right", "surface_right"), ("arm_r", "surface_r"))
 
 
-class ServoLag(Effect):
+class ServoLag(HiddenEffect):
     """What is recorded is what the servos are told: all surfaces follow it with a first-order lag of `size` s."""
 
     name, title, group, unit, typical = "servo_lag", "lag of all surfaces", "actuator", "s", 0.06
@@ -146,7 +146,7 @@ def _dead(value: Value, half_width: Value, xp: Maths) -> Value:
     return value - xp.clip(value, -half_width, half_width)
 
 
-class AileronDeadZone(Effect):
+class AileronDeadZone(HiddenEffect):
     """The aileron mixing does nothing near neutral: within `size` rad of differential deflection the elevons rest."""
 
     name, title, group, unit, typical = "aileron_deadzone", "dead zone of the ailerons", "actuator", "rad", 0.014
@@ -162,7 +162,7 @@ def _play(arm: Value, before: Value, half_gap: Value, xp: Maths) -> Value:
     return xp.clip(before, arm - half_gap, arm + half_gap)
 
 
-class AileronBacklash(Effect):
+class AileronBacklash(HiddenEffect):
     """Play in the aileron linkage: a change of direction moves nothing until a gap of 2 `size` rad is taken up."""
 
     name, title, group, unit, typical = "aileron_backlash", "play in the aileron linkage", "actuator", "rad", 0.012
@@ -182,7 +182,7 @@ class AileronBacklash(Effect):
         self._rests = self._difference(m)
 
 
-class RudderBacklash(Effect):
+class RudderBacklash(HiddenEffect):
     """Play in the rudder linkage; gap of 2 `size` rad."""
 
     name, title, group, unit, typical = "rudder_backlash", "play in the rudder linkage", "actuator", "rad", 0.012
@@ -197,7 +197,7 @@ class RudderBacklash(Effect):
         self._rests = m.surface_r
 
 
-class SurfaceCompliance(Effect):
+class SurfaceCompliance(HiddenEffect):
     """Pushrods bend under hinge moment: all surfaces give way with dynamic pressure; `size` per Pa."""
 
     name, title, group, unit, typical = "surface_compliance", "surfaces give way with dynamic pressure", "actuator", "1/Pa", 7e-4  # fmt: skip # noqa: E501

@@ -5,7 +5,7 @@ Angles in rad, rates non-dimensional. Sizes are engineering estimates for this a
 
 from typing import TYPE_CHECKING, ClassVar
 
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import State
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 REFERENCE_ALPHA = 0.086  # rad, level flight at 17 m/s
 
 
-class AdverseYaw(Effect):
+class AdverseYaw(HiddenEffect):
     """The down-going elevon drags more: yaw towards the rising wing."""
 
     name, title, group, unit, typical = "Cn_da", "adverse yaw from aileron", "omitted derivatives", "1/rad", -0.010
@@ -23,7 +23,7 @@ class AdverseYaw(Effect):
         m.Cn = m.Cn + self.size * m.surface_a
 
 
-class SideForceFromAileron(Effect):
+class SideForceFromAileron(HiddenEffect):
     """Elevon pressure acts on the fin: side force with aileron."""
 
     name, title, group, unit, typical = "CY_da", "side force from aileron", "omitted derivatives", "1/rad", 0.04
@@ -32,7 +32,7 @@ class SideForceFromAileron(Effect):
         m.CY = m.CY + self.size * m.surface_a
 
 
-class SideForceFromRates(Effect):
+class SideForceFromRates(HiddenEffect):
     """More side force from rolling and yawing than the aircraft's own derivatives: `size` in CY_r, minus half in CY_p."""
 
     name, title, group, unit, typical = (
@@ -47,7 +47,7 @@ class SideForceFromRates(Effect):
         m.CY = m.CY + self.size * (m.r_hat - 0.5 * m.p_hat)
 
 
-class DihedralWithAlpha(Effect):
+class DihedralWithAlpha(HiddenEffect):
     """Leading-edge sweep: rolling moment due to sideslip grows with angle of attack."""
 
     name, title, group, unit = (
@@ -62,7 +62,7 @@ class DihedralWithAlpha(Effect):
         m.Cl = m.Cl + self.size * (m.alpha - REFERENCE_ALPHA) * m.beta
 
 
-class WeathercockWithAlpha(Effect):
+class WeathercockWithAlpha(HiddenEffect):
     """The fin meets the wing's wake: directional stability changes with angle of attack."""
 
     name, title, group, unit = "Cn_alpha_beta", "directional stability changes with angle of attack", "omitted derivatives", "1/rad2"  # fmt: skip # noqa: E501
@@ -72,7 +72,7 @@ class WeathercockWithAlpha(Effect):
         m.Cn = m.Cn + self.size * (m.alpha - REFERENCE_ALPHA) * m.beta
 
 
-class ElevonMixing(Effect):
+class ElevonMixing(HiddenEffect):
     """Elevons already deflected for pitch have less left to give in roll: Cl_da changes with elevator."""
 
     name, title, group, unit, typical = "Cl_da_de", "aileron effectiveness changes with elevator", "omitted derivatives", "1/rad2", 0.30  # fmt: skip # noqa: E501
@@ -81,7 +81,7 @@ class ElevonMixing(Effect):
         m.Cl = m.Cl + self.size * m.surface_a * m.surface_e
 
 
-class _CubeOfSideslip(Effect):
+class _CubeOfSideslip(HiddenEffect):
     target: ClassVar[str]
     group, unit = "aerodynamic nonlinearity", "1/rad3"
 
@@ -107,7 +107,7 @@ class SideForceCubic(_CubeOfSideslip):
     name, title, typical, target = "CY_beta3", "side force cubic in sideslip", -1.5, "CY"
 
 
-class AileronSaturation(Effect):
+class AileronSaturation(HiddenEffect):
     """Flow separates from the hinge: effectiveness lost in proportion to deflection squared; 18 % at 15 degrees."""
 
     name, title, group, unit, typical = "Cl_da3", "aileron loses effectiveness at large angles", "aerodynamic nonlinearity", "1/rad2", 2.6  # fmt: skip # noqa: E501
@@ -117,7 +117,7 @@ class AileronSaturation(Effect):
         m.Cl = m.Cl - self.plant.derivatives["Cl_da"] * self.size * d * d * d
 
 
-class FinStallYaw(Effect):
+class FinStallYaw(HiddenEffect):
     """The all-moving fin nears its stall: yawing moment lost with the cube of its local angle; 20 % at 12 degrees."""
 
     name, title, group, unit, typical = "Cn_dr3", "fin stalls: yawing moment cubic in rudder", "aerodynamic nonlinearity", "1/rad2", 4.5  # fmt: skip # noqa: E501
@@ -127,7 +127,7 @@ class FinStallYaw(Effect):
         m.Cn = m.Cn - self.plant.derivatives["Cn_dr"] * self.size * d * d * d
 
 
-class RollDampingNonlinear(Effect):
+class RollDampingNonlinear(HiddenEffect):
     """Tips approach stall in fast rolls: damping that grows with rate; 10 % at p b / 2V = 0.07."""
 
     name, title, group, unit, typical = "Cl_p_abs_p", "roll damping grows with roll rate", "aerodynamic nonlinearity", "1", 1.43  # fmt: skip # noqa: E501
@@ -137,7 +137,7 @@ class RollDampingNonlinear(Effect):
         m.Cl = m.Cl + self.plant.derivatives["Cl_p"] * self.size * m.p_hat * xp.sign(m.p_hat) * m.p_hat
 
 
-class StallSeparation(Effect):
+class StallSeparation(HiddenEffect):
     """Trailing-edge separation of each wing half with a lag (Kirchhoff; Goman and Khrabrov, J. Aircraft 31 (1994) 1109).
 
     Each half sees its own angle of attack (roll rate and sideslip raise one and lower the other); attached fraction X

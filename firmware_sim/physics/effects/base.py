@@ -58,7 +58,7 @@ class Host(Protocol):
     Ixz: Value
 
 
-class Effect:
+class HiddenEffect:
     """A hidden effect; `typical` is its size in the units of `unit` at scale 1."""
 
     name: ClassVar[str]
@@ -117,6 +117,6 @@ class Effect:
         """Keep what must be remembered of a completed step."""
 
 
-def overrides(effect: Effect, hook: str) -> bool:
+def overrides(effect: HiddenEffect, hook: str) -> bool:
     """Does the effect use this hook?"""
-    return getattr(type(effect), hook) is not getattr(Effect, hook)
+    return getattr(type(effect), hook) is not getattr(HiddenEffect, hook)

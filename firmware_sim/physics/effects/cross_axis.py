@@ -3,14 +3,14 @@
 from typing import TYPE_CHECKING, ClassVar
 
 from firmware_sim.physics.effects.aerodynamic import REFERENCE_ALPHA
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import State
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class _Coupling(Effect):
+class _Coupling(HiddenEffect):
     """Adds `size` times the product of some quantities of the motion to one coefficient."""
 
     group = "across axes"

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from firmware_sim.physics.effects.actuator import History
-from firmware_sim.physics.effects.base import Effect, Host
+from firmware_sim.physics.effects.actuator import DelayedHistory
+from firmware_sim.physics.effects.base import HiddenEffect, Host
 from firmware_sim.physics.maths import State, Value
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def stand(m: "Motion", elevator: Value) -> None:
     m.surface_left, m.surface_right = m.surface_left + shift, m.surface_right + shift
 
 
-class _Linkage(Effect):
+class _Linkage(HiddenEffect):
     group = "elevator"
 
 
@@ -34,10 +34,10 @@ class ElevatorDelay(_Linkage):
 
     def bind(self, plant: Host) -> None:
         super().bind(plant)
-        self._past: History | None = None
+        self._past: DelayedHistory | None = None
 
     def start(self, m: "Motion", x: State) -> None:
-        self._past = History(float(np.max(self.size)) + 0.02, self.plant.step_size, arm_of(m), self.xp)
+        self._past = DelayedHistory(float(np.max(self.size)) + 0.02, self.plant.step_size, arm_of(m), self.xp)
 
     def linkage(self, m: "Motion", x: State) -> None:
         if self._past is not None:

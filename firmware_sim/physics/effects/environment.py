@@ -3,14 +3,14 @@
 import math
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import State, Value
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class RoughAir(Effect):
+class RoughAir(HiddenEffect):
     """Lateral and vertical turbulence beyond the scenario's gusts: `size` rad of sideslip (1 sigma) at 17 m/s.
 
     A sum of incommensurate waves frozen in the air mass, with random phases per flight; amplitudes follow the -5/3 law
@@ -46,7 +46,7 @@ class RoughAir(Effect):
         m.gust_w = m.gust_w + 0.5 * 17.0 * self.size * vertical
 
 
-class WindShear(Effect):
+class WindShear(HiddenEffect):
     """Wind from the north that grows with height: `size` 1/s about the starting height."""
 
     name, title, group, unit, typical = "wind_shear", "wind changes with height", "environment", "1/s", 0.15

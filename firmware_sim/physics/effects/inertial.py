@@ -2,14 +2,14 @@
 
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.effects.base import Effect, Host
+from firmware_sim.physics.effects.base import HiddenEffect, Host
 from firmware_sim.physics.maths import State
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class ProductOfInertia(Effect):
+class ProductOfInertia(HiddenEffect):
     """The product of inertia is larger than the aircraft file says."""
 
     name, title, group, unit, typical = "Ixz_error", "product of inertia wrong", "kinematic, inertial", "kg m2", 0.015
@@ -19,7 +19,7 @@ class ProductOfInertia(Effect):
         plant.Ixz = plant.Ixz + self.size
 
 
-class LateralCg(Effect):
+class LateralCg(HiddenEffect):
     """The CG sits to the right of the plane of symmetry: lift then acts left of it and rolls the aircraft."""
 
     name, title, group, unit, typical = "lateral_cg", "CG off the plane of symmetry", "kinematic, inertial", "m", 0.008
@@ -30,7 +30,7 @@ class LateralCg(Effect):
         m.N = m.N + self.size * m.X
 
 
-class PropellerGyroscope(Effect):
+class PropellerGyroscope(HiddenEffect):
     """The spinning propeller turns a pitch into a yaw and a yaw into a pitch; `size` is its angular momentum at 5.5 N.
 
     Clockwise seen from behind: momentum along +x, growing with the square root of thrust.
@@ -45,7 +45,7 @@ class PropellerGyroscope(Effect):
         m.N = m.N + momentum * m.q
 
 
-class RollInertia(Effect):
+class RollInertia(HiddenEffect):
     """Roll inertia larger than the file says, by a fraction: tied to every rolling derivative."""
 
     name, title, group, unit, typical = "Ixx_scale", "roll inertia wrong by a factor", "exactly absorbed", "1", 0.10
@@ -55,7 +55,7 @@ class RollInertia(Effect):
         plant.Ixx = plant.Ixx * (1.0 + self.size)
 
 
-class MassScale(Effect):
+class MassScale(HiddenEffect):
     """Mass larger than the file says, by a fraction: tied to every force derivative."""
 
     name, title, group, unit, typical = "mass_scale", "mass wrong by a factor", "exactly absorbed", "1", 0.08

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from firmware_sim.physics.atmosphere import GRAVITY
 from firmware_sim.physics.effects.aerodynamic import REFERENCE_ALPHA
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.effects.propulsion import DISC_AREA
 from firmware_sim.physics.maths import State, Value
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 REFERENCE_PRESSURE = 200.0  # Pa, dynamic: at it a surface that gives way has its nominal effect
 
 
-class _Pitching(Effect):
+class _Pitching(HiddenEffect):
     """Adds to one coefficient in proportion to `amount`."""
 
     group = "longitudinal"
@@ -158,7 +158,7 @@ class PropwashOnWing(_Pitching):
         return m.thrust / (m.qbar * DISC_AREA) * self.plant.derivatives["CL_alpha"] * m.alpha
 
 
-class PropwashOnElevator(Effect):
+class PropwashOnElevator(HiddenEffect):
     """The elevator stands in the slipstream: `size` of the rise of its dynamic pressure counts."""
 
     name, title, group, unit, typical = "propwash_elevator", "slipstream over the elevator", "longitudinal", "1", 0.3
@@ -178,7 +178,7 @@ def alpha_rate(m: "Motion", ax: Value, az: Value) -> Value:
     return (m.ua * wa_dot - m.wa * ua_dot) / (m.ua * m.ua + m.wa * m.wa)
 
 
-class LiftFromAlphaRate(Effect):
+class LiftFromAlphaRate(HiddenEffect):
     """The flow settles late: lift with the rate of angle of attack, which it changes itself.
 
     With F = k alpha_dot the lift and alpha_dot = alpha_dot0 - F / (m V) for flight in the plane of symmetry:
@@ -201,7 +201,7 @@ class LiftFromAlphaRate(Effect):
         m.Z = m.Z - force * (more * ca + drag * sa)
 
 
-class MomentFromAlphaRate(Effect):
+class MomentFromAlphaRate(HiddenEffect):
     """Downwash and vortices come late: pitching moment with the rate of angle of attack."""
 
     name, title, group, unit, typical = (
@@ -217,7 +217,7 @@ class MomentFromAlphaRate(Effect):
         m.M = m.M + m.qbar * craft.area * craft.chord * self.size * alpha_rate(m, m.ax, m.az) * 0.5 * craft.chord / m.V
 
 
-class ThrustBelow(Effect):
+class ThrustBelow(HiddenEffect):
     """The thrust line passes `size` m below the CG: thrust pitches the nose up."""
 
     name, title, group, unit, typical = "thrust_z", "thrust line below the CG", "longitudinal", "m", 0.02
@@ -226,7 +226,7 @@ class ThrustBelow(Effect):
         m.M = m.M + self.size * m.thrust
 
 
-class ThrustTilt(Effect):
+class ThrustTilt(HiddenEffect):
     """The shaft points up by `size` rad through the CG."""
 
     name, title, group, unit, typical = "thrust_tilt", "thrust line tilted up", "longitudinal", "rad", 0.052
@@ -236,7 +236,7 @@ class ThrustTilt(Effect):
         m.Z = m.Z - m.thrust * self.xp.sin(self.size)
 
 
-class ThrustScale(Effect):
+class ThrustScale(HiddenEffect):
     """The propeller pulls more by a fraction than its bench curve, which is recorded."""
 
     name, title, group, unit, typical = "thrust_scale", "thrust wrong by a factor", "longitudinal", "1", 0.08
@@ -245,7 +245,7 @@ class ThrustScale(Effect):
         m.X = m.X + self.size * m.thrust
 
 
-class ThrustLag(Effect):
+class ThrustLag(HiddenEffect):
     """The air follows the recorded thrust with a first-order lag of `size` s."""
 
     name, title, group, unit, typical = "thrust_lag", "thrust later than recorded", "longitudinal", "s", 0.2

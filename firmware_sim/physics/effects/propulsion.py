@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import State
 
 if TYPE_CHECKING:
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 DISC_AREA = 0.0507  # m2 of a 10 inch propeller
 
 
-class MotorTorque(Effect):
+class MotorTorque(HiddenEffect):
     """The propeller's drag torque turns the aircraft the other way, in proportion to thrust; `size` in N m per N."""
 
     name, title, group, unit, typical = "motor_torque", "motor torque rolls the aircraft", "propulsion", "m", 0.03
@@ -20,7 +20,7 @@ class MotorTorque(Effect):
         m.L = m.L - self.size * m.thrust
 
 
-class SlipstreamOnFin(Effect):
+class SlipstreamOnFin(HiddenEffect):
     """The fin stands in the slipstream: its effectiveness grows with thrust.
 
     Momentum theory: dynamic pressure in the slipstream is raised by T / A; `size` of it reaches the fin.
@@ -36,7 +36,7 @@ class SlipstreamOnFin(Effect):
         m.Cn = m.Cn + d["Cn_dr"] * gain
 
 
-class PFactor(Effect):
+class PFactor(HiddenEffect):
     """The down-going blade pulls harder at an angle of attack: thrust acts off the axis, `size` m per rad."""
 
     name, title, group, unit, typical = "p_factor", "thrust moves off its axis with angle of attack", "propulsion", "m/rad", 0.25  # fmt: skip # noqa: E501

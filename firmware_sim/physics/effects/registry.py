@@ -18,7 +18,7 @@ from firmware_sim.physics.effects import (
     uncatalogued,
     unsteady,
 )
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import Value
 
 _MODULES = (
@@ -26,15 +26,15 @@ _MODULES = (
     longitudinal, elevator, longitudinal_sensor, cross_axis, uncatalogued, sudden,
 )  # fmt: skip
 
-EFFECTS: Mapping[str, type[Effect]] = {
+EFFECTS: Mapping[str, type[HiddenEffect]] = {
     effect.name: effect
     for module in _MODULES
     for effect in vars(module).values()
-    if isinstance(effect, type) and issubclass(effect, Effect) and "name" in vars(effect)
+    if isinstance(effect, type) and issubclass(effect, HiddenEffect) and "name" in vars(effect)
 }
 
 
-def make_effects(hidden: Sequence[tuple[str, Value]]) -> tuple[Effect, ...]:
+def make_effects(hidden: Sequence[tuple[str, Value]]) -> tuple[HiddenEffect, ...]:
     """Effects by (name, scale); raises ScenarioError for an unknown name."""
     unknown = [name for name, _ in hidden if name not in EFFECTS]
     if unknown:

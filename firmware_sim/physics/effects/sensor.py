@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from firmware_sim.physics.effects.actuator import History
-from firmware_sim.physics.effects.base import Effect, Sensed
+from firmware_sim.physics.effects.actuator import DelayedHistory
+from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.maths import State, Value
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class SensorEffect(Effect):
+class SensorEffect(HiddenEffect):
     """An instrument that shows something else than the motion."""
 
     group = "sensor"
@@ -152,7 +152,7 @@ class InertialUnitLate(SensorEffect):
     def start(self, m: "Motion", x: State) -> None:
         longest = float(np.max(np.abs(self.size))) + 0.02
         step = self.plant.step_size
-        self._past = {c: History(longest, step, getattr(m, c), self.xp) for c in self.CHANNELS}
+        self._past = {c: DelayedHistory(longest, step, getattr(m, c), self.xp) for c in self.CHANNELS}
 
     def commit(self, m: "Motion", x: State) -> None:
         for channel, past in self._past.items():

@@ -5,7 +5,7 @@ For monitors that watch while the aircraft flies. Sizes are engineering estimate
 
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.effects.base import Effect, Sensed
+from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.maths import State, Value
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ ICES_S = 5.0
 """Time in which ice has grown [s]."""
 
 
-class _Sudden(Effect):
+class _Sudden(HiddenEffect):
     group = "sudden"
     catalogued = False
 

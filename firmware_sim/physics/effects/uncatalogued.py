@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from firmware_sim.physics.atmosphere import GRAVITY
-from firmware_sim.physics.effects.base import Effect, Sensed
+from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.maths import State, Value
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class _Unlisted(Effect):
+class _Unlisted(HiddenEffect):
     group = "uncatalogued"
     catalogued = False
 

@@ -2,14 +2,14 @@
 
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import State
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class _SideslipRate(Effect):
+class _SideslipRate(HiddenEffect):
     group, unit = "unsteady", "1/rad"
 
     def _moment(self, m: "Motion") -> object:
@@ -36,7 +36,7 @@ class YawFromSideslipRate(_SideslipRate):
         m.N = m.N + self._moment(m)
 
 
-class IndicialLag(Effect):
+class IndicialLag(HiddenEffect):
     """Leading-edge vortices take time to move: the dihedral effect answers a lagged sideslip; `size` is the lag in s.
 
     Two to five chords of travel are 0.07 to 0.18 s at 17 m/s.

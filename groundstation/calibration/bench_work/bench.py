@@ -17,12 +17,12 @@ from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.recordings.reading import Recording, read_recording
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.bench_work.fits import TriadFit, fit_sphere, fit_vectors
-from groundstation.calibration.bench_work.plan import Dwell, Fit, Plan
+from groundstation.calibration.bench_work.plan import BenchPlan, Dwell, InstrumentFit
 from groundstation.calibration.conversions import air_data, curves
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.calibration.scan_table import ScanTable, scan_table
-from groundstation.calibration.schema import Bench, CalibrationSet, Instrument, Points, Triad
+from groundstation.calibration.schema import BenchPoints, BenchSource, CalibrationSet, Instrument, Triad
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class BenchFit:
 
 
 def fit_bench(
-    path: str | Path, plan: Plan, base: CalibrationSet | None = None, *, today: date | None = None
+    path: str | Path, plan: BenchPlan, base: CalibrationSet | None = None, *, today: date | None = None
 ) -> tuple[BenchFit, ...]:
     """Fit every instrument of the plan from the recording.
 
@@ -59,7 +59,7 @@ def fit_bench(
     """
     recording = read_recording(path)
     chosen = base or embedded_calibration(recording)
-    bench = Bench(recording=Path(path).name, sha256=_digest(recording), software=recording.info.software)
+    bench = BenchSource(recording=Path(path).name, sha256=_digest(recording), software=recording.info.software)
     table = scan_table(recording.scans())
     when = _date(recording, today)
     out = []
@@ -69,7 +69,7 @@ def fit_bench(
             raise CalibrationError(
                 f"{fit.instrument}: not in calibration set {chosen.name}; its file is refined by the bench"
             )
-        job = _Job(table, fit, template, chosen, recording.info.details)
+        job = _InstrumentJob(table, fit, template, chosen, recording.info.details)
         fitted = job.run()
         made = template.model_copy(
             update={**fitted, "date": when, "method": fit.method or fit.procedure, "bench": bench}
@@ -78,11 +78,16 @@ def fit_bench(
     return tuple(out)
 
 
-class _Job:
+class _InstrumentJob:
     """One instrument of the plan."""
 
     def __init__(
-        self, table: ScanTable, fit: Fit, template: Instrument, calibration: CalibrationSet, facts: Mapping[str, str]
+        self,
+        table: ScanTable,
+        fit: InstrumentFit,
+        template: Instrument,
+        calibration: CalibrationSet,
+        facts: Mapping[str, str],
     ) -> None:
         self.table = table
         self.fit = fit
@@ -133,7 +138,7 @@ class _Job:
         )
         # what all references share is not seen in the residuals: it stays as a floor
         curve = curve.model_copy(update={"uncertainty": self.fit.systematic_uncertainty})
-        points = Points(
+        points = BenchPoints(
             reading=tuple((float(d.mean[0]),) for d in dwells),
             reference=tuple((float(r),) for r in references),
             samples=tuple(d.samples for d in dwells),
@@ -198,7 +203,7 @@ class _Job:
                 self.fit.reference_uncertainty,
                 warmth if self.fit.fit_temperature else None,
             )
-            points = Points(
+            points = BenchPoints(
                 reading=tuple(tuple(d.mean.tolist()) for d in dwells),
                 reference=tuple(tuple(r) for r in references.tolist()),
                 samples=tuple(d.samples for d in dwells),
@@ -271,7 +276,7 @@ def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet
     return replace(base.with_texts(made), name=base.name)
 
 
-def _sentence(made: Instrument, fit: Fit) -> str:
+def _sentence(made: Instrument, fit: InstrumentFit) -> str:
     said = f"{made.instrument}: {len(fit.dwell)} {'points' if made.triad is None else 'dwells'}"
     if made.curve is not None:
         curve = made.curve

@@ -24,11 +24,11 @@ from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import Finite, Vector
 
 
-class _Table(BaseModel):
+class _BenchPlanTable(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Dwell(_Table):
+class Dwell(_BenchPlanTable):
     """A stretch of the recording during which the reference stood still. Times [s] after the first scan."""
 
     start: float
@@ -42,7 +42,7 @@ class Dwell(_Table):
         return self
 
 
-class Fit(_Table):
+class InstrumentFit(_BenchPlanTable):
     """One instrument fitted from the recording.
 
     field: magnitude of the field for procedure 'sphere' [output unit]. fit_temperature: bias as a line over temperature too.
@@ -60,7 +60,7 @@ class Fit(_Table):
     dwell: tuple[Dwell, ...]
 
     @model_validator(mode="after")
-    def _references(self) -> "Fit":
+    def _references(self) -> "InstrumentFit":
         want = {"static_points": float, "speed_sweep": float, "vectors": tuple, "sphere": type(None)}[self.procedure]
         for d in self.dwell:
             if not isinstance(d.reference, want):
@@ -71,22 +71,22 @@ class Fit(_Table):
         return self
 
 
-class Plan(_Table):
+class BenchPlan(_BenchPlanTable):
     """A whole bench plan."""
 
     format: Literal[1]
-    fit: tuple[Fit, ...]
+    fit: tuple[InstrumentFit, ...]
 
 
-def load_plan(path: str | Path) -> Plan:
+def load_plan(path: str | Path) -> BenchPlan:
     """Read a bench plan. Raises CalibrationError naming file and key."""
     return parse_plan(read_text(Path(path), "file", CalibrationError), str(path))
 
 
-def parse_plan(text: str, where: str) -> Plan:
+def parse_plan(text: str, where: str) -> BenchPlan:
     """A bench plan from its text. Raises CalibrationError naming `where` and the key."""
     try:
-        return Plan.model_validate(parse_toml(text, where, CalibrationError))
+        return BenchPlan.model_validate(parse_toml(text, where, CalibrationError))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(k) for k in first["loc"])

@@ -21,11 +21,11 @@ LAPSE_RATE = 0.0065  # K/m
 ZERO_CELSIUS = bmp390.ZERO_CELSIUS
 
 
-class Bmp390(bmp390.Bmp390):
+class Bmp390Compensation(bmp390.Bmp390Trimming):
     """The chip's compensation, where coefficients that cannot be used are an error of the calibration."""
 
     @classmethod
-    def from_nvm(cls, nvm: bytes) -> "Bmp390":
+    def from_nvm(cls, nvm: bytes) -> "Bmp390Compensation":
         """Coefficients from the 21 bytes read at 0x31. Raises CalibrationError when they are not 21 or blank."""
         try:
             return super().from_nvm(nvm)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import Curve
+from groundstation.calibration.schema import CalibrationCurve
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ MARGIN = 0.02
 """A fitted curve is valid so far beyond its outermost points, as a part of their span: noise about an end is no extrapolation."""
 
 
-def evaluate(curve: Curve, reading: ArrayLike) -> Array:
+def evaluate(curve: CalibrationCurve, reading: ArrayLike) -> Array:
     """Output of the curve [output unit] at `reading` (N,) [input unit]; NaN stays NaN.
 
     Beyond the ends a polynomial is continued as it is and a table along its end segments; `extrapolated` tells where.
@@ -32,13 +32,13 @@ def evaluate(curve: Curve, reading: ArrayLike) -> Array:
     return np.where(np.isnan(x), np.nan, out)
 
 
-def extrapolated(curve: Curve, reading: ArrayLike) -> NDArray[np.bool_]:
+def extrapolated(curve: CalibrationCurve, reading: ArrayLike) -> NDArray[np.bool_]:
     """Where a reading lies outside the range the curve was calibrated in."""
     x = np.asarray(reading, float)
     return np.asarray((x < curve.valid[0]) | (x > curve.valid[1]))
 
 
-def slope(curve: Curve, reading: ArrayLike) -> Array:
+def slope(curve: CalibrationCurve, reading: ArrayLike) -> Array:
     """Derivative of the output with respect to the reading."""
     x = np.ascontiguousarray(reading, float)
     if curve.kind == "table":
@@ -52,7 +52,7 @@ def slope(curve: Curve, reading: ArrayLike) -> Array:
     return total
 
 
-def standard_deviation(curve: Curve, reading: ArrayLike) -> Array:
+def standard_deviation(curve: CalibrationCurve, reading: ArrayLike) -> Array:
     """One sigma of the calibration [output unit] at each reading: from the covariance of the fit, else the stated one.
 
     The stated uncertainty is a floor under the fitted one (reference errors common to all points are in it).
@@ -74,7 +74,7 @@ def fit_polynomial(
     reference_std: float = 0.0,
     input_unit: str,
     output_unit: str,
-) -> Curve:
+) -> CalibrationCurve:
     """Least-squares polynomial of `degree` through bench points.
 
     reading, reference: (points,). reading_std: one sigma of each reading (mean of a dwell); reference_std: one sigma of
@@ -107,7 +107,7 @@ def fit_polynomial(
     rescale = np.array([scale**-k for k in range(degree + 1)])
     covariance = inflation * normal * np.outer(rescale, rescale)
     try:
-        return Curve(
+        return CalibrationCurve(
             kind="polynomial",
             input_unit=input_unit,
             output_unit=output_unit,

@@ -7,7 +7,7 @@ the table is a column of the flight, or an error that says what is missing; neve
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from daq.contract.channels import CHANNELS, COLUMNS, Channel, Column, sources_of
+from daq.contract.channels import CHANNELS, COLUMNS, Channel, FlightColumn, sources_of
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet, Instrument
 
@@ -29,7 +29,7 @@ class DirectColumn:
     None: counts at data-sheet scale. why_not: what is missing where neither gives the column; empty otherwise.
     """
 
-    column: Column
+    column: FlightColumn
     channel: Channel
     instrument: Instrument | None
     why_not: str = ""
@@ -46,13 +46,13 @@ class DirectColumn:
 
 
 def direct_columns(
-    calibration: CalibrationSet, columns: Iterable[Column] = COLUMNS, channels: Sequence[Channel] = CHANNELS
+    calibration: CalibrationSet, columns: Iterable[FlightColumn] = COLUMNS, channels: Sequence[Channel] = CHANNELS
 ) -> tuple[DirectColumn, ...]:
     """The direct columns in table order. Raises CalibrationError for a column that no single channel leads to."""
     return tuple(_direct(c, calibration, channels) for c in columns if c.name not in COMBINED)
 
 
-def _direct(column: Column, calibration: CalibrationSet, channels: Sequence[Channel]) -> DirectColumn:
+def _direct(column: FlightColumn, calibration: CalibrationSet, channels: Sequence[Channel]) -> DirectColumn:
     sources = sources_of(column.name, channels)
     if len(sources) != 1 or len(sources[0].columns) != 1:
         names = ", ".join(c.name for c in sources) or "none"
@@ -73,7 +73,7 @@ def _direct(column: Column, calibration: CalibrationSet, channels: Sequence[Chan
     return DirectColumn(column, channel, curves[0])
 
 
-def _why_not(column: Column, channel: Channel) -> str:
+def _why_not(column: FlightColumn, channel: Channel) -> str:
     """Why counts at data-sheet scale are not the column; empty where they are."""
     way_out = f"add a file of kind curve with channel = {channel.name!r} and output_unit = {column.unit!r} to the calibration set"
     if channel.name in _NEEDS_FILE:

@@ -7,7 +7,7 @@ does not depend on how many are calibrated together.
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.calibration.schema import Attitude, Triad, Vector
+from groundstation.calibration.schema import MountingAngles, Triad, Vector
 
 Array = NDArray[np.float64]
 Axes = tuple[Array, Array, Array]
@@ -68,7 +68,7 @@ def to_earth_axes(vector: Axes, attitude: Axes) -> Axes:
     return level_x * cp - level_y * sp, level_x * sp + level_y * cp, down
 
 
-def euler_angles(w: Array, x: Array, y: Array, z: Array, attitude: Attitude) -> Axes:
+def euler_angles(w: Array, x: Array, y: Array, z: Array, attitude: MountingAngles) -> Axes:
     """phi, theta, psi [rad] of the body from the quaternion NED to IMU axes (any length), psi in (-pi, pi].
 
     The boresight turns body axes into IMU axes (yaw, pitch, roll in turn); declination is added to psi.

@@ -12,7 +12,7 @@ from groundstation.flight.atmosphere import (
     is_of_the_air,
 )
 from groundstation.flight.contradictions.contradiction import Contradiction
-from groundstation.flight.contradictions.fits import Array, Columns, Found, ratio_of, scale_by_ground
+from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
 
 PRESSURE_TOLERANCE = 0.08
 """Of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %."""
@@ -76,7 +76,7 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
     )
 
 
-def _favoured(scale: tuple[Found, Found] | None, name: str, ratio: float) -> tuple[str, str]:
+def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio: float) -> tuple[str, str]:
     """The side that the motion favours, and why. ratio: dynamic pressure of V over the one measured."""
     if scale is None:
         return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"
@@ -108,7 +108,7 @@ def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
     )  # fmt: skip
 
 
-def _looks_equivalent(c: Columns, found: Found) -> str:
+def _looks_equivalent(c: Columns, found: FitWithError) -> str:
     """A hint that an airspeed which is too small by the root of the density is equivalent, not true."""
     dense = air_density(c)
     if dense is None:

@@ -18,7 +18,7 @@ FEWEST_BLOCKS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FitWithError:
     """A fitted number and its 1 sigma."""
 
     value: float
@@ -75,7 +75,7 @@ def horizontal_airspeed(c: Columns) -> Array:
     return np.asarray(np.sqrt(np.maximum(c["V"] ** 2 - climb**2, 0.0)))
 
 
-def scale_by_ground(time: Array, c: Columns) -> tuple[Found, Found] | None:
+def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError] | None:
     """Factor on V, and turn of psi [rad], that make ground velocity less a constant wind: over flight on several headings."""
     if not all(n in c for n in ("V", "psi", "vn", "ve")):
         return None
@@ -94,10 +94,10 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[Found, Found] | None:
         return None
     std = float(np.sqrt(np.array([a, b]) @ covariance @ np.array([a, b]))) / size
     turn_std = float(np.sqrt(np.array([-b, a]) @ covariance @ np.array([-b, a]))) / size**2
-    return Found(size, std), Found(float(np.arctan2(b, a)), turn_std)
+    return FitWithError(size, std), FitWithError(float(np.arctan2(b, a)), turn_std)
 
 
-def ratio_of(first: Array, second: Array) -> Found | None:
+def ratio_of(first: Array, second: Array) -> FitWithError | None:
     """Median of first over second and its 1 sigma, of samples that are measured and of which the second is not small."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(second > 0.3 * np.nanmedian(second), first / second, np.nan)
@@ -105,4 +105,4 @@ def ratio_of(first: Array, second: Array) -> Found | None:
     if ratio.size < FEWEST_BLOCKS:
         return None
     middle = float(np.median(ratio))
-    return Found(middle, 1.4826 * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))
+    return FitWithError(middle, 1.4826 * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))

@@ -41,7 +41,7 @@ SENSED = (
 
 
 @dataclass(frozen=True)
-class Repeats:
+class RepeatedValues:
     """What the repeated values of one column are. quantum: smallest step [column's unit], 0 where it has none.
 
     held: (N,) samples that repeat the last value of a slow sensor; rate: new values a second [Hz], 0 where it is not slow.
@@ -61,7 +61,7 @@ class Repeats:
         return self.rate > 0.0
 
 
-def repeats(flight: Flight, column: str) -> Repeats:
+def repeats(flight: Flight, column: str) -> RepeatedValues:
     """Judge the repeated values of one column of a flight."""
     values = flight[column]
     nothing = np.zeros(len(flight), bool)
@@ -69,7 +69,7 @@ def repeats(flight: Flight, column: str) -> Repeats:
     if (
         known.size < FEWEST or np.ptp(known) == 0.0 or flight.held(column) is not None
     ):  # a command rests, and is no sensor
-        return Repeats(column, 0.0, nothing, nothing, nothing, 0.0)
+        return RepeatedValues(column, 0.0, nothing, nothing, nothing, 0.0)
     step = quantum(known)
     same = _same(flight, values)
     held, rate = _held(flight, values, same, step)
@@ -80,7 +80,7 @@ def repeats(flight: Flight, column: str) -> Repeats:
         resting = judge.all_rest(a, b)
         rest[a:b] |= resting
         stuck[a:b] |= not resting and (judge.noise_stopped(a, b) or judge.motion_missed(a, b))
-    return Repeats(column, step, held & ~stuck, stuck, rest, rate)
+    return RepeatedValues(column, step, held & ~stuck, stuck, rest, rate)
 
 
 def quantum(values: Array) -> float:

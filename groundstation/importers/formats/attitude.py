@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.importers.series import Series
+from groundstation.importers.series import TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ _UNIT = 0.05
 """By which the length of a quaternion of an attitude may differ from 1."""
 
 
-def with_attitudes(series: Mapping[str, Series]) -> dict[str, Series]:
+def with_attitudes(series: Mapping[str, TimeSeries]) -> dict[str, TimeSeries]:
     """The series with `roll`, `pitch` and `yaw` [rad] beside each quaternion of attitude in them."""
     out = dict(series)
     for head in dict.fromkeys(n.rpartition(".")[0] for n in series):
@@ -41,5 +41,5 @@ def with_attitudes(series: Mapping[str, Series]) -> dict[str, Series]:
                 continue
             angles = euler_from_quaternion(*(s.values / np.where(length > 0, length, np.nan) for s in parts))
             made = zip(("roll", "pitch", "yaw"), angles, strict=True)
-            out |= {lead + n: Series(parts[0].time, a) for n, a in made if lead + n not in out}
+            out |= {lead + n: TimeSeries(parts[0].time, a) for n, a in made if lead + n not in out}
     return out

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.importers.series import Series
+from groundstation.importers.series import TimeSeries
 
 LONGEST = 32
 """Elements of an array that become series: 32 outputs of an autopilot; longer ones are images and clouds."""
@@ -35,7 +35,7 @@ class Topic:
             column.append(value)
         self.time.append(time)
 
-    def series(self, prefix: str, unit_of_stamp: float | None = None) -> dict[str, Series]:
+    def series(self, prefix: str, unit_of_stamp: float | None = None) -> dict[str, TimeSeries]:
         """Series by `prefix.field`, by the sender's stamp where it has one, else by the time received [s].
 
         unit_of_stamp: of a field `timestamp`, of kinds that have their own.
@@ -49,7 +49,9 @@ class Topic:
             time = made[STAMP[0]] + 1e-9 * made[STAMP[1]]
         order = np.argsort(time, kind="stable")
         skipped = ("header.", "timestamp")
-        return {f"{prefix}.{n}": Series(time[order], v[order]) for n, v in made.items() if not n.startswith(skipped)}
+        return {
+            f"{prefix}.{n}": TimeSeries(time[order], v[order]) for n, v in made.items() if not n.startswith(skipped)
+        }
 
 
 def numbers_of(message: Any) -> dict[str, float]:

@@ -18,7 +18,7 @@ from daq.contract.input_files import read_bytes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.dataflash_text import SAID, is_text, read_text_log
 from groundstation.importers.modes import dataflash_marks
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.series import Array, Log, TimeSeries
 
 _HEAD = b"\xa3\x95"
 MOST_BETWEEN_HEADS = 1000
@@ -224,7 +224,7 @@ def _said(messages: dict[int, _Message]) -> dict[str, list[tuple[float, dict[str
     return found
 
 
-def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, Series]]:
+def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, TimeSeries]]:
     named: set[str] = set()
     for kind, message in messages.items():
         if not message.bodies:
@@ -243,7 +243,7 @@ def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, Series]]:
             values = message.column(i)
             for number in numbers:
                 prefix = label if number == numbers[0] else f"{label}[{number:g}]"
-                yield f"{prefix}.{message.fields[i]}", Series(times[number], values[rows[number]])
+                yield f"{prefix}.{message.fields[i]}", TimeSeries(times[number], values[rows[number]])
 
 
 def _instance_field(message: _Message) -> int | None:
@@ -260,10 +260,10 @@ def _index(fields: tuple[str, ...], name: str) -> int | None:
     return fields.index(name) if name in fields else None
 
 
-def _velocity(prefix: str, series: dict[str, Series]) -> None:
+def _velocity(prefix: str, series: dict[str, TimeSeries]) -> None:
     """North and east velocity from ground speed and course [deg]."""
     speed, course = series.get(f"{prefix}.Spd"), series.get(f"{prefix}.GCrs")
     if speed is not None and course is not None:
         angle = np.deg2rad(course.values)
-        series[f"{prefix}.VN"] = Series(speed.time, speed.values * np.cos(angle))
-        series[f"{prefix}.VE"] = Series(speed.time, speed.values * np.sin(angle))
+        series[f"{prefix}.VN"] = TimeSeries(speed.time, speed.values * np.cos(angle))
+        series[f"{prefix}.VE"] = TimeSeries(speed.time, speed.values * np.sin(angle))

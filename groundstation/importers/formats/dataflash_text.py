@@ -13,7 +13,7 @@ import numpy as np
 
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.modes import dataflash_marks
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.series import Array, Log, TimeSeries
 
 _FIRST = re.compile(rb"\s*FMT\s*,\s*\d+\s*,")
 _TIME = {"TimeUS": 1e-6, "TimeMS": 1e-3}
@@ -61,7 +61,7 @@ def read_text_log(path: Path, data: bytes) -> Log:
             damaged += 1
         elif kind.timed:
             kind.rows.append(cells)
-    series: dict[str, Series] = {}
+    series: dict[str, TimeSeries] = {}
     unread = 0
     for name, kind in kinds.items():
         made, wrong = _series(name, kind)
@@ -94,7 +94,7 @@ def _describe(rest: str, kinds: dict[str, _Kind]) -> bool:
     return True
 
 
-def _series(name: str, kind: _Kind) -> tuple[dict[str, Series], int]:
+def _series(name: str, kind: _Kind) -> tuple[dict[str, TimeSeries], int]:
     """The series of a message, further instances as 'NAME[1].field', and how many lines hold what are no numbers."""
     if not kind.rows:
         return {}, 0
@@ -108,11 +108,13 @@ def _series(name: str, kind: _Kind) -> tuple[dict[str, Series], int]:
     instances = np.unique(which[np.isfinite(which)])
     if not 0 < instances.size <= MOST_INSTANCES:
         which, instances = np.zeros(len(table)), np.zeros(1)
-    out: dict[str, Series] = {}
+    out: dict[str, TimeSeries] = {}
     for number in instances:
         rows = which == number
         prefix = name if number == instances[0] else f"{name}[{number:g}]"
-        out |= {f"{prefix}.{label}": Series(time[rows], _column(table, rows, k)) for k, label in enumerate(labels) if k}
+        out |= {
+            f"{prefix}.{label}": TimeSeries(time[rows], _column(table, rows, k)) for k, label in enumerate(labels) if k
+        }
     return out, int((~sound).sum())
 
 

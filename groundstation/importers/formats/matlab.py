@@ -17,7 +17,7 @@ from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, plain_name
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.tables import Table
+from groundstation.importers.formats.tables import ImportedTable
 from groundstation.importers.mapping import FileFormat
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ MOST_RECORDS = 1000
 _FEWEST_ROWS = 2
 
 
-def read_matlab(path: Path, layout: FileFormat) -> list[Table]:
+def read_matlab(path: Path, layout: FileFormat) -> list[ImportedTable]:
     """The records of a MATLAB file, in order. Raises ImportDataError for a file that cannot be read or holds none."""
     return tables_of(path, *read_variables(path), layout)
 
@@ -47,7 +47,7 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
     return read_v5(path, data)
 
 
-def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: FileFormat) -> list[Table]:
+def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: FileFormat) -> list[ImportedTable]:
     """The records among the variables of a MATLAB file. Raises ImportDataError where there is none."""
     notes = (f"{left_out} variables that only MATLAB can read, or damaged, left out",) if left_out else ()
     records = _records(_chosen(path, variables, layout.variable))[:MOST_RECORDS]
@@ -90,11 +90,11 @@ def _is_vector(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.size >= _FEWEST_ROWS
 
 
-def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> Table:
+def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> ImportedTable:
     leaves = {name: v for name, v in _leaves(record) if v.size >= _FEWEST_ROWS}
     rows = Counter(max(v.shape) for v in leaves.values())
     if not rows:
-        return Table({}, {})
+        return ImportedTable({}, {})
     length = rows.most_common(1)[0][0]
     numeric: dict[str, Array] = {}
     other = []
@@ -108,7 +108,9 @@ def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> Table:
     units = {n: u for n, u in _texts(record.get("units", {})) if n in numeric}
     if other:
         notes = (*notes, f"arrays that are not of {length} samples, left out: {listed(other, 12)}")
-    return Table({n: np.where(np.isinf(v), np.nan, v) for n, v in numeric.items()}, {}, units=units, notes=notes)
+    return ImportedTable(
+        {n: np.where(np.isinf(v), np.nan, v) for n, v in numeric.items()}, {}, units=units, notes=notes
+    )
 
 
 def _leaves(node: Any, name: str = "") -> Iterator[tuple[str, Array]]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.importers.formats.attitude import with_attitudes
 from groundstation.importers.formats.dataflash import with_velocities
-from groundstation.importers.mapping import Map, Source, built_in_map
-from groundstation.importers.series import Log, Series
+from groundstation.importers.mapping import ColumnSource, Map, built_in_map
+from groundstation.importers.series import Log, TimeSeries
 
 Array = NDArray[np.float64]
 
@@ -72,9 +72,9 @@ def _structs(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
 
 def _series(
     topics: Mapping[str, Mapping[str, Array]], times: Mapping[str, float], *, by_instance: bool
-) -> dict[str, Series]:
+) -> dict[str, TimeSeries]:
     """Series 'TOPIC.field', further instances by a field I as 'TOPIC[1].field', of the topics that have one of the times."""
-    out: dict[str, Series] = {}
+    out: dict[str, TimeSeries] = {}
     for topic, fields in topics.items():
         stamp = next((t for t in times if t in fields), None)
         if stamp is None:
@@ -85,15 +85,15 @@ def _series(
         for number in numbers:
             rows = which == number
             head = topic if number == numbers[0] else f"{topic}[{number:g}]"
-            out |= {f"{head}.{n}": Series(time[rows], v[rows]) for n, v in fields.items() if n != stamp}
+            out |= {f"{head}.{n}": TimeSeries(time[rows], v[rows]) for n, v in fields.items() if n != stamp}
     return out
 
 
-def _by_name(series: Mapping[str, Series]) -> Map:
+def _by_name(series: Mapping[str, TimeSeries]) -> Map:
     """A mapping of the fields that are called as flight columns, each in SI."""
-    columns: dict[str, tuple[Source, ...]] = {}
+    columns: dict[str, tuple[ColumnSource, ...]] = {}
     for name in series:
         bare = name.rpartition(".")[2]
         if bare in COLUMN_BY_NAME and bare not in columns:
-            columns[bare] = (Source(column=name, unit=COLUMN_BY_NAME[bare].unit),)
+            columns[bare] = (ColumnSource(column=name, unit=COLUMN_BY_NAME[bare].unit),)
     return Map(format=1, columns=columns)

@@ -51,7 +51,7 @@ class _Unsound(Exception):
 
 
 @dataclass
-class _Scan:
+class _Matlab5Scan:
     """Budgets of one file. order: of its bytes, '<' or '>'."""
 
     order: str
@@ -183,7 +183,7 @@ def _sound(path: Path, data: bytes) -> tuple[bytes, int]:
             f"{path}: not a MATLAB 5 or 7.3 file; save it with -v7 or -v7.3 (older ones, of MATLAB 4, are not read)"
         )
     order = "<" if data[126:128] == b"IM" else ">"
-    scan = _Scan(order, max(LEAST_UNPACKED, MOST_TIMES_PACKED * len(data)))
+    scan = _Matlab5Scan(order, max(LEAST_UNPACKED, MOST_TIMES_PACKED * len(data)))
     out, at, left_out = [data[:116], bytes(8), data[124:HEADER]], HEADER, 0
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(order + "II", data, at)

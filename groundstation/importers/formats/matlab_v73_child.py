@@ -18,7 +18,7 @@ CPU_S = 30
 OTHER_MEMORY = 2**29  # Python, numpy and HDF5 themselves
 
 
-class _Reader:
+class _Hdf5Reader:
     def __init__(self, file: Any, most: int) -> None:
         self.file, self.bytes, self.nodes, self.left_out = file, most, MOST_NODES, 0
         self.arrays: dict[str, Any] = {}
@@ -76,7 +76,7 @@ def main(path: str, most: int) -> None:
         sys.exit(3)
     resource.setrlimit(resource.RLIMIT_DATA, (OTHER_MEMORY + 4 * most, OTHER_MEMORY + 4 * most))
     with h5py.File(path, "r") as file:
-        reader = _Reader(file, most)
+        reader = _Hdf5Reader(file, most)
         variables = {str(n): reader.node(file[n]) for n in file if not str(n).startswith("#")}
     out = io.BytesIO()
     tree = json.dumps({"variables": variables, "left_out": reader.left_out})

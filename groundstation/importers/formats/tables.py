@@ -19,8 +19,8 @@ from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parque
 from groundstation.flight.files.plain_csv import plain_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.table_time import stamps_of, without_sentinels
-from groundstation.importers.mapping import FileFormat, Map, Source, Time
-from groundstation.importers.series import Log, Series
+from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
+from groundstation.importers.series import Log, TimeSeries
 from groundstation.importers.units import conversion, find_unit
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def _bare(header: str) -> str:
 
 
 @dataclass(frozen=True)
-class Table:
+class ImportedTable:
     """A table as read: columns of numbers (N,), of dates (N,) [s] after the first (firsts: [s since 1970]) and of words,
     units of a row below the header, and notes. Cells of words are kept only of a column that can be the time."""
 
@@ -63,7 +63,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Table:
+def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> ImportedTable:
     """A CSV or Parquet table. time: where it is, as far as that is stated. Raises ImportDataError."""
 
     def can_be_time(name: str) -> bool:
@@ -76,10 +76,10 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Tabl
             raise ImportDataError(f"{path}: not a readable table ({error}); is it a CSV?") from error
     found = read_parquet(path, ImportDataError, can_be_time)
     numeric = {name: np.where(np.isinf(values), np.nan, values) for name, values in found.numeric.items()}
-    return Table(numeric, found.words, found.dates, found.firsts)
+    return ImportedTable(numeric, found.words, found.dates, found.firsts)
 
 
-def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> Table:
+def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:
     text = _NOTHING.sub("", _text(path).replace("\r\n", "\n").replace("\r", "\n") + "\n")
     text, cut = _without_cut_line(text, layout)
     first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
@@ -113,7 +113,9 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     below = above + (not layout.names) + layout.skip_after_header + bool(units)
     plain = _plain(text, header, below, delimiter, decimal)
     if plain:
-        return Table({h: v for h, v in zip(header, plain, strict=True) if h}, {}, units=units, notes=passed_over)
+        return ImportedTable(
+            {h: v for h, v in zip(header, plain, strict=True) if h}, {}, units=units, notes=passed_over
+        )
     body = itertools.chain(start[1:] if units else start, rows)
     first = above + 2 + layout.skip_after_header + bool(units)
     columns = _Columns(header, decimal, first, can_be_time)
@@ -172,7 +174,7 @@ class _Columns:
         if i in self._words:
             self._words[i] += [cell.strip() for cell in cells]
 
-    def table(self, units: dict[str, str], notes: tuple[str, ...]) -> Table:
+    def table(self, units: dict[str, str], notes: tuple[str, ...]) -> ImportedTable:
         """What was read."""
         numeric: dict[str, Array] = {}
         words: dict[str, list[str]] = {}
@@ -190,7 +192,7 @@ class _Columns:
                     f"column {plain_name(name)}: {self._wrong[i]} cells that are no numbers (the first "
                     f"{one_line(example[0], 60)!r} in table line {example[1]}) taken as not measured"
                 )
-        return Table(numeric, words, units=units, notes=tuple(said))
+        return ImportedTable(numeric, words, units=units, notes=tuple(said))
 
 
 _DIGIT = re.compile(r"\d")
@@ -343,13 +345,13 @@ def _number(cell: str) -> float | None:
         return None
 
 
-def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:
+def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:
     """A mapping guessed from headers that are flight columns, with or without a unit: 'phi', 'phi [deg]', 'V (knots)';
     and notes on what stands in brackets and is no unit. given: columns that need no guess.
 
     Raises ImportDataError for a unit of another quantity.
     """
-    columns: dict[str, tuple[Source, ...]] = {}
+    columns: dict[str, tuple[ColumnSource, ...]] = {}
     time = None
     segment = date = None
     notes = []
@@ -371,7 +373,7 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
                 notes.append(
                     f"header {plain_name(name)!r}: {plain_name(unit)!r} is not a unit known here; taken as {si or 'it stands'}"
                 )
-            columns[bare] = (Source(column=name, unit=unit if unit and known else si),)
+            columns[bare] = (ColumnSource(column=name, unit=unit if unit and known else si),)
     if time is None and len(table.dates) == 1:
         time = Time(column=next(iter(table.dates)))
     if time is not None and date is not None and time.column in table.words:
@@ -379,7 +381,7 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
     return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)
 
 
-def table_log(path: Path, table: Table, time: Time | None) -> Log:
+def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
     """The table as series over its time column [s]. Raises ImportDataError when there is none."""
     if time is None:
         raise ImportDataError(
@@ -391,7 +393,7 @@ def table_log(path: Path, table: Table, time: Time | None) -> Log:
     numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in aside}, plain_name)
     if found.record is not None:
         numeric[RECORD] = found.record
-    series = {name: Series(found.seconds, values) for name, values in numeric.items()}
+    series = {name: TimeSeries(found.seconds, values) for name, values in numeric.items()}
     text_columns = tuple(w for w in (*table.words, *table.dates) if w not in aside)
     units = {**_header_units(series), **table.units}
     notes = (*table.notes, *found.notes, *absent)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq.contract.input_files import read_bytes
 from daq.transport.mavlink_codec import padded
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.tlog_series import LONGEST_ARRAY, Received, by_boot
+from groundstation.importers.formats.tlog_series import LONGEST_ARRAY, ReceivedMessages, by_boot
 from groundstation.importers.series import Log
 
 _MAGIC = (0xFD, 0xFE)
@@ -45,7 +45,9 @@ def read_tlog(path: Path) -> list[Log]:
         raise ImportDataError(f"{path}: only ground-station messages in this log")
     system = aircraft.most_common(1)[0][0]
     received = [
-        Received(layouts()[kind].name, component, rows.table(kind), np.array(rows.stamps), np.array(rows.places))
+        ReceivedMessages(
+            layouts()[kind].name, component, rows.table(kind), np.array(rows.stamps), np.array(rows.places)
+        )
         for (of, component, kind), rows in found.rows.items()
         if of == system
     ]
@@ -81,7 +83,7 @@ def _notes(found: "_Found", others: list[int], system: int) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Layout:
+class DialectLayout:
     """A message of the dialect: name, numpy type of a whole payload, numeric fields with their number of elements."""
 
     name: str
@@ -111,7 +113,7 @@ class _Found:
 
 
 @cache
-def layouts() -> Mapping[int, Layout]:
+def layouts() -> Mapping[int, DialectLayout]:
     """The messages of the dialect that ArduPilot and PX4 share, by id."""
     from pymavlink.dialects.v20 import ardupilotmega
 
@@ -128,7 +130,7 @@ def layouts() -> Mapping[int, Layout]:
             types.append((name, f"<{_NUMPY[letter]}", (many,) if many > 1 else ()))
             if many <= LONGEST_ARRAY:
                 fields.append((name, many))
-        out[number] = Layout(made.msgname, np.dtype(types), tuple(fields), made.crc_extra)
+        out[number] = DialectLayout(made.msgname, np.dtype(types), tuple(fields), made.crc_extra)
     return out
 
 
@@ -183,7 +185,7 @@ def _frame_size(data: bytes, at: int) -> int:
     return data[at + 1] + _V2_EXTRA + (_SIGNATURE if data[at + 2] & 1 else 0)
 
 
-def _parameters(received: list[Received]) -> dict[str, float]:
+def _parameters(received: list[ReceivedMessages]) -> dict[str, float]:
     """The autopilot's parameters, each as last stated, as ArduPilot sends them (PX4 packs whole numbers otherwise)."""
     found: dict[str, float] = {}
     for one in received:

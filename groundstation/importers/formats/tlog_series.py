@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flight.contradictions import Contradiction
-from groundstation.flight.marks import Mark, Marks, Mode, changes
+from groundstation.flight.marks import FlightMode, Mark, Marks, changes
 from groundstation.importers.modes import ARMED, armings, heartbeat_mode, words
-from groundstation.importers.series import Array, Series
+from groundstation.importers.series import Array, TimeSeries
 
 LONGEST_ARRAY = 32
 """Elements of an array field that become series (the 32 outputs of ACTUATOR_OUTPUT_STATUS); longer ones are blocks of bytes."""
@@ -47,7 +47,7 @@ LONG_ENOUGH = 20.0
 
 
 @dataclass(frozen=True)
-class Received:
+class ReceivedMessages:
     """Messages of one kind from one component, in the order of the file: table (n,) records; stamps (n,) time received [s];
     places (n,) of each in the file."""
 
@@ -67,16 +67,16 @@ class Received:
             return np.where(self.table["time_usec"] < 1e15, self.table["time_usec"] * 1e-6, np.nan)
         return np.full(len(self.table), np.nan)
 
-    def part(self, use: NDArray[np.bool_]) -> "Received":
+    def part(self, use: NDArray[np.bool_]) -> "ReceivedMessages":
         """Some of the messages."""
-        return Received(self.name, self.component, self.table[use], self.stamps[use], self.places[use])
+        return ReceivedMessages(self.name, self.component, self.table[use], self.stamps[use], self.places[use])
 
 
 @dataclass(frozen=True)
 class Boot:
     """series: of one run of the autopilot, on its clock (of a later one, as much later as the receiver saw it)."""
 
-    series: dict[str, Series]
+    series: dict[str, TimeSeries]
     component: int
     notes: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = field(default_factory=tuple)
@@ -97,7 +97,7 @@ class _Clock:
         return float(np.min(self.stamp - self.own)) if self.own.size else 0.0
 
 
-def by_boot(received: Sequence[Received]) -> list[Boot]:
+def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
     """The series of each boot, in the order of the file."""
     component = _autopilot(received)
     order = _sent_in_order(received)
@@ -118,7 +118,7 @@ def by_boot(received: Sequence[Received]) -> list[Boot]:
     return [b for b in boots if b.series]
 
 
-def _autopilot(received: Sequence[Received]) -> int:
+def _autopilot(received: Sequence[ReceivedMessages]) -> int:
     """The component that flies: the autopilot's number, else the one with most attitudes, else with most messages."""
     components = {r.component for r in received}
     if AUTOPILOT in components:
@@ -133,20 +133,20 @@ def _autopilot(received: Sequence[Received]) -> int:
 class _Order:
     """Rank of each message: its place in the file, or by the receiver's clock where the file is not in order of it."""
 
-    def __init__(self, received: Sequence[Received]) -> None:
+    def __init__(self, received: Sequence[ReceivedMessages]) -> None:
         places = np.concatenate([r.places for r in received])
         stamps = np.concatenate([r.stamps for r in received])[np.argsort(places, kind="stable")]
         self._by_stamp = bool(np.any(np.diff(stamps) < -FALLS_BACK))
 
-    def __call__(self, r: Received) -> Array:
+    def __call__(self, r: ReceivedMessages) -> Array:
         return r.stamps if self._by_stamp else r.places.astype(float)
 
 
-def _sent_in_order(received: Sequence[Received]) -> _Order:
+def _sent_in_order(received: Sequence[ReceivedMessages]) -> _Order:
     return _Order(received)
 
 
-def _clock(own: Sequence[Received], order: _Order) -> _Clock:
+def _clock(own: Sequence[ReceivedMessages], order: _Order) -> _Clock:
     place = np.concatenate([order(r) for r in own])
     stamp = np.concatenate([r.stamps for r in own])
     time = np.concatenate([r.own for r in own])
@@ -172,9 +172,9 @@ def _boots(clock: _Clock) -> list[int]:
 
 
 def _series(
-    received: Sequence[Received], component: int, order: _Order, clock: _Clock, late: float
-) -> tuple[dict[str, Series], tuple[str, ...]]:
-    series: dict[str, Series] = {}
+    received: Sequence[ReceivedMessages], component: int, order: _Order, clock: _Clock, late: float
+) -> tuple[dict[str, TimeSeries], tuple[str, ...]]:
+    series: dict[str, TimeSeries] = {}
     others = set()
     for r in received:
         time = _time(r, component, order, clock) + late
@@ -188,9 +188,9 @@ def _series(
     return series, notes
 
 
-def _marks(received: Sequence[Received], component: int, order: _Order, clock: _Clock) -> Marks:
+def _marks(received: Sequence[ReceivedMessages], component: int, order: _Order, clock: _Clock) -> Marks:
     """Modes by the heartbeats of the autopilot, its messages, and when its motors were armed."""
-    modes: tuple[Mode, ...] = ()
+    modes: tuple[FlightMode, ...] = ()
     events: tuple[Mark, ...] = ()
     messages: list[Mark] = []
     for r in received:
@@ -207,7 +207,7 @@ def _marks(received: Sequence[Received], component: int, order: _Order, clock: _
     return Marks(modes, events, tuple(messages))
 
 
-def _instances(r: Received) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def _instances(r: ReceivedMessages) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Each sender of a message within the component, as it is called, and which messages are its own."""
     by = _INSTANCE.get(r.name)
     if by is None or by not in (r.table.dtype.names or ()):
@@ -230,7 +230,7 @@ def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
             yield from ((f"{name}[{i}]", numbers[:, i]) for i in range(numbers.shape[1]))
 
 
-def _time(r: Received, component: int, order: _Order, clock: _Clock) -> Array:
+def _time(r: ReceivedMessages, component: int, order: _Order, clock: _Clock) -> Array:
     """Time of messages on the autopilot's clock [s]."""
     by_receiver = r.stamps - clock.offset
     own = r.own if r.component == component else np.full(len(r.table), np.nan)
@@ -246,12 +246,12 @@ def _time(r: Received, component: int, order: _Order, clock: _Clock) -> Array:
     return np.where(np.isfinite(own), own, np.where(between, by_order, by_receiver))
 
 
-def _known(r: Received, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> Series:
+def _known(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> TimeSeries:
     """The samples of which the definition of the message does not say that they are none."""
     good = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
     if r.name == "GPS_RAW_INT" and name in ("lat", "lon", "alt"):
         good &= r.table["fix_type"] >= _FIX_3D
-    return Series(time, values) if good.all() else Series(time[good], values[good])
+    return TimeSeries(time, values) if good.all() else TimeSeries(time[good], values[good])
 
 
 def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:

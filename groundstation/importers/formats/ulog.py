@@ -11,12 +11,12 @@ import numpy as np
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import LONGEST_NAME, one_line
-from groundstation.flight.marks import Mark, Marks, Mode, changes
+from groundstation.flight.marks import FlightMode, Mark, Marks, changes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.attitude import euler_from_quaternion
 from groundstation.importers.formats.ulog_scan import MAGIC, Sound, sound_messages
 from groundstation.importers.modes import PX4_NAVIGATION, armings, words
-from groundstation.importers.series import Log, Series
+from groundstation.importers.series import Log, TimeSeries
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
 """What pyulog raises on bytes that are not what was written."""
@@ -47,7 +47,7 @@ def read_ulog(path: Path) -> Log:
             log = ULog(io.BytesIO(sound.stream))
     except (*_DAMAGE, ULogException, ULogIncompatibleFlagException) as error:
         raise ImportDataError(f"{path}: damaged ULog ({type(error).__name__}: {error})") from error
-    series: dict[str, Series] = {}
+    series: dict[str, TimeSeries] = {}
     for topic in log.data_list:
         if "timestamp" not in topic.data:  # a damaged definition
             continue
@@ -56,12 +56,12 @@ def read_ulog(path: Path) -> Log:
         for field, values in topic.data.items():
             if field != "timestamp" and time.size:
                 with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged sample
-                    series[f"{prefix}.{field}"] = Series(time, np.asarray(values, float))
+                    series[f"{prefix}.{field}"] = TimeSeries(time, np.asarray(values, float))
         quaternion = [series.get(f"{prefix}.q[{i}]") for i in range(4)]
         if all(q is not None for q in quaternion):
             angles = euler_from_quaternion(*(q.values for q in quaternion if q is not None))
             series.update(
-                {f"{prefix}.{n}": Series(time, a) for n, a in zip(("roll", "pitch", "yaw"), angles, strict=True)}
+                {f"{prefix}.{n}": TimeSeries(time, a) for n, a in zip(("roll", "pitch", "yaw"), angles, strict=True)}
             )
     if not series:
         raise ImportDataError(f"{path}: no data in this ULog")
@@ -78,11 +78,11 @@ def read_ulog(path: Path) -> Log:
     )
 
 
-def _marks(series: dict[str, Series], sound: Sound) -> Marks:
+def _marks(series: dict[str, TimeSeries], sound: Sound) -> Marks:
     """Modes and arming by vehicle_status, messages as the logger kept them."""
     mode, arming = series.get("vehicle_status.nav_state"), series.get("vehicle_status.arming_state")
     end = max(float(s.time[-1]) for s in series.values())
-    modes: tuple[Mode, ...] = ()
+    modes: tuple[FlightMode, ...] = ()
     if mode is not None:
         names = [PX4_NAVIGATION.get(int(n), f"mode {n:g}") if np.isfinite(n) else "unknown" for n in mode.values]
         modes = changes(mode.time.tolist(), names, end)

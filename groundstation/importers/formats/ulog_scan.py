@@ -66,7 +66,7 @@ class _Field:
 
 def sound_messages(data: bytes) -> Sound:
     """Look at each message of a ULog once. `data` begins with MAGIC."""
-    scan = _Scan(data)
+    scan = _UlogScan(data)
     scan.run()
     return Sound(
         b"".join([data[:HEADER], *scan.head, *scan.body]),
@@ -78,7 +78,7 @@ def sound_messages(data: bytes) -> Sound:
     )
 
 
-class _Scan:
+class _UlogScan:
     def __init__(self, data: bytes) -> None:
         self.data = data
         self.head: list[bytes] = []

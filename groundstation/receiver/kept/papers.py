@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
-from daq.contract.recordings.messages import Event
+from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo
 
 MAX_PAPERS_BYTES = 1 << 20
@@ -74,9 +74,9 @@ class Papers(BaseModel):
             attachments=attachments,
         )
 
-    def marks(self) -> list[Event]:
+    def marks(self) -> list[EventMessage]:
         """The events of the recording."""
-        return [Event(*row) for row in self.events]
+        return [EventMessage(*row) for row in self.events]
 
 
 def inflate(data: bytes, limit: int) -> bytes | None:

@@ -12,10 +12,10 @@ from typing import IO, Any
 
 from daq.contract.durable import replacing
 from daq.contract.link.scan_map import ScanMap
-from daq.contract.recordings.messages import Event, MessageError, decode_event, encode_event
+from daq.contract.recordings.messages import EventMessage, MessageError, decode_event, encode_event
 from daq.contract.recordings.recording import (
-    Entry,
     LogTime,
+    RecordedMessage,
     RecordingInfo,
     RecordingWriter,
     message_entry,
@@ -25,7 +25,7 @@ from daq.contract.recordings.recording import (
 from daq.contract.scan import decode_scan
 from groundstation.receiver import events as ev
 from groundstation.receiver.kept.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
-from groundstation.receiver.kept.session_log import Kind, SessionLog
+from groundstation.receiver.kept.session_log import RecordKind, SessionLog
 
 LINK_TOPIC = "/link"
 LINK_SCHEMA = "sideslip.Link"
@@ -65,7 +65,9 @@ class ReceivedWriter(RecordingWriter):
 
     def write_link(self, data: bytes, time_ns: int, sequence: int) -> None:
         """Add a report of link quality."""
-        self._add(self._link_channel, Entry(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data))
+        self._add(
+            self._link_channel, RecordedMessage(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data)
+        )
 
 
 def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
@@ -104,12 +106,12 @@ class SessionRecorder:
         self.path = folder / f"{session.name}.mcap"
         self.journal = SessionLog(folder / f"{session.name}.journal")
         self._last_ns = self._last_number = 0
-        self._events: set[bytes] = set(self.journal.others(Kind.EVENT))
-        self._notes: list[bytes] = list(self.journal.others(Kind.NOTE))[-MAX_NOTES:]
+        self._events: set[bytes] = set(self.journal.others(RecordKind.EVENT))
+        self._notes: list[bytes] = list(self.journal.others(RecordKind.NOTE))[-MAX_NOTES:]
         self.papers: Papers | None = None
-        archive = self.journal.last(Kind.ARCHIVE)
+        archive = self.journal.last(RecordKind.ARCHIVE)
         self._attachments = None if archive is None else parse_archive(archive)
-        kept = self.journal.last(Kind.PAPERS)
+        kept = self.journal.last(RecordKind.PAPERS)
         if kept is not None:
             self.take_papers(kept)
 
@@ -120,26 +122,26 @@ class SessionRecorder:
 
     def event(self, marked: ev.EventMarked) -> bool:
         """Keep an event, once; False when there have been too many."""
-        data = encode_event(Event(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
+        data = encode_event(EventMessage(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
         if data in self._events:
             return True
         if len(self._events) >= MAX_EVENTS:
             return False
         self._events.add(data)
-        self.journal.add(Kind.EVENT, data)
+        self.journal.add(RecordKind.EVENT, data)
         return True
 
     def note(self, text: str) -> None:
         """Keep an event of the reception itself, at the time of the last scan; of very many the first ones."""
         if len(self._notes) < MAX_NOTES:
-            data = encode_event(Event(self._last_ns, 0, self._last_number, RECEIVER, text))
+            data = encode_event(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))
             self._notes.append(data)
-            self.journal.add(Kind.NOTE, data)
+            self.journal.add(RecordKind.NOTE, data)
 
     def link(self, report: ev.LinkStatistics) -> None:
         """Keep a report of link quality."""
         if self._last_ns:
-            self.journal.add(Kind.LINK, link_json(report, self._last_ns))
+            self.journal.add(RecordKind.LINK, link_json(report, self._last_ns))
 
     def complete(self, data: bytes) -> int | None:
         """Keep a scan in the aircraft's own bytes; its number, or None when the bytes are no scan."""
@@ -152,7 +154,7 @@ class SessionRecorder:
             return False
         if papers != self.papers:
             self.papers = papers
-            self.journal.add(Kind.PAPERS, data)
+            self.journal.add(RecordKind.PAPERS, data)
         # The papers have every event in full; what came down as it happened may be shortened.
         if papers.events:
             self._events = {encode_event(e) for e in papers.marks()}
@@ -164,7 +166,7 @@ class SessionRecorder:
         if found is None:
             return False
         self._attachments = found
-        self.journal.add(Kind.ARCHIVE, data)
+        self.journal.add(RecordKind.ARCHIVE, data)
         return True
 
     @property
@@ -210,7 +212,7 @@ class SessionRecorder:
                 writer.write(scan_entry(decode_scan(data), data))
             for event in sorted(_decoded([*self._events, *self._notes]), key=lambda e: e.time_monotonic_ns):
                 writer.write(message_entry(event))
-            for i, link in enumerate(self.journal.others(Kind.LINK)):
+            for i, link in enumerate(self.journal.others(RecordKind.LINK)):
                 writer.write_link(link, round(json.loads(link)["time_monotonic_s"] * 1e9), i)
             writer.finish()
 
@@ -219,7 +221,7 @@ class SessionRecorder:
         self.journal.close()
 
 
-def _decoded(events: Iterable[bytes]) -> list[Event]:
+def _decoded(events: Iterable[bytes]) -> list[EventMessage]:
     out = []
     for data in events:
         try:

@@ -27,7 +27,7 @@ _MAGIC = b"SSJ1"
 _LIMIT = 1 << 20
 
 
-class Kind(IntEnum):
+class RecordKind(IntEnum):
     """What a record holds."""
 
     RECEIVED = 0  # a scan as far as the downlink carries it
@@ -39,12 +39,12 @@ class Kind(IntEnum):
     NOTE = 6  # an encoded event of the reception itself
 
 
-_KINDS = frozenset(Kind)
+_KINDS = frozenset(RecordKind)
 
 
 class _Record(NamedTuple):
     at: int
-    kind: Kind
+    kind: RecordKind
     number: int
     data: bytes
 
@@ -86,14 +86,14 @@ class SessionLog:
                 if record != _MAGIC:
                     self._file.append(record)
                     kind, number, *_ = _HEAD.unpack_from(record)
-                    self._note(Kind(kind), number)
+                    self._note(RecordKind(kind), number)
         self._file.flush()
 
     @property
     def scans_waiting(self) -> int:
         """Scans that are in memory only, because the disk has not taken them yet."""
         kinds = (record[0] for record in self._file.records_waiting if record != _MAGIC)
-        return sum(kind in (Kind.RECEIVED, Kind.COMPLETE) for kind in kinds)
+        return sum(kind in (RecordKind.RECEIVED, RecordKind.COMPLETE) for kind in kinds)
 
     @property
     def on_disk(self) -> int:
@@ -105,13 +105,13 @@ class SessionLog:
         """Bytes that the disk has not taken yet."""
         return self._file.waiting
 
-    def _note(self, kind: Kind, number: int) -> None:
-        if kind is Kind.RECEIVED:
+    def _note(self, kind: RecordKind, number: int) -> None:
+        if kind is RecordKind.RECEIVED:
             self.received.add(number)
-        elif kind is Kind.COMPLETE:
+        elif kind is RecordKind.COMPLETE:
             self.complete.add(number)
 
-    def _append(self, kind: Kind, number: int, data: bytes) -> None:
+    def _append(self, kind: RecordKind, number: int, data: bytes) -> None:
         crc = zlib.crc32(_CRC_OF.pack(kind, number, len(data)) + data)
         if self._file.append(_HEAD.pack(kind, number, len(data), crc) + data):
             self._note(kind, number)
@@ -119,7 +119,7 @@ class SessionLog:
 
     def add_received(self, scan: Scan) -> None:
         """Keep a scan as received; one completed by a later part replaces it."""
-        self._append(Kind.RECEIVED, scan.number, encode_scan(scan))
+        self._append(RecordKind.RECEIVED, scan.number, encode_scan(scan))
 
     def add_complete(self, data: bytes) -> int | None:
         """Keep a scan in the aircraft's own bytes; returns its number, None when the bytes are no scan."""
@@ -128,10 +128,10 @@ class SessionLog:
         except ScanDecodeError:
             return None
         if scan.number not in self.complete:
-            self._append(Kind.COMPLETE, scan.number, data)
+            self._append(RecordKind.COMPLETE, scan.number, data)
         return scan.number
 
-    def add(self, kind: Kind, data: bytes) -> None:
+    def add(self, kind: RecordKind, data: bytes) -> None:
         """Keep another record."""
         self._append(kind, 0, data)
 
@@ -170,8 +170,8 @@ class SessionLog:
         """Encoded scans in order of number, the complete form where there is one."""
         numbers, places = array("Q"), array("Q")
         for record in self._records():
-            wanted = record.kind is Kind.COMPLETE or (
-                record.kind is Kind.RECEIVED and not complete_only and record.number not in self.complete
+            wanted = record.kind is RecordKind.COMPLETE or (
+                record.kind is RecordKind.RECEIVED and not complete_only and record.number not in self.complete
             )
             if wanted:
                 numbers.append(record.number)
@@ -185,11 +185,11 @@ class SessionLog:
                 if found is not None:
                     yield found.data
 
-    def others(self, kind: Kind) -> Iterator[bytes]:
+    def others(self, kind: RecordKind) -> Iterator[bytes]:
         """The other records of a kind, in order."""
         return (record.data for record in self._records() if record.kind is kind)
 
-    def last(self, kind: Kind) -> bytes | None:
+    def last(self, kind: RecordKind) -> bytes | None:
         """The last record of a kind."""
         found = None
         for data in self.others(kind):
@@ -208,4 +208,4 @@ def _record_at(file: IO[bytes], at: int, size: int) -> _Record | None:
     data = file.read(length)
     if zlib.crc32(_CRC_OF.pack(kind, number, length) + data) != crc:
         return None
-    return _Record(at, Kind(kind), number, data)
+    return _Record(at, RecordKind(kind), number, data)

@@ -3,10 +3,10 @@
 from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort, UdpPort, open_socket_port, parse_port
 from daq.transport.reconnecting_port import open_lasting
 from groundstation.receiver.ports.udp_listener import UdpListener
-from groundstation.receiver.timeline import Clock, SystemClock
+from groundstation.receiver.timeline import GroundClock, SystemClock
 
 
-def open_port(text: str, clock: Clock | None = None) -> BytePort:
+def open_port(text: str, clock: GroundClock | None = None) -> BytePort:
     """Open a port by its description; PortError says what is wrong with the description or the port.
 
     clock: by which a listener allows strangers so much a second; this machine's by default.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from daq.transport.ports import MAX_PEERS, UdpPort
 from groundstation.receiver.ports.allowance import Allowance
-from groundstation.receiver.timeline import Clock
+from groundstation.receiver.timeline import GroundClock
 
 READ_BYTES = 65536
 TURN_DATAGRAMS, TURN_BYTES = 4096, 1 << 24
@@ -35,7 +35,7 @@ Address = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
-class _Aircraft:
+class _UdpAircraft:
     address: Address
     allowance: Allowance
 
@@ -43,12 +43,12 @@ class _Aircraft:
 class UdpListener(UdpPort):
     """A port that anybody may send to. `favour` says who has proven to be an aircraft."""
 
-    def __init__(self, local: tuple[str, int], clock: Clock) -> None:
+    def __init__(self, local: tuple[str, int], clock: GroundClock) -> None:
         super().__init__(local=local)
         self._clock = clock
         self._buffer = bytearray(READ_BYTES)
         self._own: dict[str, socket.socket] = {}  # sender's name -> socket connected to it
-        self._aircraft: dict[str, _Aircraft] = {}
+        self._aircraft: dict[str, _UdpAircraft] = {}
         self._addresses: dict[str, Address] = {}  # of senders heard lately
         self._strangers = Allowance(STRANGERS_AT_ONCE, STRANGERS_PER_S)
         self._each: dict[str, Allowance] = {}
@@ -129,7 +129,7 @@ class UdpListener(UdpPort):
         address = self._addresses.get(name)
         if name in self._aircraft or address is None or len(self._aircraft) >= _STRANGERS:
             return
-        self._aircraft[name] = _Aircraft(address, Allowance(AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S))
+        self._aircraft[name] = _UdpAircraft(address, Allowance(AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S))
         if len(self._own) < OWN_SOCKETS:  # nobody loses one to a later one: that would be a way to crowd it out
             with contextlib.suppress(OSError):  # a system that cannot do it: all share one buffer, as on any UDP port
                 self._own[name] = self._connected(address)

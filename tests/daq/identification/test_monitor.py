@@ -12,23 +12,22 @@ from scipy.stats import gumbel_r
 
 from daq.identification.airframe import DERIVATIVES, Airframe, Sample
 from daq.identification.monitor import threshold
-from daq.identification.monitor.bank import CHANNELS, Effect, bank
-from daq.identification.monitor.evidence import PIECE_S, Evidence
-from daq.identification.monitor.innovations import PredictorBank, Scan
+from daq.identification.monitor.bank import CHANNELS, MonitoredEffect, bank
+from daq.identification.monitor.evidence import PIECE_S, MonitorEvidence
+from daq.identification.monitor.innovations import FlightsScan, PredictorBank
 from daq.identification.monitor.intervals import BLIND
 from daq.identification.monitor.monitor import Alarm, GapMonitor
 from daq.identification.monitor.motion import Inputs, LateralMotion
-from daq.identification.monitor.nulls import Conditions, fly
+from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.surfaces import GUESSED, SurfacesBetween
 from daq.identification.monitor.threshold import Calibration, calibrated, exceeded
 from daq.identification.monitor.whitening import fitted
-from daq.identification.servo import Edge as ServoEdge
-from daq.identification.servo import SurfaceCurves
-from daq.identification.simulated_motion import Drive, Motion, SimulatedMotion
+from daq.identification.servo import ServoEdge, SurfaceCurves
+from daq.identification.simulated_motion import LateralState, MotionInputs, SimulatedMotion
 from tests.studies.live_statistics import Case, airframe_for
 
 Array = NDArray[np.float64]
-QUIET = Conditions(beta=0.0, p=0.0, r=0.0, phi=0.0, ay=0.0, surface=0.0, V=0.0, gust=0.0)
+QUIET = NullConditions(beta=0.0, p=0.0, r=0.0, phi=0.0, ay=0.0, surface=0.0, V=0.0, gust=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,20 +41,20 @@ def values(airframe: Airframe) -> dict[str, float]:
 
 
 @pytest.fixture(scope="module")
-def effects(airframe: Airframe, values: dict[str, float]) -> tuple[Effect, ...]:
+def effects(airframe: Airframe, values: dict[str, float]) -> tuple[MonitoredEffect, ...]:
     return bank(airframe, values, {})
 
 
 @pytest.fixture(scope="module")
-def calibration(airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...]) -> Calibration:
+def calibration(airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...]) -> Calibration:
     """From fewer flights than anybody would trust."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(threshold, "AT_ONCE", 24)
         patch.setattr(threshold, "FLIGHT_S", 40.0)
-        return calibrated(airframe, values, effects, Conditions(), rng=np.random.default_rng(4), hours=0.8)
+        return calibrated(airframe, values, effects, NullConditions(), rng=np.random.default_rng(4), hours=0.8)
 
 
-def samples(scans: list[Scan], flight: int) -> list[Sample]:
+def samples(scans: list[FlightsScan], flight: int) -> list[Sample]:
     """One flight of several, as the monitor takes it."""
     found = []
     for s in scans:
@@ -74,13 +73,13 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
         x, u = rng.uniform(-0.2, 0.2, 4), rng.uniform(0.05, 0.2, 7)
         u[3:5] = 17.0, 1.2
         inputs = Inputs(*(np.array([v]) for v in u))
-        one = np.array(alone._rates(Motion(*x), Drive(*u)))
+        one = np.array(alone._rates(LateralState(*x), MotionInputs(*u)))
         np.testing.assert_allclose(many.rates(x[:, None, None], inputs)[:, 0, 0], one, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["Cn_da", "Cl_da", "Cl_p", "Cn_beta", "CY_beta", "Cl_0", "beta_bias"])
 def test_an_effect_leaves_its_signature(
-    name: str, airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...]
+    name: str, airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...]
 ) -> None:
     """Without noise, surfaces that move smoothly: what the model gets wrong of an aircraft with the effect is the signature."""
     k = [e.name for e in effects].index(name)
@@ -94,7 +93,7 @@ def test_an_effect_leaves_its_signature(
     for i in range(200):
         measured = np.concatenate([x[:, 0], motion.side_force(x, u)[0][None]])
         measured[0] += bias
-        found = predictors.innovation(Scan(0.05 * i, measured, u))
+        found = predictors.innovation(FlightsScan(0.05 * i, measured, u))
         if found is not None:
             wrong.append(found.wrong)
             signature.append(found.signatures[:, k])
@@ -194,7 +193,7 @@ def test_any_servo_is_drawn(lag: float | None) -> None:
 
 
 def test_a_surface_that_moved_unseen_makes_an_interval_blind(
-    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...]
+    airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...]
 ) -> None:
     """A rudder step somewhere in a quarter of a second without scans, in one of two flights: three scans of that one say nothing,
     and the predictor begins again at what is measured."""
@@ -205,7 +204,7 @@ def test_a_surface_that_moved_unseen_makes_an_interval_blind(
         measured = np.zeros((5, 2))
         measured[2] = 4.0 * rudder
         u = Inputs(still, still + 0.08, still + 0.08, still + 16.0, still + 1.2, still, rudder)
-        scans.append(Scan(float(time), measured, u))
+        scans.append(FlightsScan(float(time), measured, u))
     whole, fresh = PredictorBank(airframe, values, effects), PredictorBank(airframe, values, effects)
     found = [f for s in scans if (f := whole.innovation(s)) is not None]
     begun = [f for s in scans[10:] if (f := fresh.innovation(s)) is not None]
@@ -225,11 +224,11 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
     """Against generalised least squares with covariance I + G P G', written out."""
     rng = np.random.default_rng(5)
     effects = (
-        Effect("a", "", "Cl", 1.0, "1", 0.3),
-        Effect("b", "", "Cl", 2.0, "1", 0.5),
-        Effect("c", "", "Cn", 1.0, "1"),
+        MonitoredEffect("a", "", "Cl", 1.0, "1", 0.3),
+        MonitoredEffect("b", "", "Cl", 2.0, "1", 0.5),
+        MonitoredEffect("c", "", "Cn", 1.0, "1"),
     )
-    evidence, W, G = Evidence(effects), [], []
+    evidence, W, G = MonitorEvidence(effects), [], []
     for k in range(40):
         white, signatures = rng.standard_normal((5, 1)), rng.standard_normal((5, 3, 1)) * 0.3
         evidence.add(0.05 * k, white, signatures)
@@ -276,7 +275,7 @@ def test_right_effect_is_named_and_dated(
     channels: tuple[str, ...],
     airframe: Airframe,
     values: dict[str, float],
-    effects: tuple[Effect, ...],
+    effects: tuple[MonitoredEffect, ...],
     calibration: Calibration,
 ) -> None:
     """Sets in at 20 s: noticed in most of a few flights, after it began, by its name. In units of what is usual of each, a rudder
@@ -288,7 +287,7 @@ def test_right_effect_is_named_and_dated(
             truth[name] = truth[name] + change
             done.append(True)
 
-    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    calm = replace(NullConditions(), gust_spread=(1.0, 1.0))
     scans = fly(airframe, values, effects, calm, np.random.default_rng(8), 4, 42.0, set_in)
     found = []
     for flight in range(4):
@@ -306,9 +305,9 @@ def test_right_effect_is_named_and_dated(
 
 
 def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
-    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+    airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...], calibration: Calibration
 ) -> None:
-    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    calm = replace(NullConditions(), gust_spread=(1.0, 1.0))
     scans = fly(airframe, values, effects, calm, np.random.default_rng(9), 3, 50.0)
     alarms, watched = 0, []
     for flight in range(3):
@@ -323,10 +322,10 @@ def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
 
 
 def test_errors_that_grow_without_a_name_are_told_by_channel(
-    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+    airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...], calibration: Calibration
 ) -> None:
     """The bank angle becomes four times as noisy: no effect of the bank does that."""
-    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    calm = replace(NullConditions(), gust_spread=(1.0, 1.0))
     scans = fly(airframe, values, effects, calm, np.random.default_rng(10), 1, 60.0)
     rng = np.random.default_rng(11)
     monitor = GapMonitor(airframe, values, effects, calibration)
@@ -344,10 +343,10 @@ def test_errors_that_grow_without_a_name_are_told_by_channel(
 
 
 def test_an_alarm_of_grown_errors_gets_its_name_when_they_tell(
-    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+    airframe: Airframe, values: dict[str, float], effects: tuple[MonitoredEffect, ...], calibration: Calibration
 ) -> None:
     """The vane slips: its errors are large at once, and only the seconds after it tell that they stay on one side."""
-    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    calm = replace(NullConditions(), gust_spread=(1.0, 1.0))
     scans = fly(airframe, values, effects, calm, np.random.default_rng(12), 1, 50.0)
     monitor, told = GapMonitor(airframe, values, effects, calibration), list[Alarm]()
     for s in samples(scans, 0):

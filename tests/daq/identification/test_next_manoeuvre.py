@@ -10,12 +10,12 @@ from daq.identification.airframe import DERIVATIVES, EQUATIONS, Airframe, Belief
 from daq.identification.live import EquationInformation
 from daq.identification.next_manoeuvre import (
     LIBRARY,
-    Candidate,
+    CandidateManoeuvre,
     linear_lateral,
     next_manoeuvre,
     predicted_columns,
 )
-from daq.identification.simulated_motion import Drive, Motion, SimulatedMotion
+from daq.identification.simulated_motion import LateralState, MotionInputs, SimulatedMotion
 from tests.studies.live_statistics import Case, airframe_for
 
 LEVEL = Sample(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.08, 0.08, 17.0, 0.0, 0.0, 0.0, 1.2)
@@ -33,8 +33,8 @@ def test_linear_motion_is_the_slope_of_the_simulated_one(airframe: Airframe) -> 
     motion.values = {n: 0.0 if n.endswith("_0") else v for n, v in values.items()}
 
     def rates(x: list[float]) -> np.ndarray:
-        drive = Drive(0.0, LEVEL.theta, LEVEL.alpha, LEVEL.V, LEVEL.rho, x[4], x[5])
-        return np.array(motion._rates(Motion(*x[:4]), drive))
+        drive = MotionInputs(0.0, LEVEL.theta, LEVEL.alpha, LEVEL.V, LEVEL.rho, x[4], x[5])
+        return np.array(motion._rates(LateralState(*x[:4]), drive))
 
     step = 1e-5
     for i in range(6):
@@ -57,7 +57,7 @@ def _informed(airframe: Airframe, columns: dict[str, np.ndarray], noise: float) 
 def test_advice_is_what_lowers_the_worst_bound_most(airframe: Airframe) -> None:
     """Brute force over the library, bounds from least squares on all rows together."""
     values = {n: airframe.believed(n) for n in DERIVATIVES}
-    flown, _ = predicted_columns(airframe, values, Candidate("", "doublet", "doublet"), LEVEL)
+    flown, _ = predicted_columns(airframe, values, CandidateManoeuvre("", "doublet", "doublet"), LEVEL)
     noise = 1e-3
     known = _informed(airframe, dict.fromkeys(EQUATIONS, flown), noise)
     wanted = {n: 0.01 * abs(v) for n, v in values.items() if not n.endswith("_0")}
@@ -79,7 +79,7 @@ def test_advice_is_what_lowers_the_worst_bound_most(airframe: Airframe) -> None:
 
 def test_no_advice_where_all_is_reached_or_nothing_is_known(airframe: Airframe) -> None:
     values = {n: airframe.believed(n) for n in DERIVATIVES}
-    flown, _ = predicted_columns(airframe, values, Candidate("", "doublet", "doublet"), LEVEL)
+    flown, _ = predicted_columns(airframe, values, CandidateManoeuvre("", "doublet", "doublet"), LEVEL)
     known = _informed(airframe, dict.fromkeys(EQUATIONS, flown), 1e-3)
     assert next_manoeuvre(airframe, values, known, dict.fromkeys(DERIVATIVES, 1e9), LEVEL) is None
     assert next_manoeuvre(airframe, values, {}, dict.fromkeys(DERIVATIVES, 1e-9), LEVEL) is None
@@ -88,7 +88,7 @@ def test_no_advice_where_all_is_reached_or_nothing_is_known(airframe: Airframe) 
 def test_a_lively_aircraft_is_advised_smaller_manoeuvres(airframe: Airframe) -> None:
     lively = {n: airframe.believed(n) * (3.0 if n in ("Cl_da", "Cn_dr") else 1.0) for n in DERIVATIVES}
     usual = {n: airframe.believed(n) for n in DERIVATIVES}
-    candidate = Candidate("", aileron="slow doublet")
+    candidate = CandidateManoeuvre("", aileron="slow doublet")
     _, large = predicted_columns(airframe, usual, candidate, LEVEL)
     _, small = predicted_columns(airframe, lively, candidate, LEVEL)
     assert small < large

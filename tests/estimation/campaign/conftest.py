@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from estimation.campaign.plan import plan_from
-from estimation.campaign.run import Campaign, Outcome
+from estimation.campaign.run import Campaign, CampaignOutcome
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
@@ -16,10 +16,10 @@ from estimation.campaign.workers.serial import SerialEngine
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> Callable[..., Outcome]:
+def campaign(tmp_path: Path) -> Callable[..., CampaignOutcome]:
     """Run a plan in this process, into tmp_path/out unless told otherwise."""
 
-    def run(plan: dict[str, Any], out: Path = tmp_path / "out", *, retry_failed: bool = False) -> Outcome:
+    def run(plan: dict[str, Any], out: Path = tmp_path / "out", *, retry_failed: bool = False) -> CampaignOutcome:
         checked = plan_from({"aircraft": "cdfp", "methods": ["ls"], **plan}, "test")
         with Store(out, time.monotonic) as store:
             work = work_list(checked, entries_of(checked, Path()), Path())

@@ -9,7 +9,7 @@ from estimation.campaign.aerodynamics.change_tables import difference_rows, step
 from estimation.campaign.aerodynamics.joint_tables import joint_model_rows
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
-from estimation.campaign.aerodynamics.terms import Term, with_terms
+from estimation.campaign.aerodynamics.terms import ConditionTerm, with_terms
 from estimation.campaign.claims import told as told_to_a_person
 from estimation.campaign.groups import group_rows
 from estimation.campaign.schema import RESULTS, arrow_schema
@@ -112,7 +112,7 @@ def test_a_step_leaves_a_value_and_a_curve_on_either_side_of_what_it_moved_and_o
 
 
 def test_what_moved_after_a_step_is_said_of_a_model_over_both_sides() -> None:
-    model = with_terms(load_model("lateral", "cdfp"), [Term("Cn_beta", "beta", 2)], {})
+    model = with_terms(load_model("lateral", "cdfp"), [ConditionTerm("Cn_beta", "beta", 2)], {})
     run = {"kind": "run", "key": "k", "group": "aircraft=cdfp", "method": "ml", "why": "terms", "flights": 40}
     table = pa.Table.from_pylist([{**run, "model_text": model_text(model)}], arrow_schema(RESULTS))
     starts = {("aircraft=cdfp", "ls", name): [("2026-03-23", "f022")] for name in ("Cn_beta", "Cn_0")}

@@ -7,7 +7,7 @@ import pytest
 
 from daq.contract.errors import UserError
 from estimation.campaign.keys import seed_of
-from estimation.campaign.plan import Plan, plan_from
+from estimation.campaign.plan import CampaignPlan, plan_from
 from estimation.campaign.sources import entries_of
 from estimation.campaign.work_list import WorkList, work_list
 from estimation.estimators.registry import find
@@ -17,7 +17,7 @@ from sideslip.simulated import simulator
 FLIGHT = str(Path(__file__).parents[3] / "recordings" / "foreign" / "ordinary_0.csv")
 
 
-def checked(plan: Plan, folder: Path) -> WorkList:
+def checked(plan: CampaignPlan, folder: Path) -> WorkList:
     """All that happens before the first flight is estimated."""
     return work_list(plan, entries_of(plan, folder, simulator()), folder)
 

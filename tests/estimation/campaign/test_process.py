@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from estimation.campaign.run import Outcome
+from estimation.campaign.run import CampaignOutcome
 from tests.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start, workers_of
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
@@ -30,7 +30,7 @@ def wait_until(true: Callable[[], object], process: "subprocess.Popen[str]", lim
 
 
 def test_bad_flights_are_sentences_and_the_others_as_without_an_engine(
-    campaign: Callable[..., Outcome], flights: list[str], tmp_path: Path
+    campaign: Callable[..., CampaignOutcome], flights: list[str], tmp_path: Path
 ) -> None:
     """Two workers, any order, two of whom a flight kills and hangs: the same bits as one after the other in one process."""
     folder = tmp_path / "flights"

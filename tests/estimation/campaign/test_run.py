@@ -11,14 +11,14 @@ import pytest
 from estimation.aircraft import load_aircraft
 from estimation.campaign.errors import CampaignError, OverdueError
 from estimation.campaign.plan import plan_from, read_plan
-from estimation.campaign.run import Outcome
+from estimation.campaign.run import CampaignOutcome
 from estimation.campaign.workers.limits import interrupted_after
 from estimation.models import load_model
 from estimation.session import runner
 from groundstation.flight import read_flight
 from tests.estimation.campaign.running import HOSTILE, altered, repeatable, results_of
 
-Run = Callable[..., Outcome]
+Run = Callable[..., CampaignOutcome]
 
 
 def test_the_numbers_are_those_of_estimate(campaign: Run, flights: list[str], tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from estimation.aircraft import load_aircraft
 from estimation.answers.designs import with_effects, write_manoeuvre
 from estimation.design import measured_inputs
 from estimation.design.condition import trimmed
-from estimation.design.design import Design, Task, design
+from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.limits import Limits, load_limits, usual_limits
-from estimation.design.predict import Information, fly, information
+from estimation.design.predict import DesignInformation, fly, information
 from estimation.engine.data import FlightData, Segment
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
@@ -24,7 +24,7 @@ from estimation.models import load_model
 
 AIRCRAFT = load_aircraft("cdfp")
 LATERAL = load_model("lateral", AIRCRAFT)
-TASK = Task("multisine", 20.0, 16.0, draws=7)
+TASK = DesignTask("multisine", 20.0, 16.0, draws=7)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -36,24 +36,24 @@ def few() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def sines() -> Design:
+def sines() -> InputDesign:
     return design(LATERAL, AIRCRAFT, TASK)
 
 
-def mean_relative(found: Design) -> float:
+def mean_relative(found: InputDesign) -> float:
     return float(np.mean(list(found.relative.values())))
 
 
 class TestPrediction:
     def test_trimmed_flight_stays_trimmed(self) -> None:
         model = load_model("longitudinal", AIRCRAFT)
-        found = design(model, AIRCRAFT, Task("doublet", 10.0, 16.0))
+        found = design(model, AIRCRAFT, DesignTask("doublet", 10.0, 16.0))
         rest = fly(found.bench, np.zeros((250, 1)), 5.0)
         for name in model.state_names:
             assert np.ptp(rest.signals[name]) < 1e-6, name
         assert trimmed(model, AIRCRAFT, 16.0, 1.17).of("alpha") == pytest.approx(rest.signals["alpha"][-1], abs=1e-6)
 
-    def test_predicted_bounds_are_those_of_a_fit_to_such_a_flight(self, sines: Design) -> None:
+    def test_predicted_bounds_are_those_of_a_fit_to_such_a_flight(self, sines: InputDesign) -> None:
         """The estimator's own Cramer-Rao bounds on a simulated record with the predicted noise."""
         bench, motion = sines.bench, sines.best.motion
         keep = np.arange(0, len(motion.time), round(0.05 / (motion.time[1] - motion.time[0])))
@@ -74,7 +74,7 @@ class TestPrediction:
         for name, std in sines.best.information.std.items():
             assert result.parameters[name].std == pytest.approx(std, rel=0.15), name
 
-    def test_information_adds_and_scales(self, sines: Design) -> None:
+    def test_information_adds_and_scales(self, sines: InputDesign) -> None:
         small = information(sines.bench, fly(sines.bench, 0.05 * sines.best.commands, 20.0))
         smaller = information(sines.bench, fly(sines.bench, 0.025 * sines.best.commands, 20.0))
         assert small.std["Cl_p"] == pytest.approx(0.5 * smaller.std["Cl_p"], rel=0.02)
@@ -82,18 +82,18 @@ class TestPrediction:
     def test_bounds_by_inverse_and_what_is_tied_is_infinite(self) -> None:
         rng = np.random.default_rng(2)
         a = rng.normal(size=(30, 3)) * [1.0, 1e-4, 1e3]
-        free = Information(("x", "y", "z"), a.T @ a).std
+        free = DesignInformation(("x", "y", "z"), a.T @ a).std
         np.testing.assert_allclose(list(free.values()), np.sqrt(np.diag(np.linalg.inv(a.T @ a))), rtol=1e-6)
         tied = np.column_stack([a, 2.0 * a[:, 0]])
-        std = Information(("x", "y", "z", "x2"), tied.T @ tied).std
+        std = DesignInformation(("x", "y", "z", "x2"), tied.T @ tied).std
         assert math.isinf(std["x"])
         assert math.isinf(std["x2"])
         assert std["y"] == pytest.approx(free["y"], rel=1e-4)
-        assert math.isinf(Information(("still",), np.zeros((1, 1))).std["still"])
+        assert math.isinf(DesignInformation(("still",), np.zeros((1, 1))).std["still"])
 
 
 class TestKinds:
-    def test_multisines_beat_doublets_and_use_the_amplitudes(self, sines: Design) -> None:
+    def test_multisines_beat_doublets_and_use_the_amplitudes(self, sines: InputDesign) -> None:
         better = replace(sines, task=replace(sines.task, draws=21))
         plain = design(LATERAL, AIRCRAFT, replace(TASK, kind="doublet", draws=21))
         assert mean_relative(better) < 0.70 * mean_relative(plain)
@@ -117,7 +117,7 @@ class TestKinds:
 
     @pytest.mark.parametrize(("criterion", "name"), [("CY_beta", "CY_beta"), ("A", ""), ("D", "")])
     def test_optimal_is_never_worse_than_flat_by_its_own_criterion(
-        self, criterion: str, name: str, sines: Design
+        self, criterion: str, name: str, sines: InputDesign
     ) -> None:
         found = design(LATERAL, AIRCRAFT, replace(TASK, kind="optimal", criterion=criterion))
         before, after = sines.best.information, found.best.information
@@ -187,7 +187,7 @@ class TestWords:
 
 
 class TestFile:
-    def test_read_back_as_written(self, sines: Design, tmp_path: Path) -> None:
+    def test_read_back_as_written(self, sines: InputDesign, tmp_path: Path) -> None:
         write_manoeuvre(sines, tmp_path / "m.toml")
         again = load_manoeuvre(tmp_path / "m.toml")
         assert again.digest == sines.manoeuvre().digest
@@ -195,7 +195,7 @@ class TestFile:
         assert again.duration_s == pytest.approx(20.0)
         np.testing.assert_allclose(again.increments["delta_a"], sines.best.commands[:, 0], atol=1e-6)
 
-    def test_a_changed_value_is_refused(self, sines: Design, tmp_path: Path) -> None:
+    def test_a_changed_value_is_refused(self, sines: InputDesign, tmp_path: Path) -> None:
         write_manoeuvre(sines, tmp_path / "m.toml")
         text = (tmp_path / "m.toml").read_text()
         value = repr(sines.manoeuvre().increments["delta_a"][200])
@@ -215,7 +215,7 @@ class TestFile:
             ("[increments]", "[other]", "design it again"),
         ],
     )
-    def test_damaged_files(self, sines: Design, tmp_path: Path, old: str, new: str, words: str) -> None:
+    def test_damaged_files(self, sines: InputDesign, tmp_path: Path, old: str, new: str, words: str) -> None:
         write_manoeuvre(sines, tmp_path / "m.toml")
         text = (tmp_path / "m.toml").read_text()
         assert old in text
@@ -223,7 +223,7 @@ class TestFile:
         with pytest.raises(ManoeuvreError, match=words):
             load_manoeuvre(tmp_path / "m.toml")
 
-    def test_json_is_as_the_interface_has_it(self, sines: Design) -> None:
+    def test_json_is_as_the_interface_has_it(self, sines: InputDesign) -> None:
         content = json.loads(json.dumps(sines.to_json(), allow_nan=False))
         assert content["kind"] == "multisine"
         assert len(content["time"]) == len(content["inputs"]["delta_a"]) == 1001

@@ -8,7 +8,7 @@ import pytest
 
 from estimation.aircraft import load_aircraft
 from estimation.design import measured_inputs
-from estimation.design.design import Design, Task, design
+from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.measured_inputs import _scatter, expected
 from estimation.models import load_model
 
@@ -17,8 +17,8 @@ LATERAL = load_model("lateral", AIRCRAFT)
 
 
 @pytest.fixture(scope="module")
-def steps() -> Design:
-    return design(LATERAL, AIRCRAFT, Task("doublet", 12.0, 16.0, draws=10))
+def steps() -> InputDesign:
+    return design(LATERAL, AIRCRAFT, DesignTask("doublet", 12.0, 16.0, draws=10))
 
 
 def test_one_gain_with_a_noisy_input_scatters_as_the_closed_form() -> None:
@@ -45,7 +45,7 @@ def test_what_wanders_slowly_hurts_what_is_slow() -> None:
     assert slow[1] < 0.01 * fast[1]
 
 
-def test_exact_inputs_leave_the_bound(steps: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exact_inputs_leave_the_bound(steps: InputDesign, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measured_inputs, "input_noise", lambda bench, signal: 0.0)
     bounds = steps.best.information.std
     exact = expected(steps.bench, steps.best.motion, bounds, seed=1, draws=3)
@@ -53,7 +53,7 @@ def test_exact_inputs_leave_the_bound(steps: Design, monkeypatch: pytest.MonkeyP
         assert exact[name] == pytest.approx(bound, rel=0.03), name
 
 
-def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: Design) -> None:
+def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: InputDesign) -> None:
     usual = steps.expected
     rough = replace(steps.bench, noise={"delta_a": math.radians(0.7), "delta_r": math.radians(0.7)})
     worse = expected(rough, steps.best.motion, steps.best.information.std, seed=1, draws=10)
@@ -62,7 +62,7 @@ def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: Design) -> None:
     assert worse["Cl_da"] > 3.0 * usual["Cl_da"]
 
 
-def test_noise_that_residuals_showed_is_not_counted_twice(steps: Design) -> None:
+def test_noise_that_residuals_showed_is_not_counted_twice(steps: InputDesign) -> None:
     """A flight's residuals hold the noise of its inputs already."""
     found = replace(steps.bench, noise_of_residuals=True)
     once = expected(found, steps.best.motion, steps.best.information.std, seed=1, draws=10)

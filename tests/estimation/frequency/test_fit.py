@@ -8,7 +8,7 @@ import pytest
 
 from estimation.errors import DataError, EstimationError
 from estimation.frequency.forms import ROLL as ROLL_FORM
-from estimation.frequency.forms import Form, form_for
+from estimation.frequency.forms import TransferForm, form_for
 from estimation.frequency.handling import Craft, handling
 from estimation.frequency.response import FrequencyResponse, ResponseOptions, frequency_response
 from estimation.frequency.transfer import GOOD, fit_transfer
@@ -114,7 +114,7 @@ def test_forms_of_input_and_output(control: str, output: str, name: str, orders:
 @pytest.mark.parametrize("wrong", ["", "rol", "2/1", "1/0", "1/99", "a/b", "-1/2", "1/2/3", "١/٢"])
 def test_forms_that_are_none(wrong: str) -> None:
     if wrong == "١/٢":  # digits of another script are digits; what they mean is the same
-        assert form_for("delta_a", "p", wrong) == Form("1/2", (1, 2))
+        assert form_for("delta_a", "p", wrong) == TransferForm("1/2", (1, 2))
         return
     with pytest.raises(EstimationError, match="form"):
         form_for("delta_a", "p", wrong)

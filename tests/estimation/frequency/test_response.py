@@ -58,7 +58,7 @@ def test_scipy_says_the_same_for_one_window_length() -> None:
     xx = signal.welch(stretch.x[:, 0], **same)[1]
     g2 = signal.coherence(stretch.x[:, 0], stretch.y, **same)[1]
     spacing = 2 * np.pi * float(frequency[1])
-    grid = spectra.Grid(2 * spacing, spacing, np.arange(18))
+    grid = spectra.FrequencyGrid(2 * spacing, spacing, np.arange(18))
     parts = spectra._transforms(stretch, length, grid, spectra.MOST_WINDOWS)
     ours = spectra._solved(parts.X[:1], parts.Y, parts.R, length)
     assert ours is not None
@@ -71,7 +71,7 @@ def test_the_error_is_that_of_bendat_and_piersol_for_windows_apart() -> None:
     """Windows that share nothing, one input: |H| sqrt(1 - g2) / (|g| sqrt(2 (n - 1))), with Student's factor."""
     flight = fly({"delta_a": ROLL}, "p", Case(60.0, noise=0.05), np.random.default_rng(3))
     stretch = collect([flight], "delta_a", "p", ()).stretches[0]
-    grid = spectra.Grid(6.0, 3.0, np.arange(5))
+    grid = spectra.FrequencyGrid(6.0, 3.0, np.arange(5))
     parts = spectra._transforms(stretch, 5.0, grid, 12)
     apart = np.diag(np.diag(parts.R))
     ours = spectra._solved(parts.X[:1], parts.Y, apart, 5.0)

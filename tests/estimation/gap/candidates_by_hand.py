@@ -9,9 +9,9 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.search.confirm import Candidate
-from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
-from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
+from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
+from estimation.gap.tests_of_fit.omnibus import Omnibus, OmnibusSignal
 from estimation.gap.tests_of_fit.screen import Reduced, Screen
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable
@@ -33,7 +33,7 @@ def hypothesis(name: str, kind: str = "linear", forms: int = 1) -> Hypothesis:
     return Hypothesis(effect, made[0])
 
 
-def candidate(name: str = "x", kind: str = "linear", **known: Any) -> Candidate:
+def candidate(name: str = "x", kind: str = "linear", **known: Any) -> FittedHypothesis:
     given: dict[str, Any] = {
         "gain": 100.0,
         "score": 10.0,
@@ -42,16 +42,18 @@ def candidate(name: str = "x", kind: str = "linear", **known: Any) -> Candidate:
         "size": 1.0,
         "why_not": "",
     }
-    return Candidate(hypothesis(name, kind), stub(values={}, residuals=(), diverged=False), **(given | known))
+    return FittedHypothesis(hypothesis(name, kind), stub(values={}, residuals=(), diverged=False), **(given | known))
 
 
 def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights: tuple[int, ...] = (0,)) -> Screen:
     """Every hypothesis with one column of unit length; the last column of `gram` is the residual."""
     k = len(hypotheses)
-    columns = tuple(Column(h, x.form.parameters[0]) for h, x in enumerate(hypotheses))
+    columns = tuple(HypothesisColumn(h, x.form.parameters[0]) for h, x in enumerate(hypotheses))
     whole = np.eye(k + 1) if gram is None else gram
     return Screen((), tuple(hypotheses), columns, (Reduced(whole),) * len(flights), np.zeros_like(whole), flights)
 
 
 ROUND = stub(threshold=4.0, baseline="base", criteria=AS_SET)
-REST = Omnibus(9.0, 5.0, (Signal("term", "r", "beta", 9.0, gain=80.0), Signal("time", "r", "burst", 8.0, gain=1e9)))
+REST = Omnibus(
+    9.0, 5.0, (OmnibusSignal("term", "r", "beta", 9.0, gain=80.0), OmnibusSignal("time", "r", "burst", 8.0, gain=1e9))
+)

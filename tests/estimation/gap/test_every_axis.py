@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.gap.answer.result import Verdict
+from estimation.gap.answer.result import GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import Effect, catalogue
 from estimation.gap.likelihood.channel_noise import pitch_error
 from estimation.gap.likelihood.whitening import force_states, linear_motion
-from estimation.gap.records.flight_records import Record, prepare_flights
+from estimation.gap.records.flight_records import FlightRecord, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.gap.search.select import material
@@ -155,7 +155,7 @@ def test_the_noise_of_a_control_is_told_between_its_steps(flown: dict[str, list[
     assert rough > 1.1 * np.radians(0.07)
 
 
-def filtered(theta_error: float, gain: float = 1.0) -> list[Record]:
+def filtered(theta_error: float, gain: float = 1.0) -> list[FlightRecord]:
     """A record whose pitch attitude integrates a noisy rate, with a slow error of some size."""
     t = np.arange(601) / 20.0
     q = 0.3 * np.sin(1.5 * t)
@@ -170,7 +170,7 @@ def filtered(theta_error: float, gain: float = 1.0) -> list[Record]:
             np.zeros(601),
         ]
     )
-    return [Record(0, 0, t, {}, z, z[0, :4], {})]
+    return [FlightRecord(0, 0, t, {}, z, z[0, :4], {})]
 
 
 def test_what_is_wrong_with_a_filtered_pitch_attitude_is_seen_against_the_integrated_rate() -> None:
@@ -278,7 +278,7 @@ def test_an_elevator_that_only_holds_an_attitude_is_not_asked_when_it_moves() ->
     four = gap_benchmark.flights(truth.fly(requests))
     result = run_gap(PITCHING, four[:3], four[3:], options=Options(seed=1, nulls=20))
     assert [s.effect for s in result.steps] == []
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is GapVerdict.CANNOT_TELL
     assert "move it by itself, in steps" in result.text
     assert not [n for n in result.scores if n.startswith("elevator_") and n != "elevator_compliance"]
     assert {"elevator_lag", "elevator_delay"} <= {c["effect"] for c in result.details["cannot_tell"]}

@@ -13,12 +13,12 @@ from estimation.gap.likelihood.whitening import (
     Linear,
     NoiseModel,
     NoisePart,
-    Source,
+    NoiseSource,
     estimate_noise,
     shapes_of,
     whitener,
 )
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.tests_of_fit.nulls import NullFlyer
 from estimation.models.base import InputTransform, ParameterRole
@@ -28,14 +28,14 @@ OUTPUTS = ("beta", "p", "r", "phi", "ay")
 STEP = 0.05
 
 
-def record(filtered: bool, seed: int = 1, count: int = 600) -> Record:
+def record(filtered: bool, seed: int = 1, count: int = 600) -> FlightRecord:
     """Gyro noise alone; the bank angle integrates it, or is measured afresh."""
     rng = np.random.default_rng(seed)
     p = 0.007 * rng.standard_normal(count)
     bank = np.cumsum(p) * STEP if filtered else 0.002 * rng.standard_normal(count)
     still = 0.004 * rng.standard_normal(count)
     z = np.column_stack([still, p, still, bank, 10 * still])
-    return Record(0, 0, STEP * np.arange(count), {}, z, np.zeros(4), {})
+    return FlightRecord(0, 0, STEP * np.arange(count), {}, z, np.zeros(4), {})
 
 
 @pytest.mark.parametrize("filtered", [True, False])
@@ -50,7 +50,7 @@ def test_rate_may_be_an_input() -> None:
     assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 2e-3])) == ()
 
 
-def wandering(across: bool, lost: float = 0.0) -> tuple[Record, tuple[str, ...], Array]:
+def wandering(across: bool, lost: float = 0.0) -> tuple[FlightRecord, tuple[str, ...], Array]:
     """A turning aircraft whose bank angle is a filter's and wanders; (record, outputs, noise). across: pitch is an output too."""
     rng, time = np.random.default_rng(2), STEP * np.arange(600)
     bank_rate = 0.2 * np.sin(0.6 * time)
@@ -68,7 +68,7 @@ def wandering(across: bool, lost: float = 0.0) -> tuple[Record, tuple[str, ...],
     z[rng.random(600) < lost] = np.nan
     inputs = {} if across else {n: seen[n] for n in ("q", "theta")}
     white = np.array([{"phi": 1e-4, "theta": 1e-4, "beta": 1e-3, "ay": 1e-2}.get(n, 0.005) for n in outputs])
-    return Record(0, 0, time, inputs, z, np.zeros(4), {}), outputs, white
+    return FlightRecord(0, 0, time, inputs, z, np.zeros(4), {}), outputs, white
 
 
 @pytest.mark.parametrize("across", [False, True])
@@ -115,7 +115,7 @@ def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
 
 NOISE = NoiseModel(
     np.array([0.004, 0.003, 0.005, 5e-4, 0.05]) ** 2,
-    {NoisePart(Source.GYRO, "phi"): 0.006**2, NoisePart(Source.WANDERING, "phi"): 0.004**2},
+    {NoisePart(NoiseSource.GYRO, "phi"): 0.006**2, NoisePart(NoiseSource.WANDERING, "phi"): 0.004**2},
 )
 
 
@@ -140,8 +140,8 @@ def test_strengths_are_found_again() -> None:
         records, [replace(shapes, parts=names)] * 4, 2.0 * NOISE.measurement, 0.01 * NOISE.measurement, known=known
     )
     assert np.sqrt(found.measurement) == pytest.approx(np.sqrt(NOISE.measurement), rel=0.15)
-    assert found.process[NoisePart(Source.GYRO, "phi")] ** 0.5 == pytest.approx(0.006, rel=0.15)
-    assert found.process[NoisePart(Source.WANDERING, "phi")] ** 0.5 == pytest.approx(0.004, rel=0.3)
+    assert found.process[NoisePart(NoiseSource.GYRO, "phi")] ** 0.5 == pytest.approx(0.006, rel=0.15)
+    assert found.process[NoisePart(NoiseSource.WANDERING, "phi")] ** 0.5 == pytest.approx(0.004, rel=0.3)
 
 
 def test_only_a_filtered_attitude_gets_timing_rounding_and_plumb_line() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.result import Verdict
-from estimation.gap.answer.shape import Curve
+from estimation.gap.answer.result import GapVerdict
+from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
 from estimation.gap.form.analytic import regressed
 from estimation.gap.form.fitted import Increment
@@ -168,7 +168,7 @@ def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: li
     result = analyse(load_model("lateral", "cdfp"), even[:2], even[2:], asked, options,
                      lambda what, share: None, tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
     answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
-    assert result.verdict is Verdict.GAP_REDUCED
+    assert result.verdict is GapVerdict.GAP_REDUCED
     assert [s["effect"] for s in answer["steps"]] == ["unknown"]
     form = answer["steps"][0]["form"]
     assert (form["output"], form["variables"], form["nameless"]) == ("Cn", ["p_hat"], True)
@@ -176,7 +176,7 @@ def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: li
     assert all(f["gain"] > 0.0 for f in form["left_out"])
     assert "no physical name" in answer["text"]
     (curve,) = (s.shape for s in result.steps)
-    assert isinstance(curve, Curve)
+    assert isinstance(curve, ShapeCurve)
     inside = np.abs(curve.grid) < 0.8 * np.abs(curve.grid).max()
     straight = np.column_stack([np.ones(curve.grid.size), curve.grid])[inside]
     true = 0.6 * curve.grid[inside] ** 2
@@ -205,7 +205,7 @@ def test_an_effect_with_a_name_is_found_beside_a_shape_that_stood_over_it(tmp_pa
     result = analyse(load_model("lateral", "cdfp"), flights[:2], flights[2:], asked, Options(seed=3, nulls=40, most=2),
                      lambda what, share: None, tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
     answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
-    assert result.verdict is Verdict.GAP_REDUCED
+    assert result.verdict is GapVerdict.GAP_REDUCED
     assert [s["effect"] for s in answer["steps"]] == ["Cn_da", "unknown"]
     name, unknown = answer["steps"]
     estimate = name["parameters"]["Cn_da"]

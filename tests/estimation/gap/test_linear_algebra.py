@@ -9,8 +9,8 @@ from estimation.gap.effects import catalogue
 from estimation.gap.likelihood.whitening import (
     NoiseModel,
     NoisePart,
+    NoiseSource,
     Shapes,
-    Source,
     Whitener,
     estimate_noise,
     spectral_matrix,
@@ -20,10 +20,10 @@ from estimation.gap.likelihood.whitening import (
 from estimation.gap.search.confirm import leading
 from estimation.gap.search.select import credible_set
 from estimation.gap.tests_of_fit.calibration import upper_quantile
-from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
+from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
 from estimation.gap.tests_of_fit.screen import Reduced, Screen, equivalent_z
 
-A = NoisePart(Source.RATE, "a")
+A = NoisePart(NoiseSource.RATE, "a")
 
 
 def low_pass_shape(count: int, step: float, tau: float) -> np.ndarray:  # type: ignore[type-arg]
@@ -93,7 +93,7 @@ def test_noise_strengths_are_recovered() -> None:
 def test_what_is_known_of_a_control_is_not_estimated_and_what_else_there_is_is_not_booked_on_it() -> None:
     """Two parts of the same shape, one of which has a known strength: the free one gets what is beyond it."""
     rng = np.random.default_rng(4)
-    known, shape = NoisePart(Source.PREPARED, "u"), low_pass_shape(600, 0.05, 0.5)
+    known, shape = NoisePart(NoiseSource.PREPARED, "u"), low_pass_shape(600, 0.05, 0.5)
     truth = NoiseModel(np.array([1.0, 2.0]), {A: 20.0, known: 1.0})
     shapes = [Shapes({A: shape, known: np.sqrt(30.0) * shape}, 600, 0.05)] * 6
     found = estimate_noise([draw(truth, s, rng) for s in shapes], shapes, np.array([3.0, 3.0]), np.array([0.1, 0.1]))
@@ -102,7 +102,7 @@ def test_what_is_known_of_a_control_is_not_estimated_and_what_else_there_is_is_n
 
 
 def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
-    columns = tuple(Column(i, None) for i in range(k))  # type: ignore[arg-type]
+    columns = tuple(HypothesisColumn(i, None) for i in range(k))  # type: ignore[arg-type]
     reduced = tuple(Reduced(r.T @ r) for r in rows)
     size = rows[0].shape[1]
     return Screen(tuple(f"t{i}" for i in range(n)), (None,) * k, columns, reduced, np.zeros((size, size)), flights)  # type: ignore[arg-type]
@@ -166,7 +166,7 @@ def test_upper_quantile_is_never_below_the_samples_own() -> None:
 def test_plays_and_lags_of_the_air_get_a_full_fit_whatever_a_small_step_says() -> None:
     """And nothing else does: a stall far from any would be bent to the noise of every flight."""
     hypotheses = tuple(Hypothesis(e, f) for e in catalogue() for f in e.forms)
-    columns = tuple(Column(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
+    columns = tuple(HypothesisColumn(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
     k = len(columns)
     screen = Screen((), hypotheses, columns, (Reduced(np.eye(k + 1)),), np.zeros((k + 1, k + 1)), (0,))
     plays = {  # and the lag

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimation.gap.answer.result import Gap, GapResult, Histories, Step, Verdict, View, Weighed, Where
+from estimation.gap.answer.result import (
+    DisagreementView,
+    EffectStep,
+    Gap,
+    GapResult,
+    GapVerdict,
+    Histories,
+    Weighed,
+    Where,
+)
 from estimation.gap.pages.rerun_report import CLOCK, drawable, write_gap_recording
 from estimation.models.load import load_model
 from tests.groundstation.viewer.vulkan import need_vulkan
@@ -29,16 +38,16 @@ def an_answer(rng: np.random.Generator) -> GapResult:
     """A gap closed by one effect, on two training flights and one held out."""
     model = load_model("lateral", "cdfp")
     gap = Gap(1.65, 1.19, 1.17)
-    step = Step(
+    step = EffectStep(
         effect="Cn_da", title="adverse yaw from aileron", form="Cn_da", confidence=0.78,
         members=(Weighed("Cn_da", 0.78), Weighed("Ixz_error", 0.22)), separate_by="swing test",
         estimates={"Cn_da": (-0.0084, 0.0002)}, units={"Cn_da": "1/rad"}, score=18.53, threshold=4.06,
         where=Where("yawing moment", ("r",), (), ""), gap=gap, holdout=Gap(1.6, 1.2, 1.17), migrated={},
     )  # fmt: skip
     channels = dict(zip(model.output_names, (1.26, 2.07, 2.23, 1.29, 1.02), strict=True))
-    view = View("after the refit", 1.65, channels, (), {}, {}, ())
+    view = DisagreementView("after the refit", 1.65, channels, (), {}, {}, ())
     return GapResult(
-        verdict=Verdict.GAP_CLOSED, text="adverse yaw from aileron explains the gap", minimum_detectable={}, steps=(step,),
+        verdict=GapVerdict.GAP_CLOSED, text="adverse yaw from aileron explains the gap", minimum_detectable={}, steps=(step,),
         scores=SCORES, threshold=4.06, nominal_threshold=3.1, rejected=(), ties=(), model_before=model, model_after=model,
         outputs=model.output_names, views=(view,),
         histories=(history("f0", False, rng), history("f1", False, rng), history("f3", True, rng)),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import Gap, Step, Verdict, Where
+from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Where
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
@@ -15,8 +15,8 @@ from estimation.gap.effects.base import EffectParameter
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
-from estimation.gap.search.search_state import Finding, Options, SearchState
-from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
+from estimation.gap.search.search_state import AcceptedEffect, Options, SearchState
+from estimation.gap.tests_of_fit.omnibus import Omnibus, OmnibusSignal
 from estimation.gap.verdict import beside_shape
 from estimation.gap.verdict import conclusion as concluding
 from estimation.gap.verdict.conclusion import facts_of, models, told, without_doubted
@@ -90,8 +90,8 @@ def test_what_is_refused_says_why(monkeypatch: pytest.MonkeyPatch, known: dict[s
 
 
 # ------------------------------------------------------------------------------------------------ facts and words
-def step(effect: str, score: float = 20.0) -> Step:
-    return Step(
+def step(effect: str, score: float = 20.0) -> EffectStep:
+    return EffectStep(
         effect=effect, title=effect, form=effect, confidence=1.0, members=(), separate_by="", estimates={}, units={},
         score=score, threshold=4.0, where=Where("Cn", ("r",), (), "everywhere"), gap=Gap(3.0, 1.2, 1.0),
         holdout=Gap(2.8, 1.1, 1.0), migrated={},
@@ -111,9 +111,9 @@ def search(*names: str) -> Any:
     findings = [stub(candidate=stub(hypothesis=stub(effect=EFFECTS[n], form=EFFECTS[n].forms[0]))) for n in names]
     hypotheses = [stub(effect=EFFECTS[n]) for n in ("Cn_da", "Cn_da", "beta_lag", "beta_bias")]
     leading = (
-        Signal("time", "beta", "burst", 9.0, span=(3.0, 4.0)),
-        Signal("term", "r_dot", "p|p|", 8.0),
-        Signal("activity", "p", "quiet", 3.0),
+        OmnibusSignal("time", "beta", "burst", 9.0, span=(3.0, 4.0)),
+        OmnibusSignal("term", "r_dot", "p|p|", 8.0),
+        OmnibusSignal("activity", "p", "quiet", 3.0),
     )
     return stub(
         findings=findings, rounds=[stub(screen=stub(hypotheses=hypotheses))], omnibus=Omnibus(9.0, 5.0, leading)
@@ -134,18 +134,18 @@ def test_facts_know_whose_instrument_a_name_blames_and_how_many_effects_were_ask
 def test_an_answer_tells_the_names_that_stand_and_then_the_rest() -> None:
     named = [step("Cn_da"), step("beta_lag")]
     check, floor = stub(origin="sensor"), stub(training_median=1.0)
-    steps = told(Decision(Verdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, 1.4, floor)
+    steps = told(Decision(GapVerdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, 1.4, floor)
     assert [s.effect for s in steps] == ["Cn_da", "unknown"]
     assert [s.where.origin for s in steps] == ["sensor", ""]
     assert all(s.text for s in steps)
     assert steps[1].gap == Gap(1.4, 1.4, 1.0)
     assert [
-        s.effect for s in told(Decision(Verdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, 1.0, floor)
+        s.effect for s in told(Decision(GapVerdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, 1.0, floor)
     ] == [
         "Cn_da",
         "beta_lag",
     ]
-    assert told(Decision(Verdict.NO_GAP, 0, ()), [], search().omnibus, check, 1.0, floor) == ()
+    assert told(Decision(GapVerdict.NO_GAP, 0, ()), [], search().omnibus, check, 1.0, floor) == ()
 
 
 def test_the_rest_is_placed_by_the_signals_above_the_threshold() -> None:
@@ -174,7 +174,7 @@ def test_what_is_left_beside_a_shape_is_said_where_it_matters_and_where_it_can_b
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def left(score: float) -> Any:
-        return Omnibus(score, 4.0, (Signal("term", "q_dot", "alpha", score),))
+        return Omnibus(score, 4.0, (OmnibusSignal("term", "q_dot", "alpha", score),))
 
     before, about = left(20.0), stub(criteria=AS_SET)
     for score, said in (
@@ -194,7 +194,7 @@ def test_what_is_left_beside_a_shape_is_said_where_it_matters_and_where_it_can_b
 
 def test_a_name_that_stands_beside_a_shape_is_withdrawn_no_longer() -> None:
     withdrawn = (("rudder_lag", "closes only 26% of the gap"), ("CY_beta3", "a smooth function explains more"))
-    decision = with_names(Decision(Verdict.UNKNOWN, 0, withdrawn), ["rudder_lag"])
+    decision = with_names(Decision(GapVerdict.UNKNOWN, 0, withdrawn), ["rudder_lag"])
     assert (decision.kept, decision.withdrawn) == (1, withdrawn[1:])
 
 
@@ -218,13 +218,13 @@ def test_a_shape_takes_the_place_of_a_doubted_name_beside_which_the_others_stand
     kept = [finding("beta_scale"), finding("CY_beta3", doubted=True), *(finding(n) for n in others)]
     named: Any = [stub(holdout=stub(closed=0.95)) for _ in kept]
     setting: Any = stub(options=stub(criteria=AS_SET))
-    answer = without_doubted(setting, stub(), kept, named, Decision(Verdict.GAP_CLOSED, len(kept), ()))
+    answer = without_doubted(setting, stub(), kept, named, Decision(GapVerdict.GAP_CLOSED, len(kept), ()))
     assert (answer is not None) is replaced
     if answer is not None:
         decision, before = answer[:2]
         assert (decision.kept, before, str(answer[2])) == (1, tuple(kept[:1]), "before CY_beta3")
         assert [effect for effect, _ in decision.withdrawn] == ["CY_beta3"]
-    assert without_doubted(setting, stub(), kept[:1], named, Decision(Verdict.GAP_CLOSED, 1, ())) is None
+    assert without_doubted(setting, stub(), kept[:1], named, Decision(GapVerdict.GAP_CLOSED, 1, ())) is None
 
 
 # ------------------------------------------------------------------------------------------------ a name in place of a shape
@@ -248,9 +248,10 @@ def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood
     monkeypatch.setattr(beside_shape, "afresh_with", afresh)
     round_: Any = stub(baseline="base")
     one: Any = stub(model="one", clean="one")
-    kept: Any = Finding(round_, stub(), stub(), "base", one)  # type: ignore[arg-type]
+    kept: Any = AcceptedEffect(round_, stub(), stub(), "base", one)  # type: ignore[arg-type]
     found: Any = [
-        Finding(round_, stub(), stub(), "shape", child, doubted=True) for child in ("shape and two", "shape and three")
+        AcceptedEffect(round_, stub(), stub(), "shape", child, doubted=True)
+        for child in ("shape and two", "shape and three")
     ]  # type: ignore[arg-type]
     standing: Any = stub(model="all three", clean="to read")
     search = SearchState((kept,), ("first",), "rest", ("no",))  # type: ignore[arg-type]

@@ -16,11 +16,11 @@ from estimation.gap.tests_of_fit.calibration import (
     name_threshold,
     null_inflation,
 )
-from estimation.gap.tests_of_fit.hypotheses import Column, one_sided
+from estimation.gap.tests_of_fit.hypotheses import HypothesisColumn, one_sided
 from estimation.gap.tests_of_fit.kinematic_check import judged, kinematic_model, null_count
 from estimation.gap.tests_of_fit.measure import Floors
 from estimation.gap.tests_of_fit.omnibus import (
-    Signal,
+    OmnibusSignal,
     beside_others,
     follows,
     pooled,
@@ -63,7 +63,7 @@ def test_a_screen_without_some_nulls_is_what_it_would_have_been_without_them() -
     kept = np.array([True, False, True, True, False])
     index = np.flatnonzero(np.concatenate([np.ones(6, dtype=bool), kept]))
     parameter = EffectParameter("x", "1", 1.0, -9.0, 9.0)
-    hypotheses = (Column(0, parameter), Column(1, parameter))
+    hypotheses = (HypothesisColumn(0, parameter), HypothesisColumn(1, parameter))
     whole, fewer = (
         Screen(("a", "b", "c"), (), hypotheses, (Reduced(c.T @ c),), np.eye(c.shape[1]), (0,))
         for c in (columns, columns[:, index])
@@ -82,7 +82,7 @@ def test_the_kinematic_check_needs_a_quarter_more_than_one_in_twenty() -> None:
 
 
 def test_a_nameless_signal_is_significant_above_one_set_of_nulls_in_a_hundred() -> None:
-    signals = [Signal("term", "p", "beta", 4.0), Signal("time", "r", "burst", 6.0)]
+    signals = [OmnibusSignal("term", "p", "beta", 4.0), OmnibusSignal("time", "r", "burst", 6.0)]
     omnibus = summed_up(signals, LARGEST, AS_SET)
     assert omnibus.threshold == pytest.approx(3.0 - 0.3 * np.log(-np.log(0.99)), abs=0.005)
     assert omnibus.score == 6.0

@@ -9,7 +9,7 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.form import search as searching
 from estimation.gap.form.closure import closed
-from estimation.gap.form.fitted import LeftOut, confirmed
+from estimation.gap.form.fitted import HoldoutPrediction, confirmed
 from estimation.gap.form.places import Place, spread_of
 from estimation.gap.form.screen import penalised, ranked
 from estimation.gap.form.search import as_good, runners_up
@@ -34,13 +34,13 @@ def test_the_smoothest_part_may_be_as_large_as_the_coefficient_and_rougher_parts
 
 @pytest.mark.parametrize(("inside", "holds"), [(0.45, True), (0.55, False)])
 def test_a_flight_that_lies_half_outside_what_the_others_flew_is_not_asked(inside: float, holds: bool) -> None:
-    assert confirmed([LeftOut(0, 1.0, 50.0), LeftOut(1, inside, -3.0)], AS_SET) is holds
+    assert confirmed([HoldoutPrediction(0, 1.0, 50.0), HoldoutPrediction(1, inside, -3.0)], AS_SET) is holds
 
 
 def test_one_flight_predicted_worse_is_enough_to_refuse_and_none_to_ask_is_no_confirmation() -> None:
-    assert confirmed([LeftOut(0, 1.0, 50.0), LeftOut(1, 1.0, 0.1)], AS_SET)
-    assert not confirmed([LeftOut(0, 1.0, 500.0), LeftOut(1, 1.0, -0.1)], AS_SET)
-    assert not confirmed([LeftOut(0, 0.1, 50.0)], AS_SET)
+    assert confirmed([HoldoutPrediction(0, 1.0, 50.0), HoldoutPrediction(1, 1.0, 0.1)], AS_SET)
+    assert not confirmed([HoldoutPrediction(0, 1.0, 500.0), HoldoutPrediction(1, 1.0, -0.1)], AS_SET)
+    assert not confirmed([HoldoutPrediction(0, 0.1, 50.0)], AS_SET)
     assert not confirmed([], AS_SET)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import Verdict
+from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import Late
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
@@ -55,11 +55,11 @@ def test_a_lag_adds_how_far_its_follower_is_behind() -> None:
 
 
 def test_names_that_a_memory_explains_are_withdrawn_from_the_first_on() -> None:
-    told = beside_memory(Decision(Verdict.UNKNOWN, 3, ()), ["Cn_da", "Cn_betadot", "Ixz_error"], LateRest(MEMORY, 1))
+    told = beside_memory(Decision(GapVerdict.UNKNOWN, 3, ()), ["Cn_da", "Cn_betadot", "Ixz_error"], LateRest(MEMORY, 1))
     assert told.kept == 1
     assert [n for n, _ in told.withdrawn] == ["Cn_betadot", "Ixz_error"]
     assert "Cn follows p_hat some 0.5 s late" in told.withdrawn[0][1]
-    assert beside_memory(Decision(Verdict.UNKNOWN, 1, ()), ["Cn_da"], LateRest(MEMORY, 1)).withdrawn == ()
+    assert beside_memory(Decision(GapVerdict.UNKNOWN, 1, ()), ["Cn_da"], LateRest(MEMORY, 1)).withdrawn == ()
 
 
 NEAR = ("Cn_da", "Cn_betadot", "Ixz_error", "prop_gyroscopic", "gyro_misalignment", "rudder_lag", "gust")
@@ -76,7 +76,7 @@ def test_two_names_that_imitate_a_memory_are_withdrawn() -> None:
     ]
     effects = [e for e in catalogue() if e.name in NEAR]
     result = run_gap(load_model("lateral", "cdfp"), flights[:2], flights[2:], effects, Options(seed=1, nulls=40))
-    assert result.verdict is Verdict.UNKNOWN
+    assert result.verdict is GapVerdict.UNKNOWN
     assert [s.effect for s in result.steps] == ["unknown"]
     shape = result.steps[0].shape
     assert isinstance(shape, Late)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import Gap
-from estimation.gap.answer.shape import Held
+from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.likelihood.whitening import (
     NoisePart,
+    NoiseSource,
     Shapes,
-    Source,
     as_seen,
     estimate_noise,
     spectrum_of,
@@ -21,7 +21,7 @@ from estimation.gap.likelihood.whitening import (
 from estimation.gap.verdict.held import held_step, judged
 
 COUNT, STEP = 1200, 0.05
-GUST = NoisePart(Source.RATE, "p")
+GUST = NoisePart(NoiseSource.RATE, "p")
 
 
 def shapes() -> Shapes:
@@ -84,7 +84,7 @@ def test_nothing_is_said_of_a_channel_without_both(far: list[float], near: list[
 
 
 def test_an_instrument_that_holds_its_values_is_an_unknown_and_no_term_of_the_model() -> None:
-    step = held_step(Held("beta", 0.3, 0.83, 4.7, 2.0), Gap(1.4, 1.4, 1.4))
+    step = held_step(HeldInstrument("beta", 0.3, 0.83, 4.7, 2.0), Gap(1.4, 1.4, 1.4))
     assert step.effect == "unknown"
     assert step.to_json()["form"] == {
         "kind": "held", "nameless": True, "channel": "beta", "every": 0.3, "share": 0.83, "ratio": 4.7, "threshold": 2.0,

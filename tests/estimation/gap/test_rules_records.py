@@ -12,19 +12,19 @@ from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
-from estimation.gap.likelihood.fitting import Problem
+from estimation.gap.likelihood.fitting import LikelihoodProblem
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
 from estimation.gap.likelihood.whitening import (
     Linear,
     NoiseModel,
     NoisePart,
+    NoiseSource,
     Shapes,
-    Source,
     estimate_noise,
     shapes_of,
     spectral_matrix,
 )
-from estimation.gap.records.flight_records import Record, prepare_flights, with_own_noise
+from estimation.gap.records.flight_records import FlightRecord, prepare_flights, with_own_noise
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of
 from estimation.gap.records.sample_faults import sample_notes
@@ -83,7 +83,7 @@ def test_fewer_than_ten_samples_are_not_judged(count: int, told: bool) -> None:
 def test_a_channel_half_as_noisy_again_has_a_noise_of_its_own(ratio: float, marked: bool) -> None:
     noise = np.random.default_rng(0).standard_normal((300, 1))
     records = [
-        Record(i, 0, STEP * np.arange(300), {}, size * noise, np.zeros(1), {})
+        FlightRecord(i, 0, STEP * np.arange(300), {}, size * noise, np.zeros(1), {})
         for i, size in enumerate((1.0, 1.0, ratio))
     ]
     louder = with_own_noise(records, 2, AS_SET)[2].louder
@@ -129,13 +129,13 @@ def test_a_user_s_own_parameter_of_that_name_is_the_user_s() -> None:
         equations=("p_dot = L_p*p + L_a*delta_a + bias_p + timing_x",),
     )
     made = with_nuisance(own, {"p": 0.01}, STEP, AS_SET)
-    problem = Problem(made, own, (), (), AS_SET)
+    problem = LikelihoodProblem(made, own, (), (), AS_SET)
     assert made.parameter("bias_p").role is ParameterRole.DERIVATIVE
     assert [n for n in problem.free if problem.nuisance(n)] == ["timing_delta_a", "curvature_delta_a"]
 
 
 def test_how_a_surface_moves_between_samples_is_believed_and_limited() -> None:
-    problem = Problem(ROLL, ROLL, (), (), AS_SET)
+    problem = LikelihoodProblem(ROLL, ROLL, (), (), AS_SET)
     assert problem.prior("curvature_delta_a") == (0.0, 1.5)
     assert problem.limits("curvature_delta_a") == (-6.0, 6.0)
     assert problem.prior("L_p") is None
@@ -158,15 +158,15 @@ def linear(outputs: int, states: int) -> Linear:
 def test_the_error_of_an_attitude_filter_is_forgotten_in_three_seconds() -> None:
     shapes = shapes_of(load_model("lateral", "cdfp"), linear(5, 4), 1200, AS_SET, ())
     s = 2j * np.pi / (1200 * STEP)  # the lowest frequency of the record
-    slowest = np.abs(shapes.parts[NoisePart(Source.WANDERING, "phi")][1, 3])
+    slowest = np.abs(shapes.parts[NoisePart(NoiseSource.WANDERING, "phi")][1, 3])
     assert slowest == pytest.approx(np.abs(1.0 / (s + 1.0 / 3.0)), rel=0.02)
 
 
 def test_gusts_have_a_memory_of_a_second() -> None:
     shapes = shapes_of(ROLL, linear(1, 1), 1200, AS_SET, ("p",))
-    coloured = NoisePart(Source.RATE, "p", 1.0)
+    coloured = NoisePart(NoiseSource.RATE, "p", 1.0)
     s = 2j * np.pi * 10 / (1200 * STEP)
-    ratio = shapes.parts[coloured][10, 0] / shapes.parts[NoisePart(Source.RATE, "p")][10, 0]
+    ratio = shapes.parts[coloured][10, 0] / shapes.parts[NoisePart(NoiseSource.RATE, "p")][10, 0]
     assert ratio == pytest.approx(s / (s + 1.0))
 
 
@@ -175,9 +175,9 @@ def test_gusts_across_the_span_have_a_memory_of_a_seventh_of_a_second_and_grow_w
     for span, memory in ((None, 0.15), (1.5, 0.15), (6.0, 0.3)):
         model = ROLL if span is None else replace(ROLL, constants={**ROLL.constants, "b": span})
         shapes = shapes_of(model, linear(1, 1), 1200, AS_SET, ("p",))
-        fading = next(part for part in shapes.parts if part.source is Source.TWIST)
+        fading = next(part for part in shapes.parts if part.source is NoiseSource.TWIST)
         assert fading.memory == pytest.approx(memory)
-        ratio = shapes.parts[fading][10, 0] / shapes.parts[NoisePart(Source.RATE, "p")][10, 0]
+        ratio = shapes.parts[fading][10, 0] / shapes.parts[NoisePart(NoiseSource.RATE, "p")][10, 0]
         assert ratio == pytest.approx(1.0 / (1.0 + s * memory))
 
 
@@ -185,14 +185,14 @@ def test_nulls_fly_through_gusts_that_fade_and_through_the_rates_of_those_that_l
     """Both of white noise that is twice its strength at every half sample: the one as a first-order lag leaves it, the other
     what that takes away."""
     model = SimpleNamespace(inputs=(), criteria=AS_SET)
-    for source, memory in ((Source.TWIST, 0.15), (Source.RATE, 1.0), (Source.RATE, 0.0)):
+    for source, memory in ((NoiseSource.TWIST, 0.15), (NoiseSource.RATE, 1.0), (NoiseSource.RATE, 0.0)):
         flyer: Any = SimpleNamespace(
             noise=NoiseModel(np.ones(1), {NoisePart(source, "p", memory): 3.0}), states={"p": 0}, problem=model
         )
         u = np.zeros((200_000, 1))
         NullFlyer._disturb(flyer, u, 0.5 * STEP, np.random.default_rng(1))
         keep = np.exp(-0.5 * STEP / memory) if memory else 0.0
-        if source is Source.TWIST:
+        if source is NoiseSource.TWIST:
             expected, after = 6.0 * (1.0 - keep) / (1.0 + keep), keep
             assert np.mean(u[1:] * u[:-1]) / np.mean(u**2) == pytest.approx(after, abs=0.01)
         else:
@@ -212,7 +212,7 @@ def test_noise_is_estimated_of_records_of_which_one_has_a_control_prepared_and_t
     residuals = [np.random.default_rng(k).standard_normal((100, 1)) for k in range(2)]
     for shapes in ([prepared, quiet], [quiet, prepared]):
         noise = estimate_noise(residuals, shapes, np.ones(1), np.full(1, 0.1))
-        assert noise.process[NoisePart(Source.PREPARED, control)] == 1.0
+        assert noise.process[NoisePart(NoiseSource.PREPARED, control)] == 1.0
         assert [spectral_matrix(noise, one).shape for one in shapes] == [(51, 1, 1)] * 2
 
 
@@ -239,12 +239,12 @@ def test_a_filtered_attitude_shares_most_of_its_gyro_s_noise() -> None:
     rng = np.random.default_rng(1)
     p = 0.01 * rng.standard_normal(400)
     z = np.column_stack([p, np.cumsum(p) * STEP])
-    record = Record(0, 0, STEP * np.arange(400), {}, z, np.zeros(2), {})
+    record = FlightRecord(0, 0, STEP * np.arange(400), {}, z, np.zeros(2), {})
     scatter = np.array([0.01, 0.003])
     own, without, known = noise_parts([record], ("p", "phi"), scatter, AS_SET)
     assert own == pytest.approx([0.5 * 0.01, 0.003])
-    assert known[NoisePart(Source.GYRO, "phi")] == pytest.approx(0.75 * 0.01**2)
-    assert known[NoisePart(Source.WANDERING, "phi")] == pytest.approx(0.003**2 / (3.0 * STEP))
+    assert known[NoisePart(NoiseSource.GYRO, "phi")] == pytest.approx(0.75 * 0.01**2)
+    assert known[NoisePart(NoiseSource.WANDERING, "phi")] == pytest.approx(0.003**2 / (3.0 * STEP))
     assert not [name for name in without if name.of == "phi"]
 
 
@@ -295,13 +295,13 @@ def test_stretches_of_a_flight_begin_where_it_was_and_are_told() -> None:
 
 
 # ------------------------------------------------------------------------------------------------ controls that follow
-def steered(own: float, noise: float = 0.001, count: int = 600) -> Record:
+def steered(own: float, noise: float = 0.001, count: int = 600) -> FlightRecord:
     """A record of ROLL whose aileron is the roll rate a sample ago times a gain, and a wave of rms `own` noises beside it."""
     rng = np.random.default_rng(7)
     p = np.cumsum(rng.standard_normal(count)) * 0.01
     u = -0.2 * np.concatenate([p[:1], p[:-1]]) + np.sqrt(2.0) * own * noise * np.sin(0.9 * np.arange(count))
     time = STEP * np.arange(count)
-    return Record(0, 0, time, {"delta_a": u}, p[:, None], p[:1], {"delta_a": noise}, states=p[:, None])
+    return FlightRecord(0, 0, time, {"delta_a": u}, p[:, None], p[:1], {"delta_a": noise}, states=p[:, None])
 
 
 @pytest.mark.parametrize(("own", "follows"), [(0.0, True), (0.4, True), (0.6, False), (5.0, False)])

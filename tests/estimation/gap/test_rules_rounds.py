@@ -15,9 +15,9 @@ from estimation.gap.search import backward_check as checking
 from estimation.gap.search import rounds as searching
 from estimation.gap.search.accept import accept, by_timing, doubtful, explains, follows, holds, is_strong, repeats
 from estimation.gap.search.backward_check import better_rivals, idle, questioners
-from estimation.gap.search.confirm import Candidate
+from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.search_state import Finding, Options
+from estimation.gap.search.search_state import AcceptedEffect, Options
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.calibration import Round
 from tests.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
@@ -114,7 +114,7 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(
 ) -> None:
     asked: list[tuple[str, float]] = []
 
-    def confirmed(setting: Any, round_: Any, one: Candidate, nameless: float) -> tuple[Any, str]:
+    def confirmed(setting: Any, round_: Any, one: FittedHypothesis, nameless: float) -> tuple[Any, str]:
         asked.append((one.hypothesis.label, nameless))
         return ("child", "") if one.hypothesis.label == "b" else (None, "no")
 
@@ -150,7 +150,7 @@ def test_a_name_is_held_against_a_shape_without_one(
 ) -> None:
     asked: list[float] = []
 
-    def confirmed(setting: Any, round_: Any, one: Candidate, nameless: float) -> tuple[Any, str]:
+    def confirmed(setting: Any, round_: Any, one: FittedHypothesis, nameless: float) -> tuple[Any, str]:
         asked.append(nameless)
         return None, "no"
 
@@ -195,7 +195,7 @@ def test_six_hypotheses_question_an_earlier_effect() -> None:
     assert questioners(np.arange(9.0), AS_SET) == [8, 7, 6, 5, 4, 3]
 
 
-def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> Candidate:
+def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> FittedHypothesis:
     """What gains so much, of which nulls scatter `scatter` times what theory says."""
     return candidate(name, gain=gain, score=float(np.sqrt(gain / scatter)), why_not=why_not)
 
@@ -228,11 +228,11 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
         known = stub(hypotheses=asked[:2])
         return Round(none, known, np.zeros(2), np.zeros((0, 2)), np.array([5.0, threshold]), threshold, none)
 
-    def confirmed(setting: Any, round_: Round, candidate: Candidate, nameless: float) -> tuple[str | None, str]:
+    def confirmed(setting: Any, round_: Round, candidate: FittedHypothesis, nameless: float) -> tuple[str | None, str]:
         given.update(baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains))
         return (None, "does not repeat") if candidate.hypothesis.label == "new" else ("child", "")
 
-    def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[Candidate]:
+    def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[FittedHypothesis]:
         given.update(found=found, gain=gain, threshold=threshold)
         return [elsewhere, rival("new", 999.0), rival("other", 998.0)]
 
@@ -265,9 +265,9 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     }
 
 
-def finding(name: str, cost: float = 50.0) -> Finding:
+def finding(name: str, cost: float = 50.0) -> AcceptedEffect:
     child: Any = stub(fit=stub(cost=cost), noise=None)
-    return Finding(ROUND, Choice((), {}, ()), candidate(name), stub(), child)
+    return AcceptedEffect(ROUND, Choice((), {}, ()), candidate(name), stub(), child)
 
 
 @pytest.mark.parametrize(

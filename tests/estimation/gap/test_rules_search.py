@@ -11,7 +11,7 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search import confirm
-from estimation.gap.search.confirm import Candidate, assess, deflated, freed_by, impossible, leading, price
+from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, leading, price
 from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis
 from estimation.gap.tests_of_fit.measured_again import own_share
@@ -117,7 +117,9 @@ def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -
     assert price(3.0, np.inf, 3.0, 3.0) == 0.0
 
 
-def assessed(value: float, forms: int = 1, stretches: Sequence[int] = (0,), states: Sequence[str] = ()) -> Candidate:
+def assessed(
+    value: float, forms: int = 1, stretches: Sequence[int] = (0,), states: Sequence[str] = ()
+) -> FittedHypothesis:
     """stretches: the flight of each. states: of the hypothesis' own."""
     fitted = stub(values={"x": value}, cost=40.0, diverged=False, std=lambda: {"x": 0.03})
     problem = stub(model=BASE, criteria=AS_SET, free=(), records=[stub(flight=k) for k in stretches])

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import Verdict
+from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import Swinging
 from estimation.gap.answer.words import describe_swing
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.form.places import Flown
+from estimation.gap.form.places import ModelMotion
 from estimation.gap.form.search import ShapeSearch
 from estimation.gap.form.swing import DAMPING, SLOWEST, Swing, find_swing, frequencies, oscillator, rings
 from estimation.gap.likelihood.baseline import fit_baseline
@@ -100,7 +100,7 @@ def test_a_swing_is_told_with_its_frequency_and_without_a_name() -> None:
 
 
 def test_a_swing_alone_makes_an_answer_unknown() -> None:
-    assert as_unknown(Decision(Verdict.NO_GAP, 0, ())) == Decision(Verdict.UNKNOWN, 0, ())
+    assert as_unknown(Decision(GapVerdict.NO_GAP, 0, ())) == Decision(GapVerdict.UNKNOWN, 0, ())
 
 
 def flights(effects: dict[str, float], seed: int) -> list[Flight]:
@@ -125,7 +125,7 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     prepared = prepare_flights(model, near, flights({}, 5200)[:2], (), options.criteria)
     setting = _setting(prepared, near, {}, {}, options, lambda what, share: None)
     baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
-    flown = Flown.of(baseline.problem, baseline.fit)
+    flown = ModelMotion.of(baseline.problem, baseline.fit)
     course = oscillator(flown.courses[1]["q_dot"], flown.segments[1].time, 9.0, 0.05)
     course /= np.abs(course).max()
     (linear,) = flown.changes(1, [("Cm", course)])
@@ -147,7 +147,7 @@ def test_fuel_that_swings_is_no_thrust_line() -> None:
     model = load_model("longitudinal", "cdfp")
     near = tuple(e for e in catalogue(model=model) if e.name in NEAR)
     result = run_gap(model, four[:3], four[3:], near, Options(seed=1, nulls=40))
-    assert result.verdict is Verdict.UNKNOWN
+    assert result.verdict is GapVerdict.UNKNOWN
     assert [s.effect for s in result.steps] == ["unknown"]
     shape = result.steps[0].shape
     assert isinstance(shape, Swinging)

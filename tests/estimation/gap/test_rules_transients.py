@@ -10,15 +10,15 @@ from scipy.signal import lti
 from scipy.stats import chi2, gumbel_r, norm
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.result import Gap, Verdict
-from estimation.gap.answer.shape import Happened, Happening
+from estimation.gap.answer.result import Gap, GapVerdict
+from estimation.gap.answer.shape import EventReport, Happened
 from estimation.gap.answer.words import describe_events
 from estimation.gap.criteria import AS_SET
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, fit
 from estimation.gap.likelihood.whitening import NoiseModel, Whitener
 from estimation.gap.records.candidate_model import DISTURBANCE
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.tangent import Tangent
 from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients, standing_out
@@ -56,11 +56,11 @@ def test_something_happened_above_a_third_more_than_one_set_of_nulls_in_a_hundre
 def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], rng: np.random.Generator) -> Round:
     """A round about fitted flights with the same inputs; shown: what the one instrument would show of each without its noise."""
     records = tuple(
-        Record(i, 0, TIME, inputs, (z + NOISE * rng.standard_normal(TIME.size))[:, None], np.zeros(1), {})
+        FlightRecord(i, 0, TIME, inputs, (z + NOISE * rng.standard_normal(TIME.size))[:, None], np.zeros(1), {})
         for i, z in enumerate(shown)
     )
     white = Whitener(np.full((TIME.size // 2 + 1, 1, 1), 1.0 / NOISE, complex), TIME.size)
-    problem = Problem(model, model, records, (white,) * len(records), AS_SET)
+    problem = LikelihoodProblem(model, model, records, (white,) * len(records), AS_SET)
     flights: Any = None
     baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model, flights)
     nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
@@ -134,7 +134,7 @@ def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
     assert {e.air for e in turning.events} == {""}, "the air turns the flow and not the body"
 
 
-def moving(round_: Round) -> tuple[Problem, Any]:
+def moving(round_: Round) -> tuple[LikelihoodProblem, Any]:
     return round_.baseline.problem, round_.baseline.fit
 
 
@@ -148,8 +148,8 @@ def test_a_drift_is_one_thing_on_all_flights_with_a_size_on_each() -> None:
 
 
 def test_an_event_is_told_with_its_time_and_blames_no_term_of_the_model() -> None:
-    slip = Happening("slip", "beta", "f2", 18.2, 30.0, ((0.026, 0.001),), "rad", 23.0, 5.8)
-    burst = Happening("burst", "", "f1", 14.0, 15.0, ((0.1, 0.01),) * 3, "1/s", 9.0, 5.8)
+    slip = EventReport("slip", "beta", "f2", 18.2, 30.0, ((0.026, 0.001),), "rad", 23.0, 5.8)
+    burst = EventReport("burst", "", "f1", 14.0, 15.0, ((0.1, 0.01),) * 3, "1/s", 9.0, 5.8)
     step = event_step(Happened([slip, burst]), Gap(2.0, 2.0, 1.0))
     form = step.to_json()["form"]
     assert (form["kind"], form["start"], form["end"], form["flight"]) == ("event", 18.2, 30.0, "f2")
@@ -161,6 +161,6 @@ def test_an_event_is_told_with_its_time_and_blames_no_term_of_the_model() -> Non
 
 
 def test_a_shape_reduces_the_gap_and_an_event_stays_unknown() -> None:
-    decision = Decision(Verdict.NO_GAP, 1, (("a", "b"),))
-    assert with_shape(decision) == replace(decision, verdict=Verdict.GAP_REDUCED)
-    assert as_unknown(decision) == replace(decision, verdict=Verdict.UNKNOWN)
+    decision = Decision(GapVerdict.NO_GAP, 1, (("a", "b"),))
+    assert with_shape(decision) == replace(decision, verdict=GapVerdict.GAP_REDUCED)
+    assert as_unknown(decision) == replace(decision, verdict=GapVerdict.UNKNOWN)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import Gap, Verdict
+from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
+from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
 from estimation.gap.tests_of_fit.screen import Reduced, Screen
-from estimation.gap.verdict.decide import TABLE, Facts, Named, closed_by, decide, only_steered, outweighs
+from estimation.gap.verdict.decide import TABLE, Named, VerdictFacts, closed_by, decide, only_steered, outweighs
 from estimation.gap.verdict.disagreement import binned, windows
 from estimation.gap.verdict.effect_location import channels_that_gain, regime, spans_of
 from estimation.gap.verdict.steps import followers, migrated, worth_in_words
@@ -36,10 +36,10 @@ def named(
     return Named(effect, score, gap(closed), None if held is None else gap(held), frozenset(places))
 
 
-QUIET = Facts(named=(), rest=3.0, rest_threshold=5.0, rest_place="r", covered=True, blind=0, asked=50)
+QUIET = VerdictFacts(named=(), rest=3.0, rest_threshold=5.0, rest_place="r", covered=True, blind=0, asked=50)
 
 
-def verdict(facts: Facts) -> Verdict:
+def verdict(facts: VerdictFacts) -> GapVerdict:
     return decide(facts, AS_SET).verdict
 
 
@@ -49,59 +49,59 @@ def test_every_combination_of_facts_has_exactly_one_verdict() -> None:
         found = [bool(number >> bit & 1) for bit in range(4)]
         fitting = [row for row in TABLE if all(w is None or w == f for w, f in zip(row[:-1], found, strict=True))]
         assert len(fitting) == 1
-    assert {row[-1] for row in TABLE} == set(Verdict)
+    assert {row[-1] for row in TABLE} == set(GapVerdict)
 
 
 def test_nothing_found_and_nothing_left_is_no_gap() -> None:
-    assert verdict(QUIET) is Verdict.NO_GAP
+    assert verdict(QUIET) is GapVerdict.NO_GAP
 
 
-@pytest.mark.parametrize(("blind", "word"), [(5, Verdict.NO_GAP), (7, Verdict.CANNOT_TELL)])
-def test_flights_that_hide_one_effect_in_eight_cannot_tell(blind: int, word: Verdict) -> None:
+@pytest.mark.parametrize(("blind", "word"), [(5, GapVerdict.NO_GAP), (7, GapVerdict.CANNOT_TELL)])
+def test_flights_that_hide_one_effect_in_eight_cannot_tell(blind: int, word: GapVerdict) -> None:
     assert verdict(replace(QUIET, blind=blind)) is word
-    assert verdict(replace(QUIET, blind=blind, named=(named(),))) is Verdict.GAP_CLOSED, "what they show they show"
+    assert verdict(replace(QUIET, blind=blind, named=(named(),))) is GapVerdict.GAP_CLOSED, "what they show they show"
 
 
 def test_where_every_control_only_follows_the_motion_no_rest_counts_and_names_do() -> None:
     loud = replace(QUIET, rest=60.0)
-    assert verdict(loud) is Verdict.UNKNOWN
-    assert verdict(only_steered(loud)) is Verdict.CANNOT_TELL
-    assert verdict(only_steered(replace(loud, named=(named(),)))) is Verdict.GAP_CLOSED
+    assert verdict(loud) is GapVerdict.UNKNOWN
+    assert verdict(only_steered(loud)) is GapVerdict.CANNOT_TELL
+    assert verdict(only_steered(replace(loud, named=(named(),)))) is GapVerdict.GAP_CLOSED
 
 
-@pytest.mark.parametrize(("rest", "word"), [(6.2, Verdict.NO_GAP), (6.8, Verdict.UNKNOWN)])
-def test_a_rest_well_above_its_threshold_is_an_unknown_effect(rest: float, word: Verdict) -> None:
+@pytest.mark.parametrize(("rest", "word"), [(6.2, GapVerdict.NO_GAP), (6.8, GapVerdict.UNKNOWN)])
+def test_a_rest_well_above_its_threshold_is_an_unknown_effect(rest: float, word: GapVerdict) -> None:
     assert verdict(replace(QUIET, rest=rest)) is word
 
 
-@pytest.mark.parametrize(("rest", "word"), [(9.5, Verdict.GAP_CLOSED), (10.5, Verdict.UNKNOWN)])
+@pytest.mark.parametrize(("rest", "word"), [(9.5, GapVerdict.GAP_CLOSED), (10.5, GapVerdict.UNKNOWN)])
 def test_beside_names_that_close_the_gap_a_rest_is_restless_scatter_up_to_twice_its_threshold(
-    rest: float, word: Verdict
+    rest: float, word: GapVerdict
 ) -> None:
     facts = replace(QUIET, rest=rest, named=(named(score=50.0),))
     assert verdict(facts) is word
-    assert verdict(replace(facts, covered=False)) is Verdict.UNKNOWN
-    assert verdict(replace(facts, named=())) is Verdict.UNKNOWN
+    assert verdict(replace(facts, covered=False)) is GapVerdict.UNKNOWN
+    assert verdict(replace(facts, named=())) is GapVerdict.UNKNOWN
 
 
 def test_a_rest_in_the_very_instrument_that_a_name_blames_is_no_restless_scatter() -> None:
     """A vane that sticks, named as one that is late and ahead, which leaves 1.8 thresholds in that vane."""
     two = (named("alpha_lag", 19.4, 0.36, None, "alpha"), named("alpha_position", 16.7, 0.30, None, "alpha"))
     decision = decide(replace(QUIET, rest=9.2, rest_place="alpha", named=two), AS_SET)
-    assert (decision.verdict, decision.kept) == (Verdict.UNKNOWN, 0)
-    assert verdict(replace(QUIET, rest=9.2, rest_place="q", named=two)) is not Verdict.UNKNOWN
+    assert (decision.verdict, decision.kept) == (GapVerdict.UNKNOWN, 0)
+    assert verdict(replace(QUIET, rest=9.2, rest_place="q", named=two)) is not GapVerdict.UNKNOWN
     strong = replace(QUIET, rest=9.2, rest_place="alpha", named=(named("alpha_lag", 40.0, 0.9, None, "alpha"),))
     assert decide(strong, AS_SET).kept == 1
 
 
-@pytest.mark.parametrize(("closed", "word"), [(0.68, Verdict.GAP_REDUCED), (0.72, Verdict.GAP_CLOSED)])
-def test_a_gap_is_closed_where_seven_tenths_of_it_are_gone(closed: float, word: Verdict) -> None:
+@pytest.mark.parametrize(("closed", "word"), [(0.68, GapVerdict.GAP_REDUCED), (0.72, GapVerdict.GAP_CLOSED)])
+def test_a_gap_is_closed_where_seven_tenths_of_it_are_gone(closed: float, word: GapVerdict) -> None:
     assert verdict(replace(QUIET, named=(named(closed=closed),))) is word
 
 
 def test_the_held_out_gap_decides_where_there_is_one() -> None:
-    assert verdict(replace(QUIET, named=(named(closed=0.99, held=0.5),))) is Verdict.GAP_REDUCED
-    assert verdict(replace(QUIET, named=(named(closed=0.5, held=0.9),))) is Verdict.GAP_CLOSED
+    assert verdict(replace(QUIET, named=(named(closed=0.99, held=0.5),))) is GapVerdict.GAP_REDUCED
+    assert verdict(replace(QUIET, named=(named(closed=0.5, held=0.9),))) is GapVerdict.GAP_CLOSED
 
 
 def test_names_close_together_what_lay_before_the_first_and_after_the_last() -> None:
@@ -120,7 +120,7 @@ LOUD = replace(QUIET, rest=10.0, covered=False)
 def test_a_name_that_closes_little_stands_from_four_fifths_of_the_significance_on(score: float, kept: int) -> None:
     """20^2 is four fifths of 20^2 + 10^2."""
     found = decide(replace(LOUD, named=(named(score=score, closed=0.3),)), AS_SET)
-    assert (found.verdict, found.kept) == (Verdict.UNKNOWN, kept)
+    assert (found.verdict, found.kept) == (GapVerdict.UNKNOWN, kept)
     assert found.withdrawn == (() if kept else (("Cn_da", "closes only 30% of the gap"),))
 
 
@@ -140,7 +140,7 @@ def kept(names: Sequence[tuple[str, float]], place: str, rest: float) -> tuple[i
     """Names that close the gap, and blame the vane where they are called beta_..."""
     made = tuple(named(n, s, 0.9, None, *(["beta"] if n.startswith("beta_") else [])) for n, s in names)
     found = decide(replace(LOUD, named=made, rest=rest, rest_place=place), AS_SET)
-    assert found.verdict is Verdict.UNKNOWN
+    assert found.verdict is GapVerdict.UNKNOWN
     return found.kept, [effect for effect, _ in found.withdrawn]
 
 
@@ -172,7 +172,7 @@ def asked(gram: np.ndarray, tied_to: tuple[str, ...] = ()) -> Any:  # type: igno
         parameter = EffectParameter("abc"[h], "1", 2.0, -9.0, 9.0)
         form = Form("abc"[h], (parameter,))
         effect = Effect("abc"[h], "", Group.SENSOR, "", "", "", "", {}, "", (form,), tied_to=tied_to)
-        columns.append(Column(h, parameter))
+        columns.append(HypothesisColumn(h, parameter))
         hypotheses.append(Hypothesis(effect, form))
     screen = Screen((), tuple(hypotheses), tuple(columns), (Reduced(gram),), np.zeros_like(gram), (0,))
     return stub(screen=screen, inflation=np.ones(len(hypotheses)), threshold=4.0, criteria=AS_SET)

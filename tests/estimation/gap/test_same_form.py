@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import Rejected
-from estimation.gap.answer.shape import Curve
+from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.answer.words import describe_curve
 from estimation.gap.effects import catalogue
 from estimation.gap.verdict.same_form import Alike, alike
@@ -68,7 +68,7 @@ def test_why_it_is_not_the_name_is_its_range_then_what_the_rounds_said() -> None
 
 def test_the_words_claim_no_gap_in_the_catalogue_where_it_has_the_form() -> None:
     grid = np.linspace(-0.1, 0.1, 5)
-    curve = Curve("Cm", ("beta",), grid, grid**2, 0.01 + 0.0 * grid, "rad", -0.1, 0.1, 0.97, "a*beta^2",
+    curve = ShapeCurve("Cm", ("beta",), grid, grid**2, 0.01 + 0.0 * grid, "rad", -0.1, 0.1, 0.97, "a*beta^2",
                   (("a*beta^2", {"a": (2.72, 0.05)}, 0.97, True),), (), (), "everywhere", "sweep beta")  # fmt: skip
     assert describe_curve(curve).startswith(
         "Something the catalogue does not hold, and no physical name is given to it"

@@ -8,12 +8,12 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.estimators.arrow import eliminated, solved
-from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
+from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
 from estimation.gap.criteria import AS_SET
 from estimation.gap.likelihood.between_samples import fine_grid
-from estimation.gap.likelihood.fitting import Problem, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, fit
 from estimation.gap.likelihood.whitening import Whitener
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.tests_of_fit.measure import rms_over_noise
 from estimation.gap.tests_of_fit.screen import Projected
 from estimation.models.base import Model, Parameter, Signal
@@ -33,7 +33,7 @@ ROLL = Model(
 )
 
 
-def problem() -> Problem:
+def problem() -> LikelihoodProblem:
     """Two records of a roll mode of -6 1/s and 40 1/s2 per rad, without noise; their biases are 0.02 and -0.01."""
     time = STEP * np.arange(COUNT)
     u = 0.1 * np.sign(np.sin(2.0 * time))
@@ -42,9 +42,9 @@ def problem() -> Problem:
     for index, bias in enumerate((0.02, -0.01)):
         grid = fine_grid(Segment(0, time, u[:, None], np.zeros((COUNT, 1)), np.zeros(1))).segment
         z = simulator.run(grid, {"L_p": -6.0, "L_a": 40.0, "bias": bias}, np.array([0.3])).y[::2]
-        records.append(Record(index, 0, time, {"delta_a": u}, z, np.zeros(1), {}))
+        records.append(FlightRecord(index, 0, time, {"delta_a": u}, z, np.zeros(1), {}))
     white = Whitener(np.tile(100.0 * np.eye(1, dtype=complex), (COUNT // 2 + 1, 1, 1)), COUNT)
-    return Problem(ROLL, ROLL, tuple(records), (white, white), AS_SET)
+    return LikelihoodProblem(ROLL, ROLL, tuple(records), (white, white), AS_SET)
 
 
 def test_the_joint_fit_finds_shared_and_own_unknowns() -> None:
@@ -185,8 +185,8 @@ class Bowl:
     def evaluate(self, unknowns: Array, derivatives: bool) -> At:
         return At(self.floor + 0.5 * float(unknowns[0]) ** 2)
 
-    def step(self, unknowns: Array, point: At, damping: float) -> Step:
-        return Step(-self.sign * self.share * unknowns, 0.5 * float(unknowns[0]) ** 2)
+    def step(self, unknowns: Array, point: At, damping: float) -> SolverStep:
+        return SolverStep(-self.sign * self.share * unknowns, 0.5 * float(unknowns[0]) ** 2)
 
     def clip(self, unknowns: Array) -> Array:
         return unknowns
@@ -202,7 +202,7 @@ class Counted:
     def evaluate(self, unknowns: Array, derivatives: bool) -> At:
         return self.bowl.evaluate(unknowns, derivatives)
 
-    def step(self, unknowns: Array, point: At, damping: float) -> Step:
+    def step(self, unknowns: Array, point: At, damping: float) -> SolverStep:
         self.asked += 1
         return self.bowl.step(unknowns, point, damping)
 

@@ -13,7 +13,7 @@ from estimation.gap.likelihood.surface_steps import SurfaceSteps, loosened
 from estimation.gap.likelihood.whitening import (
     NoiseModel,
     NoisePart,
-    Source,
+    NoiseSource,
     Whitener,
     linear_motion,
     shapes_of,
@@ -41,7 +41,7 @@ SIMULATOR = Simulator.build(SLOWLY, (), substeps=1, hold="linear")
 
 
 SHAPES = shapes_of(SLOWLY, linear_motion(SLOWLY, SIMULATOR, SEGMENT, VALUES), COUNT, AS_SET, (), LEFT)
-KNOWN = NoiseModel(NOISE**2, {NoisePart(Source.PREPARED, "delta_e"): 1.0})
+KNOWN = NoiseModel(NOISE**2, {NoisePart(NoiseSource.PREPARED, "delta_e"): 1.0})
 
 
 def by_spectrum_alone() -> Whitener:
@@ -82,10 +82,10 @@ def test_a_spectrum_alone_does_not_say_it() -> None:
 def test_the_spectrum_keeps_what_is_fast_and_the_cosines_take_the_rest() -> None:
     slow = slow_errors(SIMULATOR, VALUES, SEGMENT, LEFT)
     assert slow.response.shape == (COUNT, 2, int(2.0 * SLOW * COUNT * STEP) + 1)
-    part = without_slow(SHAPES, slow.below).parts[NoisePart(Source.PREPARED, "delta_e")]
+    part = without_slow(SHAPES, slow.below).parts[NoisePart(NoiseSource.PREPARED, "delta_e")]
     at = np.fft.rfftfreq(COUNT, STEP)
     assert not part[at < slow.below].any()
-    whole = SHAPES.parts[NoisePart(Source.PREPARED, "delta_e")]
+    whole = SHAPES.parts[NoisePart(NoiseSource.PREPARED, "delta_e")]
     np.testing.assert_array_equal(part[at >= slow.below], whole[at >= slow.below])
     shown = np.sum(slow.response**2, axis=2)[
         -1, 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
-from estimation.gap.likelihood.fitting import Fit, Local, Problem, Unknowns, fit
+from estimation.gap.likelihood.fitting import LikelihoodProblem, Local, ModelFit, ProblemUnknowns, fit
 from estimation.gap.likelihood.whitening import Slack, Whitener
 from estimation.gap.tests_of_fit import tangent as tangents
 from estimation.gap.tests_of_fit.screen import gram_of, shared_prior
@@ -15,21 +15,21 @@ NULLS = 3
 CHANGES = 4
 
 
-def slackened() -> Problem:
+def slackened() -> LikelihoodProblem:
     """The problem of two records whose whiteners forgive something, with some samples that were not measured."""
     plain = problem()
     rows = np.random.default_rng(4).standard_normal((plain.whiteners[0].root.shape[0] * 2, 5))
     made = tuple(Whitener(w.root, w.count, Slack(rows)) for w in plain.whiteners)
     for record in plain.records:
         record.z[7:9] = np.nan
-    return Problem(plain.model, plain.base, plain.records, made, plain.criteria)
+    return LikelihoodProblem(plain.model, plain.base, plain.records, made, plain.criteria)
 
 
 def drawn(many: int, seed: int) -> list[Array]:
     return list(np.random.default_rng(seed).standard_normal((many, COUNT, 1)))
 
 
-def projected(bound: Problem, found: Fit, index: int, changes: list[Array], nulls: list[Array]) -> Array:
+def projected(bound: LikelihoodProblem, found: ModelFit, index: int, changes: list[Array], nulls: list[Array]) -> Array:
     """Gram matrix of [shared | changes | residuals] of one record with what is its own taken out by least squares, its priors as
     rows of their own."""
     residual, dy = bound.linearised(index, found.values, found.locals[index]) or (np.zeros(0), np.zeros(0))
@@ -99,8 +99,8 @@ def test_the_first_point_costs_what_any_other_does_and_steps_as_far() -> None:
     """With its derivatives from one run of the motion, or without."""
     bound = slackened()
 
-    def view() -> Unknowns:
-        return Unknowns(bound, bound.starts(), len(bound.free), (), np.zeros((len(bound.free),) * 2))
+    def view() -> ProblemUnknowns:
+        return ProblemUnknowns(bound, bound.starts(), len(bound.free), (), np.zeros((len(bound.free),) * 2))
 
     first, second = view(), view()
     at = first.packed(tuple(Local(np.full(1, 0.3), local.parameters) for local in bound.starting_locals()))

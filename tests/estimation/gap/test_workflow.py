@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.gap.answer.result import GapResult, Verdict
+from estimation.gap.answer.result import GapResult, GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.errors import GapError
@@ -103,7 +103,7 @@ def _lives_where_it_arises(result: GapResult) -> None:
 def test_nothing_hidden_gives_no_gap_and_the_same_answer_again(flown: dict[str, list[Flight]]) -> None:
     asked, few = [e for e in catalogue() if e.name in FEW], replace(QUICK, nulls=20)
     first = run_gap(load_model("lateral", "cdfp"), flown["none"], (), asked, options=few)
-    assert first.verdict is Verdict.NO_GAP
+    assert first.verdict is GapVerdict.NO_GAP
     assert not first.steps
     assert first.minimum_detectable["Cn_da"] < 0.01
     again = run_gap(load_model("lateral", "cdfp"), flown["none"], (), asked, options=few)

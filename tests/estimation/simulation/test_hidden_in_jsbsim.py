@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
-from estimation.gap.answer.result import Verdict
+from estimation.gap.answer.result import GapVerdict
 from estimation.gap.effects import catalogue
 from estimation.gap.run import analyse
 from estimation.gap.workflow import Options
@@ -87,7 +87,7 @@ def test_a_hidden_yawing_moment_is_named_closed_exported_and_flies_in_the_export
     assert len(effects) == len(OFFERED)
     options, file = Options(nulls=30), tmp_path / "gap.json"
     answer = analyse(base.model, base.training(1), base.holdout(1), effects, options, lambda *_: None, json_path=file)
-    assert answer.verdict is Verdict.GAP_CLOSED
+    assert answer.verdict is GapVerdict.GAP_CLOSED
     (step,) = answer.steps
     assert step.effect == "Cn_da"
     assert step.estimates["Cn_da"][0] == pytest.approx(-0.012, rel=0.05)

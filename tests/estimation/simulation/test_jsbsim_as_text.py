@@ -184,7 +184,7 @@ def test_a_text_that_is_another_is_not_written(monkeypatch: pytest.MonkeyPatch, 
     """A point of a table out of place by a ten-millionth."""
     real = importing.imported
 
-    def wrong(source: importing.Source) -> importing.Imported:
+    def wrong(source: importing.AircraftSource) -> importing.Imported:
         found = real(source)
         shifted = found.model.with_starts(Cl_p=found.model.parameter("Cl_p").start * (1 + 1e-7))
         return importing.Imported(shifted, found.held, found.standard, found.own, found.tables)

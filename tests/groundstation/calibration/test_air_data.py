@@ -55,7 +55,7 @@ def test_bmp390_against_the_datasheet_written_out() -> None:
     out1 = p5 / 2**-3 + p6 / 2**6 * t_lin + p7 / 2**8 * t_lin**2 + p8 / 2**15 * t_lin**3
     out2 = raw_p * ((p1 - 2**14) / 2**20 + (p2 - 2**14) / 2**29 * t_lin + p3 / 2**32 * t_lin**2 + p4 / 2**37 * t_lin**3)
     data3 = raw_p**2 * (p9 / 2**48 + p10 / 2**48 * t_lin) + raw_p**3 * (p11 / 2**65)
-    pressure, warmth = air_data.Bmp390.from_nvm(NVM).compensate(np.array([raw_p]), np.array([raw_t]))
+    pressure, warmth = air_data.Bmp390Compensation.from_nvm(NVM).compensate(np.array([raw_p]), np.array([raw_t]))
     assert pressure[0] == pytest.approx(out1 + out2 + data3, rel=1e-12)
     assert warmth[0] == pytest.approx(t_lin + 273.15, rel=1e-12)
     assert 9e4 < pressure[0] < 1.05e5
@@ -64,4 +64,4 @@ def test_bmp390_against_the_datasheet_written_out() -> None:
 @pytest.mark.parametrize("nvm", [b"", bytes(21), b"\xff" * 21, NVM[:-1]])
 def test_blank_coefficients_are_refused(nvm: bytes) -> None:
     with pytest.raises(CalibrationError, match="coefficients"):
-        air_data.Bmp390.from_nvm(nvm)
+        air_data.Bmp390Compensation.from_nvm(nvm)

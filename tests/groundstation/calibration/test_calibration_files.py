@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.facts import Facts
+from groundstation.calibration.facts import RecordedFacts
 from groundstation.calibration.schema import CalibrationSet, Instrument, load_calibration
 from groundstation.calibration.write import to_toml
 
@@ -67,11 +67,11 @@ def test_strings_survive_writing() -> None:
 
 def test_facts_are_checked() -> None:
     with pytest.raises(CalibrationError, match="hexadecimal"):
-        Facts({"static.nvm": "xyz"}).nvm("static")
+        RecordedFacts({"static.nvm": "xyz"}).nvm("static")
     with pytest.raises(CalibrationError, match=r"imu\.gyro_delay_s"):
-        Facts({"imu.gyro_delay_s": "long"}).lag("gyro")
-    assert Facts({}).lag("gyro") == Facts({}).delay("pitot", "pitot") == 0.0
-    assert Facts({"analog_a.beta_vane_after_s": "-0.000858"}).after("beta_vane") == -0.001
+        RecordedFacts({"imu.gyro_delay_s": "long"}).lag("gyro")
+    assert RecordedFacts({}).lag("gyro") == RecordedFacts({}).delay("pitot", "pitot") == 0.0
+    assert RecordedFacts({"analog_a.beta_vane_after_s": "-0.000858"}).after("beta_vane") == -0.001
 
 
 def test_files_are_immutable() -> None:

@@ -3,11 +3,11 @@ import pytest
 
 from groundstation.calibration.conversions import curves
 from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import Curve
+from groundstation.calibration.schema import CalibrationCurve
 
 
-def polynomial(*coefficients: float, centre: float = 0.0, **more: object) -> Curve:
-    return Curve(
+def polynomial(*coefficients: float, centre: float = 0.0, **more: object) -> CalibrationCurve:
+    return CalibrationCurve(
         kind="polynomial",
         input_unit="V",
         output_unit="rad",
@@ -26,7 +26,7 @@ def test_polynomial_is_horner_about_its_centre() -> None:
 
 
 def test_table_is_linear_and_continues_its_end_segments() -> None:
-    curve = Curve(
+    curve = CalibrationCurve(
         kind="table", input_unit="V", output_unit="N", inputs=(0.0, 1.0, 3.0), outputs=(0.0, 2.0, 4.0), valid=(0.0, 3.0)
     )
     np.testing.assert_allclose(curves.evaluate(curve, [0.25, 2.0, 4.0, -1.0]), [0.5, 3.0, 5.0, -2.0])

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.contract.channel_rows import Channel, Column
+from daq.contract.channel_rows import Channel, FlightColumn
 from daq.contract.channels import COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration.apply import Calibrator, calibrate
-from groundstation.calibration.columns import Columns
+from groundstation.calibration.columns import CombinedColumns
 from groundstation.calibration.conversions.direct import COMBINED, DirectColumn, direct_columns
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.scan_table import scan_table
@@ -18,7 +18,7 @@ from groundstation.calibration.schema import CalibrationSet
 
 MakeScans = Callable[..., list[Scan]]
 OZONE = Channel("ozone", "analog_a", "u16", "V", "ozone", 1e-3, columns=("ozone",))
-OZONE_COLUMN = Column("ozone", "V", "ozone", "/ozone", (0.0, 5.0))
+OZONE_COLUMN = FlightColumn("ozone", "V", "ozone", "/ozone", (0.0, 5.0))
 CURVE = """
 format = 1
 instrument = "ozone_sensor"
@@ -30,7 +30,7 @@ curve = { kind = "polynomial", input_unit = "V", output_unit = "V", coefficients
 """
 
 
-def direct(calibration: CalibrationSet, channel: Channel = OZONE, column: Column = OZONE_COLUMN) -> DirectColumn:
+def direct(calibration: CalibrationSet, channel: Channel = OZONE, column: FlightColumn = OZONE_COLUMN) -> DirectColumn:
     return direct_columns(calibration, (column,), (channel,))[0]
 
 
@@ -41,7 +41,7 @@ def without(nominal: CalibrationSet, *files: str) -> CalibrationSet:
 def test_every_column_of_the_table_is_made_by_a_rule_or_of_one_channel(
     make_scans: MakeScans, nominal: CalibrationSet
 ) -> None:
-    made = Columns(nominal, scan_table(make_scans(3)), {}, aligned=False).make()
+    made = CombinedColumns(nominal, scan_table(make_scans(3)), {}, aligned=False).make()
     assert set(made) == {c.name for c in COLUMNS}
     assert {d.column.name for d in direct_columns(nominal)} == set(made) - COMBINED
 
@@ -74,7 +74,7 @@ def test_a_channel_with_a_file_is_its_column_by_the_curve(make_scans: MakeScans,
     ],
 )
 def test_a_channel_that_is_not_its_column_says_what_is_missing(
-    nominal: CalibrationSet, channel: Channel, column: Column, says: str
+    nominal: CalibrationSet, channel: Channel, column: FlightColumn, says: str
 ) -> None:
     found = direct(nominal, channel, column)
     assert not found.as_it_is

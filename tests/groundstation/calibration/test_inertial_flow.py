@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from groundstation.calibration.conversions import flow, inertial
-from groundstation.calibration.schema import Attitude, Triad, Vane
+from groundstation.calibration.schema import MountingAngles, Triad, Vane
 
 
 def arrays(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def test_lever_arm_against_the_motion_of_a_point(rng: np.random.Generator) -> No
 def test_euler_angles_against_scipy(rng: np.random.Generator) -> None:
     angles = rng.uniform([-3, -1.4, -3], [3, 1.4, 3], (50, 3))
     x, y, z, w = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat().T
-    phi, theta, psi = inertial.euler_angles(w, x, y, z, Attitude())
+    phi, theta, psi = inertial.euler_angles(w, x, y, z, MountingAngles())
     np.testing.assert_allclose(np.stack([phi, theta, psi], axis=1), angles, atol=1e-12)
 
 
@@ -60,13 +60,13 @@ def test_boresight_is_taken_out_and_declination_added(rng: np.random.Generator) 
     body, tilt = (0.3, -0.2, 1.0), (0.05, -0.03, 0.1)
     imu = Rotation.from_euler("ZYX", body[::-1]) * Rotation.from_euler("ZYX", tilt[::-1])
     x, y, z, w = (np.array([v]) for v in imu.as_quat())
-    angles = inertial.euler_angles(w, x, y, z, Attitude(boresight=tilt, declination=0.02))
+    angles = inertial.euler_angles(w, x, y, z, MountingAngles(boresight=tilt, declination=0.02))
     np.testing.assert_allclose(np.concatenate(angles), [0.3, -0.2, 1.02], atol=1e-12)
 
 
 def test_zero_quaternion_is_not_an_attitude() -> None:
     zero = np.zeros(1)
-    assert all(np.isnan(a[0]) for a in inertial.euler_angles(zero, zero, zero, zero, Attitude()))
+    assert all(np.isnan(a[0]) for a in inertial.euler_angles(zero, zero, zero, zero, MountingAngles()))
 
 
 def test_vanes_off_the_cg_give_the_free_stream(rng: np.random.Generator) -> None:

@@ -17,7 +17,7 @@ from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
 from groundstation.identification.aircraft import LiveAircraft
 from groundstation.identification.history import BELIEVED, DETAIL, MOST, LiveHistory, history_of
-from groundstation.live.config import IdentificationConfig
+from groundstation.live.config import LiveIdentificationConfig
 from groundstation.live.flight_phase import LandingLimits
 from groundstation.live.identifying import LiveIdentifications
 from groundstation.live.named_values import NamedValues
@@ -144,20 +144,22 @@ class Told:
 
 def test_a_wrong_aircraft_is_said_before_the_flight() -> None:
     with pytest.raises(UserError, match="no such file and no built-in of that name"):
-        LiveIdentifications(IdentificationConfig(aircraft="cdpf"), LandingLimits(), live_aircraft, Told().said.append)
+        LiveIdentifications(
+            LiveIdentificationConfig(aircraft="cdpf"), LandingLimits(), live_aircraft, Told().said.append
+        )
 
 
 def test_nothing_is_read_where_it_is_off() -> None:
     def refused(name: str, text: str | None) -> LiveAircraft:
         raise AssertionError
 
-    off = IdentificationConfig(aircraft="cdfp", enabled=False)
+    off = LiveIdentificationConfig(aircraft="cdfp", enabled=False)
     assert LiveIdentifications(off, LandingLimits(), refused, Told().said.append).state(1) is None
 
 
 def test_values_are_forwarded_in_the_aircrafts_name(flown: Path) -> None:
     from daq.contract.recordings.reading import read_recording
-    from daq.identification.stretches import Stretches
+    from daq.identification.stretches import ManoeuvreDetector
     from groundstation.calibration.apply import Calibrator
     from groundstation.calibration.recording import embedded_calibration
     from groundstation.identification.alignment import ScanAlignment
@@ -166,7 +168,7 @@ def test_values_are_forwarded_in_the_aircrafts_name(flown: Path) -> None:
     recording = read_recording(next(flown.glob("aircraft*.mcap")))
     alignment = ScanAlignment()
     calibrator = Calibrator(embedded_calibration(recording), recording.info.details)
-    live = LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, Stretches(9.0, 2.0))
+    live = LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, ManoeuvreDetector(9.0, 2.0))
     for scan in recording.scans():
         alignment.add(scan)
     state = live.finish()

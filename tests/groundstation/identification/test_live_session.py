@@ -13,7 +13,7 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan, encode_scan
 from daq.identification.airframe import SIGNALS, Belief, Sample
 from daq.identification.live import LiveEstimator
-from daq.identification.stretches import Stretches
+from daq.identification.stretches import ManoeuvreDetector
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, recursive, samples_of
@@ -42,7 +42,7 @@ def recording(root: Path) -> tuple[list[Scan], Calibrator, Flight]:
 
 
 def session(calibrator: Calibrator, alignment: ScanAlignment) -> LiveIdentification:
-    return LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, Stretches(9.0, 2.0))
+    return LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, ManoeuvreDetector(9.0, 2.0))
 
 
 def received(scans: list[Scan], seed: int = 3) -> Iterator[Scan]:
@@ -208,7 +208,7 @@ def test_wanted_bounds_follow_what_is_told() -> None:
 
 def test_stretches_lie_about_movements_in_flight() -> None:
     """Fast from 9 to 40 s; the aileron moves at 0.5 s (not in flight), at 20 s and at 25 s."""
-    found = Stretches(9.0, 2.0)
+    found = ManoeuvreDetector(9.0, 2.0)
     at_rest = Sample(0.0, *[0.0] * 12)._replace(rho=1.2)
     given: list[float] = []
     for i in range(500):
@@ -260,7 +260,7 @@ def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
     modelled = replace(sure.airframe, beliefs=beliefs) if with_model else None
     sure = replace(sure, airframe=replace(sure.airframe, beliefs=wrong), modelled=modelled)
     again = ScanAlignment()
-    live = LiveIdentification(sure, calibrator, 0.05, again, Stretches(9.0, 2.0), watched=True)
+    live = LiveIdentification(sure, calibrator, 0.05, again, ManoeuvreDetector(9.0, 2.0), watched=True)
     fed(live, again, iter(scans))
     live.finish()
     assert live.watch is not None

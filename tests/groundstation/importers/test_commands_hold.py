@@ -10,17 +10,17 @@ from groundstation.flight.flight import CHANNELS
 from groundstation.flight.quality.repeats import repeats
 from groundstation.importers.columns import flight_columns
 from groundstation.importers.mapping import Map
-from groundstation.importers.series import Log, Series, held_at, lagged
+from groundstation.importers.series import Log, TimeSeries, held_at, lagged
 from groundstation.importers.servos import with_servos
 
 RECORDED = 0.05  # s from one record of an output to the next
 
 
-def outputs(end: float = 30.0) -> Series:
+def outputs(end: float = 30.0) -> TimeSeries:
     """An output that rests for seconds between two moves."""
     time = np.arange(0.0, end, RECORDED)
     pulse = np.where((time > 9.97) & (time < 11.97), 1700.0, 1500.0)
-    return Series(time, pulse)
+    return TimeSeries(time, pulse)
 
 
 def made(time: np.ndarray) -> tuple[np.ndarray, dict[str, object]]:
@@ -57,7 +57,7 @@ def test_a_command_holds_from_half_an_interval_before_its_record() -> None:
 def test_a_gap_of_the_outputs_is_a_gap_of_the_surface() -> None:
     whole = outputs()
     cut = (whole.time < 15.0) | (whole.time > 20.0)
-    values = held_at(Series(whole.time[cut], whole.values[cut]), np.array([10.5, 17.0, 25.0, 40.0]))
+    values = held_at(TimeSeries(whole.time[cut], whole.values[cut]), np.array([10.5, 17.0, 25.0, 40.0]))
     np.testing.assert_array_equal(np.isnan(values), [False, True, False, True])
 
 

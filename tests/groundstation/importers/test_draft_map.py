@@ -12,7 +12,7 @@ from groundstation.importers.draft_names import meant, unit_in_name
 from groundstation.importers.draft_surfaces import sign_of
 from groundstation.importers.mapping import load_map
 from groundstation.importers.run import import_data
-from groundstation.importers.series import Series
+from groundstation.importers.series import TimeSeries
 from sideslip.cli import cli
 
 SIGN = {"aileron": 1, "elevator": -1, "rudder": 1}
@@ -137,6 +137,6 @@ def test_servos_by_their_functions_signs_by_the_motion(tmp_path: Path) -> None:
 def test_an_output_that_nothing_follows_has_no_sign(late: float) -> None:
     rng = np.random.default_rng(4)
     time = np.arange(0.0, 60.0, 0.02)
-    output = Series(time, 1500.0 + 100.0 * np.repeat(rng.choice([-1.0, 1.0], 60), 50))
-    sign, why = sign_of(output, 1500.0, Series(time + late, rng.standard_normal(time.size)), -1, "IMU.GyrX")
+    output = TimeSeries(time, 1500.0 + 100.0 * np.repeat(rng.choice([-1.0, 1.0], 60), 50))
+    sign, why = sign_of(output, 1500.0, TimeSeries(time + late, rng.standard_normal(time.size)), -1, "IMU.GyrX")
     assert (sign, why) == (1, "sign UNKNOWN: IMU.GyrX does not tell")

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from pymavlink.dialects.v20 import ardupilotmega
 
 from groundstation.flight import read_flight, write_flight
-from groundstation.flight.marks import Mark, Mode, marks_of
+from groundstation.flight.marks import FlightMode, Mark, marks_of
 from groundstation.importers.formats.tlog import read_tlog
 from groundstation.importers.formats.ulog_scan import sound_messages
 from groundstation.importers.modes import dataflash_marks, heartbeat_mode
@@ -31,7 +31,11 @@ def test_an_ardupilots_modes_are_of_the_vehicle_that_it_says() -> None:
         "ERR": [(5.0, {"Subsys": 5, "ECode": 1})],
     }
     found = dataflash_marks(rows, 20.0)
-    assert found.modes == (Mode("LOITER", 2.0, 8.0), Mode("LAND", 8.0, 9.0), Mode("mode 77", 9.0, 20.0))
+    assert found.modes == (
+        FlightMode("LOITER", 2.0, 8.0),
+        FlightMode("LAND", 8.0, 9.0),
+        FlightMode("mode 77", 9.0, 20.0),
+    )
     assert [m.text for m in found.events] == [
         "armed",
         "land complete",
@@ -43,7 +47,7 @@ def test_an_ardupilots_modes_are_of_the_vehicle_that_it_says() -> None:
     assert plane.modes[0].name == "FBWA"
     assert [m.text for m in plane.events] == ["armed"]  # once, though two messages say it
     named = dataflash_marks({"MODE": [(1.0, {"Mode": "Auto", "ModeNum": "x"})]}, 2.0)
-    assert named.modes == (Mode("Auto", 1.0, 2.0),)
+    assert named.modes == (FlightMode("Auto", 1.0, 2.0),)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from groundstation.flight import Flight, FlightError, read_flight, write_flight
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import examples, load_map
 from groundstation.importers.run import import_data
-from groundstation.importers.series import Log, Series, held_at
-from groundstation.importers.servos import Servo, with_servos
+from groundstation.importers.series import Log, TimeSeries, held_at
+from groundstation.importers.servos import ServoMap, with_servos
 
 Columns = dict[str, np.ndarray]
 
@@ -77,9 +77,9 @@ def test_a_mapping_without_a_unit_takes_that_of_the_file(tmp_path: Path, head: s
     np.testing.assert_allclose(import_data(data, mapping)["phi"], np.radians([10, 11, 12]))
 
 
-def servo(**changes: object) -> Servo:
+def servo(**changes: object) -> ServoMap:
     table = {"column": "C1", "trim": 1520, "travel": [[1100, -24.0], [1900, 22.0]], "unit": "deg"}
-    return Servo.model_validate({**table, **changes})
+    return ServoMap.model_validate({**table, **changes})
 
 
 def test_a_deflection_is_straight_from_trim_to_either_end() -> None:
@@ -95,7 +95,7 @@ def test_normalised_outputs_and_a_travel_the_other_way_round() -> None:
 
 def test_lag_is_that_of_a_first_order_servo() -> None:
     time = np.arange(0, 1, 0.02)
-    log = Log("x", {"C1": Series(time, np.where(time < 0.1, 1520.0, 1900.0))})
+    log = Log("x", {"C1": TimeSeries(time, np.where(time < 0.1, 1520.0, 1900.0))})
     made, absent = with_servos(log, {"a": servo(lag=0.1), "b": servo(column="C9")})
     step = np.radians(22.0) * (1 - np.exp(-np.clip(time - 0.1, 0, None) / 0.1))
     moved = made.series["servo.a"]

@@ -14,7 +14,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from daq.contract.channels import BUILT_IN_CHANNELS
 from daq.contract.link.dialect.build import DEFINITION
-from daq.contract.link.wire import Layout, layouts
+from daq.contract.link.wire import ScanLayout, layouts
 
 HERE = Path(__file__).parent
 WITH_STANDARD = HERE / "sideslip_with_standard.xml"
@@ -84,7 +84,7 @@ def _message_text(message: ET.Element) -> str:
     return "\n".join([*lines, "    </message>"])
 
 
-def _layout_text(layout: Layout) -> str:
+def _layout_text(layout: ScanLayout) -> str:
     fields = "\n".join(
         f'      <field type="{f.mavlink_type}" name="{f.name}">{escape(f.meaning)}</field>' for f in layout.fields
     )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimation.campaign.aerodynamics.differences import differences
-from estimation.campaign.aerodynamics.pooled import Flown, flown_of
-from estimation.campaign.aerodynamics.steps import Step, with_steps
+from estimation.campaign.aerodynamics.pooled import GroupFlights, flown_of
+from estimation.campaign.aerodynamics.steps import DateStep, with_steps
 from tests.estimation.campaign.aerodynamics.test_envelope_curves import CORRELATION, NAMES, SLOPES, STD, estimates
 
 pytestmark = pytest.mark.long
@@ -13,13 +13,13 @@ pytestmark = pytest.mark.long
 BOUND = np.array([STD[n] for n in NAMES])
 
 
-def in_days(at: np.ndarray, values: np.ndarray, std: np.ndarray) -> Flown:
+def in_days(at: np.ndarray, values: np.ndarray, std: np.ndarray) -> GroupFlights:
     """A flight a day."""
     flights = [(str(np.datetime64("2026-03-01") + i), f"f{i:03d}") for i in range(len(at))]
     return flown_of(NAMES, flights, at, values, std, np.tile(CORRELATION, (len(at), 1, 1)))
 
 
-def steps(rng: np.random.Generator, flights: int, change: np.ndarray, first: int) -> tuple[Step, ...]:
+def steps(rng: np.random.Generator, flights: int, change: np.ndarray, first: int) -> tuple[DateStep, ...]:
     at, values, std, _ = estimates(rng, flights, SLOPES)
     values[first:] += change
     return with_steps(in_days(at, values, std), 0)[1]
@@ -58,8 +58,8 @@ def test_two_parameters_that_err_together_tell_a_step_that_neither_tells_alone()
     assert sum(bool(f) for f in found) >= 7
 
 
-def one(of: Flown, j: int) -> Flown:
-    return Flown((of.parameters[j],), of.flights, of.dates, of.conditions, of.data.one(j))
+def one(of: GroupFlights, j: int) -> GroupFlights:
+    return GroupFlights((of.parameters[j],), of.flights, of.dates, of.conditions, of.data.one(j))
 
 
 def test_two_steps_are_both_found() -> None:
@@ -93,7 +93,7 @@ def test_flights_without_dates_have_no_steps(rng: np.random.Generator) -> None:
     assert with_steps(of, 0)[1] == ()
 
 
-def two_groups(rng: np.random.Generator, change: np.ndarray) -> tuple[Flown, np.ndarray]:
+def two_groups(rng: np.random.Generator, change: np.ndarray) -> tuple[GroupFlights, np.ndarray]:
     """The second group flew faster, at lower incidence; every derivative has its trend."""
     at, values, std, _ = estimates(rng, 80, SLOPES)
     order = np.argsort(at[:, 1] + 1.5 * rng.standard_normal(80))

@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from estimation.campaign.aerodynamics.forms import CONDITIONS, CONSTANT, Form, Scale
-from estimation.campaign.aerodynamics.pooled import Envelope, bootstrap, envelope, flown_of
+from estimation.campaign.aerodynamics.forms import CONDITIONS, CONSTANT, ConditionScale, PolynomialForm
+from estimation.campaign.aerodynamics.pooled import PooledCurves, bootstrap, envelope, flown_of
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows
 from estimation.campaign.schema import DATABASE, RESULTS, arrow_schema
 from estimation.models.expressions import names_in
@@ -51,7 +51,7 @@ def estimates(
     return at, true + e + own, std, true
 
 
-def curves_of(at: np.ndarray, values: np.ndarray, std: np.ndarray) -> Envelope:
+def curves_of(at: np.ndarray, values: np.ndarray, std: np.ndarray) -> PooledCurves:
     flights = [("", f"f{i:03d}") for i in range(len(at))]
     found = envelope(flown_of(NAMES, flights, at, values, std, np.tile(CORRELATION, (len(at), 1, 1))))
     assert found is not None
@@ -84,7 +84,7 @@ def test_where_nothing_depends_on_conditions_constants_are_chosen() -> None:
 def test_unchanged_and_unmeasured_conditions_are_not_fitted_over(rng: np.random.Generator) -> None:
     at, values, std, _ = estimates(rng, 20, {})
     at[:, 1], at[:, 2] = 16.0, np.nan
-    scale = Scale.of(at)
+    scale = ConditionScale.of(at)
     assert scale.changed.tolist() == [True, False, False, True]
     assert np.all(scale.scaled(at)[:, 1:3] == 0.0)
     found = curves_of(at, values, std)
@@ -123,7 +123,7 @@ def test_the_formula_is_the_curve_and_is_of_a_model_file(rng: np.random.Generato
     where = {"alpha": at[3, 0], "V": at[3, 1], "delta_e": at[3, 3]}
     said = eval(text.replace("^", "**"), where)  # noqa: S307  written a line above
     assert said == pytest.approx(found.at(0, at[3:4])[0][0], rel=1e-5)
-    assert Form(CONSTANT.powers, (0,)).formula(found.scale, np.ones(10)) is None
+    assert PolynomialForm(CONSTANT.powers, (0,)).formula(found.scale, np.ones(10)) is None
 
 
 def test_far_from_every_flight_nothing_is_known(rng: np.random.Generator) -> None:

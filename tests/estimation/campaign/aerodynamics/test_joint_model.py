@@ -8,11 +8,11 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from estimation.campaign.aerodynamics.evidence import Information, grown, superfluous
+from estimation.campaign.aerodynamics.evidence import PooledInformation, grown, superfluous
 from estimation.campaign.aerodynamics.joint import GlobalModel, global_model
-from estimation.campaign.aerodynamics.terms import Term, candidates, row_of, terms_of, with_terms
+from estimation.campaign.aerodynamics.terms import ConditionTerm, candidates, row_of, terms_of, with_terms
 from estimation.campaign.errors import CampaignError
-from estimation.campaign.run import Outcome
+from estimation.campaign.run import CampaignOutcome
 from estimation.commands.match import match
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model
@@ -31,10 +31,10 @@ REFERENCE = {"alpha_ref": 0.09, "V_ref": 16.0, "delta_e_ref": -0.02}
 def test_terms_stand_wherever_their_derivative_stood() -> None:
     base = load_model("lateral", "cdfp")
     terms = [
-        Term("Cl_beta", "alpha", 1),
-        Term("Cl_beta", "V", 2),
-        Term("Cl_da", "delta_e", 1),
-        Term("Cn_beta", "beta", 2),
+        ConditionTerm("Cl_beta", "alpha", 1),
+        ConditionTerm("Cl_beta", "V", 2),
+        ConditionTerm("Cl_da", "delta_e", 1),
+        ConditionTerm("Cn_beta", "beta", 2),
     ]
     model = with_terms(base, terms, REFERENCE).with_starts(
         Cl_beta_alpha=-0.7, Cl_beta_V2=0.3, Cl_da_delta_e=0.2, Cn_beta_beta2=0.25
@@ -57,14 +57,14 @@ def test_terms_stand_wherever_their_derivative_stood() -> None:
 def test_candidates_heed_what_the_flights_measure_and_the_symmetry() -> None:
     base = load_model("lateral", "cdfp")
     tried = candidates(base, ["delta_e"])
-    assert Term("Cl_da", "delta_a", 2) in tried
-    assert Term("Cl_p", "delta_a", 2) not in tried
+    assert ConditionTerm("Cl_da", "delta_a", 2) in tried
+    assert ConditionTerm("Cl_p", "delta_a", 2) not in tried
     assert not any(t.variable == "beta" and t.power == 1 for t in tried)
     assert not any(t.variable == "delta_e" for t in candidates(base, []))
     assert not any(t.derivative.endswith("_0") for t in tried)
 
 
-def regression(rng: np.random.Generator, slope: float) -> Information:
+def regression(rng: np.random.Generator, slope: float) -> PooledInformation:
     """Flights as linear regressions of 50 samples with noise 1: y = a x0 + slope x1 + 0 x2 + ..., at a = slope = 0."""
     M, g = [], []
     for _ in range(20):
@@ -73,7 +73,7 @@ def regression(rng: np.random.Generator, slope: float) -> Information:
         y = 0.5 * X[:, 0] + slope * X[:, 1] + rng.standard_normal(50)
         M.append(X.T @ X)
         g.append(X.T @ y)
-    return Information(("a", "b", "c", "d", "e", "b_again"), np.array(M), np.array(g))
+    return PooledInformation(("a", "b", "c", "d", "e", "b_again"), np.array(M), np.array(g))
 
 
 def test_evidence_takes_the_term_that_is_there_and_its_gain_is_that_of_leaving_flights_out(
@@ -108,7 +108,7 @@ def test_a_term_that_another_has_made_useless_goes(rng: np.random.Generator) -> 
     M, g = known.M.sum(axis=0), known.g.sum(axis=0)
     best = np.zeros(6)
     best[inside] = np.linalg.solve(M[np.ix_(inside, inside)], g[inside])
-    there = Information(known.names, known.M, known.g - known.M @ best)
+    there = PooledInformation(known.names, known.M, known.g - known.M @ best)
     assert superfluous(there, ["a", "b", "c"], {"b": best[1], "c": best[2]}) == ["c"]
 
 
@@ -147,7 +147,7 @@ def test_too_few_flights_are_refused(flights: list[Flight]) -> None:
 
 
 def test_a_campaign_leaves_tables_and_a_model_that_match_takes(
-    folder: Path, flights: list[Flight], campaign: Callable[..., Outcome], tmp_path: Path
+    folder: Path, flights: list[Flight], campaign: Callable[..., CampaignOutcome], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     plan = {"flights": [str(folder / "*.csv")], "envelope": True}

@@ -5,16 +5,16 @@ import pytest
 from scipy.optimize import minimize
 
 from estimation.campaign import pooling
-from estimation.campaign.aerodynamics.mixed import Design, Estimates, fit, replicates
+from estimation.campaign.aerodynamics.mixed import MixedData, MixedDesign, fit, replicates
 
 
-def constant(known: np.ndarray) -> Design:
+def constant(known: np.ndarray) -> MixedDesign:
     """One mean for each parameter."""
-    return Design.of([np.ones((len(known), 1))] * known.shape[1], [(-1,)] * known.shape[1], known)
+    return MixedDesign.of([np.ones((len(known), 1))] * known.shape[1], [(-1,)] * known.shape[1], known)
 
 
-def one(y: np.ndarray, v: np.ndarray) -> Estimates:
-    return Estimates(y[:, None], v[:, None, None], np.ones((y.size, 1), bool))
+def one(y: np.ndarray, v: np.ndarray) -> MixedData:
+    return MixedData(y[:, None], v[:, None, None], np.ones((y.size, 1), bool))
 
 
 def test_equal_bounds_give_the_closed_form_of_a_random_effects_mean(rng: np.random.Generator) -> None:
@@ -49,7 +49,7 @@ def test_no_variance_between_flights_is_found_where_bounds_explain_the_scatter()
     assert found.covariance[0, 0] == pytest.approx(0.02**2 / 5, rel=1e-6)
 
 
-def correlated(rng: np.random.Generator) -> Estimates:
+def correlated(rng: np.random.Generator) -> MixedData:
     """Thirty flights of two parameters, correlated 0.8; five flights tell the first alone."""
     V = np.array([[1.0, 0.8], [0.8, 1.0]]) * rng.uniform(0.5, 2.0, 30)[:, None, None]
     e = np.einsum("nij,nj->ni", np.linalg.cholesky(V), rng.standard_normal((30, 2)))
@@ -57,7 +57,7 @@ def correlated(rng: np.random.Generator) -> Estimates:
     known = np.ones((30, 2), bool)
     known[25:, 1] = False
     y[25:, 1] = np.nan
-    return Estimates(y, V, known)
+    return MixedData(y, V, known)
 
 
 def test_two_correlated_parameters_are_as_one_long_regression(rng: np.random.Generator) -> None:
@@ -108,7 +108,7 @@ def test_flights_drawn_again_scatter_as_the_covariance_says(rng: np.random.Gener
     v = rng.uniform(0.5, 2.0, 200)
     x = rng.uniform(-1.0, 1.0, 200)
     data = one(1.0 + 2.0 * x + rng.standard_normal(200) * np.sqrt(v + 0.5), v)
-    design = Design.of([np.column_stack([np.ones(200), x])], [(-1, -1)], data.known)
+    design = MixedDesign.of([np.column_stack([np.ones(200), x])], [(-1, -1)], data.known)
     found = fit(data, design)
     drawn = replicates(data, design, found, 400, rng)
     assert drawn.std(axis=0) == pytest.approx(np.sqrt(np.diag(found.covariance)), rel=0.2)
