@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-from daq.identification.airframe import DERIVATIVES, Airframe, Belief
+from daq.identification.airframe import DERIVATIVES, Airframe, Belief, LiveAircraft
 from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.aircraft.schema import aircraft_from_text
-from groundstation.identification.aircraft import LiveAircraft
 
 DOUBTED = (
     0.5  # of a believed value: its standard deviation where the file states none, as `estimate --method live` has it
@@ -33,9 +32,8 @@ def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAi
 
 def airframe_of_model(model: str, aircraft: Aircraft) -> Airframe:
     """An aircraft as a model has it: its values, and what it says that these may be wrong by."""
-    from estimation.estimators.recursive import airframe_of
+    from estimation.estimators.recursive import airframe_of, values_of
     from estimation.models.load import load_model
-    from estimation.watch.over_file import values_of
 
     read = load_model(model, aircraft)
     airframe = airframe_of(read, aircraft)

@@ -11,7 +11,7 @@ from typing import BinaryIO
 from daq.companion.wire import CompanionReply, Setup, read_frame, read_setup
 from daq.contract.errors import UserError
 from daq.contract.scan import ScanDecodeError
-from daq.identification.stretches import ManoeuvreDetector
+from daq.identification.movement import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.schema import load_calibration
 from groundstation.identification.alignment import ScanAlignment

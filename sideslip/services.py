@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from groundstation.cli.services import LogAdvice, Services
 
 if TYPE_CHECKING:
+    from daq.identification.airframe import LiveAircraft
     from groundstation.flight import Flight
-    from groundstation.identification.aircraft import LiveAircraft
 
 
 def _aircraft(name: str, text: str | None = None, model: str = "") -> "LiveAircraft":

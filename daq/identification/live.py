@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import COLUMNS, CONTROLS, EQUATIONS, Airframe, Belief, Sample
-from daq.identification.controls import ControlSignal
+from daq.identification.movement import ControlSignal
 from daq.identification.rows import TOTAL, RowMaker
 from daq.identification.simulated_motion import SimulatedMotion
-from daq.identification.solve import RegressionSolution, solve
-from daq.identification.sums import Block, Sums
+from daq.identification.solve import Block, RegressionSolution, Sums, solve
 
 Array = NDArray[np.float64]
 

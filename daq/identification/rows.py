@@ -19,11 +19,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import COLUMNS, EQUATIONS, Airframe, Sample
-from daq.identification.interval import cubic_weights
-from daq.identification.servo import SurfaceCurves
 from daq.identification.simulated_motion import LateralState, SimulatedMotion
+from daq.identification.surfaces import SurfaceCurves
 
 Array = NDArray[np.float64]
+
+
+def cubic_weights(t0: float, t1: float, t2: float, t3: float) -> Array:
+    """(4,) weights [s]: their product with samples at t0 < t1 < t2 < t3 is the integral from t1 to t2."""
+    h = t2 - t1
+    a, b = (t0 - t1) / h, (t3 - t1) / h  # the outer scans where the inner ones are 0 and 1
+    ends = -1.0 / 12.0
+    return h * np.array(
+        [
+            (ends + b / 6.0) / (a * (a - 1.0) * (a - b)),
+            (ends + (a + b) / 6.0 - a * b / 2.0) / (-a * b),
+            (0.25 - (a + b) / 3.0 + a * b / 2.0) / ((1.0 - a) * (1.0 - b)),
+            (ends + a / 6.0) / (b * (b - 1.0) * (b - a)),
+        ]
+    )
+
 
 WIDTH = len(COLUMNS)
 LEFT = len(EQUATIONS)

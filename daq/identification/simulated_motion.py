@@ -12,7 +12,7 @@ from collections import deque
 from typing import NamedTuple
 
 from daq.identification.airframe import DERIVATIVES, GRAVITY, Airframe, Sample
-from daq.identification.servo import Between
+from daq.identification.surfaces import Between
 
 LONGEST_STEP = 0.026  # s; rolling decays with some 17 /s and a servo's edge takes 35 ms: Runge-Kutta is within 0.1 %
 SETTLE = (

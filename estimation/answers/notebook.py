@@ -99,7 +99,7 @@ def plot_scores(result: "GapResult", ax: Any) -> Any:
 
 def plot_watched(found: "Watched", ax: Any) -> Any:
     """Score of the gap monitor over its threshold, where controls moved; lines where an alarm was told."""
-    from estimation.watch.answer import draw_history
+    from estimation.watch.over_file import draw_history
 
     (ax,) = panels(ax, 1, (7.0, 2.6))
     draw_history(found, ax)

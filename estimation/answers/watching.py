@@ -35,14 +35,14 @@ def watch(
     UserError for another model, a missing column, or less than ten seconds of manoeuvring.
     """
     from estimation.resolve import resolve
-    from estimation.watch import answer, over_file
+    from estimation.watch import over_file
 
     problem = resolve(flight, model, aircraft, segments=segments, needs_aircraft=True)
     (read,) = problem.flights
     found = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
     craft = None if aircraft is None else str(getattr(aircraft, "name", aircraft))
     words = str(model) if isinstance(model, str | Path) else problem.model.name
-    return Watching(found, answer.gap_command(Path(read.provenance.path or read.name), words, craft))
+    return Watching(found, over_file.gap_command(Path(read.provenance.path or read.name), words, craft))
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,7 +68,7 @@ class Watching(Answer):
 
     def stretch(self) -> "Flight | None":
         """The part of the flight about its first alarm, for `gap`; None where there was no alarm."""
-        from estimation.watch.answer import stretch
+        from estimation.watch.over_file import stretch
 
         return stretch(self.result) if self.alarms else None
 
@@ -81,7 +81,7 @@ class Watching(Answer):
 
     def lines(self) -> Iterator[str]:
         """What `sideslip watch` prints."""
-        from estimation.watch.answer import lines
+        from estimation.watch.over_file import lines
 
         yield from lines(self.result)
         if self.alarms:
@@ -106,13 +106,13 @@ class Watching(Answer):
         """The figure of the page."""
         from functools import partial
 
-        from estimation.watch.answer import history_picture
+        from estimation.watch.over_file import history_picture
 
         return Figures({"watch_history": partial(history_picture, self.result)})
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""
-        from estimation.watch.answer import write_watch_report
+        from estimation.watch.over_file import write_watch_report
 
         return write_watch_report(self.result, Path(folder), self.command)
 

@@ -94,6 +94,19 @@ def _belief(p: Parameter) -> Belief:
     return Belief(value, p.reference_std if p.reference_std is not None else DOUBTED * abs(value))
 
 
+def values_of(model: Model) -> tuple[dict[str, float], dict[str, float]]:
+    """Derivatives of a model, and the standard deviations it states: those of a belief that was not estimated, or of a prior."""
+    values = {p.name: p.start for p in model.parameters}
+    stds = {p.name: s for p in model.parameters if (s := _stated_std(p)) is not None}
+    return values, stds
+
+
+def _stated_std(p: Parameter) -> float | None:
+    if p.prior_std is not None:
+        return p.prior_std
+    return p.reference_std if p.reference_std and p.start == p.reference else None
+
+
 def samples_of(flight: Flight, part: slice) -> Iterator[Sample]:
     """Scans of a stretch of a flight, in order. A column that is missing reads NaN."""
     columns = [flight.time[part], *(flight[n][part] for n in SIGNALS)]

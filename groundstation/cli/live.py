@@ -14,8 +14,8 @@ from daq.contract.options import aircraft_option, json_option, model_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
+    from daq.identification.airframe import AircraftSource
     from groundstation.cli.services import Services
-    from groundstation.identification.aircraft import AircraftSource
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover
     from groundstation.live.replay import Replay

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from daq.identification.airframe import AircraftSource
     from groundstation.flight import Flight
-    from groundstation.identification.aircraft import AircraftSource
 
 
 class LogAdvice(Protocol):

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 
 from numpy.linalg import LinAlgError
 
-from daq.identification.airframe import CONTROLS, DERIVATIVES, Sample
+from daq.identification.airframe import CONTROLS, DERIVATIVES, LiveAircraft, Sample
 from daq.identification.in_order import OrderedEstimator
 from daq.identification.live import LiveEstimates
+from daq.identification.movement import ManoeuvreDetector
 from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
-from daq.identification.stretches import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.errors import CalibrationError
-from groundstation.identification.aircraft import LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import LiveHistory
 from groundstation.identification.wanted import ExcitationMeter, TimeToBound, Together, together, wanted_bounds

@@ -11,8 +11,8 @@ from typing import Any
 from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
-from daq.identification.stretches import ManoeuvreDetector
-from groundstation.identification.aircraft import AircraftSource, LiveAircraft
+from daq.identification.airframe import AircraftSource, LiveAircraft
+from daq.identification.movement import ManoeuvreDetector
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState

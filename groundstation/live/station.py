@@ -6,10 +6,10 @@ from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.rotating_log import RotatingLog
+from daq.identification.airframe import AircraftSource
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import reported
 from groundstation.calibration.schema import CalibrationSet, load_calibration
-from groundstation.identification.aircraft import AircraftSource
 from groundstation.live.aircraft_monitor import AircraftMonitor, MonitorView
 from groundstation.live.config import GroundConfig
 from groundstation.live.free_space import FreeSpace, free_bytes

@@ -14,7 +14,7 @@ import rerun as rr
 
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan
-from daq.identification.stretches import ManoeuvreDetector
+from daq.identification.movement import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.identification.alignment import ScanAlignment

@@ -14,7 +14,7 @@ from daq.config import ConfigError, parse_config
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan
-from daq.identification.stretches import ManoeuvreDetector
+from daq.identification.movement import ManoeuvreDetector
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import Calibrator

@@ -14,10 +14,11 @@ from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
+from estimation.estimators.recursive import values_of
 from estimation.models import load_model
 from estimation.models.load import write_model
 from estimation.watch import over_file
-from estimation.watch.over_file import Watched, conditions_of, values_of, watch
+from estimation.watch.over_file import Watched, conditions_of, watch
 from firmware_sim.physics.effects.sudden import BEGINS_S
 from firmware_sim.runs.direct import ORDINARY_NOISE, direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario

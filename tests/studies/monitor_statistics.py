@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
 from daq.identification.monitor.bank import CHANNELS, MonitoredEffect, bank
-from daq.identification.monitor.innovations import FlightsScan
 from daq.identification.monitor.monitor import NAMED_WITHIN_S, GapMonitor
 from daq.identification.monitor.nulls import NullConditions, fly
+from daq.identification.monitor.predictors import FlightsScan
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, calibrated, scores
 from firmware_sim.physics.effects.sudden import BEGINS_S
 from firmware_sim.runs.direct import direct_flights

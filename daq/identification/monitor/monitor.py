@@ -10,8 +10,7 @@ from daq.identification.airframe import Airframe, Sample
 from daq.identification.live import GAP
 from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, MonitoredEffect
 from daq.identification.monitor.evidence import MonitorEvidence
-from daq.identification.monitor.innovations import FlightsScan, Innovation, PredictorBank
-from daq.identification.monitor.motion import Inputs
+from daq.identification.monitor.predictors import FlightsScan, Innovation, Inputs, PredictorBank
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest, whitened
 
 LEADING = 0.8  # of the largest score: effects that are named beside the first

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import GRAVITY, Airframe
 from daq.identification.monitor.bank import MonitoredEffect
-from daq.identification.monitor.innovations import FlightsScan
-from daq.identification.monitor.motion import Inputs, LateralMotion
+from daq.identification.monitor.predictors import FlightsScan, Inputs, LateralMotion
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,12 @@
-"""Surfaces of many flights between scans: as `servo`, arrays instead of floats.
+"""Surfaces of many flights between scans, and how far a prediction over such an interval can be trusted.
 
-Where the servo's lag is known, the instant of an edge within an interval follows from the scans about it. Drawn on straight
-lines an edge between scans a tenth of a second apart is wrong by more than any effect that is looked for.
+As `daq.identification.surfaces`, arrays instead of floats: where the servo's lag is known, the instant of an edge follows from
+the scans about it. Drawn on straight lines an edge between scans a tenth of a second apart is wrong by more than any effect
+that is looked for.
+
+Intervals are of a kind by how long they are, whether surfaces moved in them, and whether it is known how. Where a surface moved
+in a long one and nobody knows how, the prediction says nothing of the model, and its error would stay in the predictor for a
+second: such an interval is blind, and so are the two after it, whose innovations whitening compares with its own.
 """
 
 import math
@@ -10,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.servo import EDGE, LONG, SLACK, SURE
+from daq.identification.surfaces import EDGE, LONG, SLACK, SURE
 
 Array = NDArray[np.float64]
 
@@ -134,3 +139,26 @@ def _slope(h0: float, h1: float, y0: Array, y1: Array, y2: Array) -> Array:
     same = before * after > 0.0
     one, two = np.where(same, before, 1.0), np.where(same, after, 1.0)
     return np.where(same, (first + second) / (first / one + second / two), 0.0)
+
+
+LENGTHS = np.array([0.06, 0.11, 0.16])  # s
+BLIND = 2 * (len(LENGTHS) + 1) * LEVELS**2
+KINDS = BLIND + 1
+"""All kinds; the last one is `BLIND`."""
+
+Kinds = NDArray[np.intp]
+Pair = tuple[SurfaceBetween, SurfaceBetween]
+
+
+def guessed(surfaces: Pair) -> NDArray[np.bool_]:
+    """(flights,) where either surface moved and it is not known when."""
+    return np.asarray((surfaces[0].level >= GUESSED) | (surfaces[1].level >= GUESSED))
+
+
+def kind_of(seconds: float, surfaces: Pair, before: Pair | None) -> Kinds:
+    """(flights,) kind of an interval, and of the one before: what that got wrong is there for a while."""
+    length = int(np.searchsorted(LENGTHS, seconds))
+    kind = length + (len(LENGTHS) + 1) * (surfaces[0].level + LEVELS * surfaces[1].level)
+    if before is not None:
+        kind = kind + BLIND // 2 * guessed(before)
+    return np.where(guessed(surfaces), BLIND, kind) if seconds > LONG else kind

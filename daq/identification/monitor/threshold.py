@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe
 from daq.identification.monitor.bank import MonitoredEffect
-from daq.identification.monitor.evidence import EffectScores, MonitorEvidence
-from daq.identification.monitor.innovations import FlightsScan, Innovation, PredictorBank
+from daq.identification.monitor.evidence import EffectScores, MonitorEvidence, Run, Whitening, fitted
 from daq.identification.monitor.nulls import NullConditions, fly
-from daq.identification.monitor.whitening import Run, Whitening, fitted
+from daq.identification.monitor.predictors import FlightsScan, Innovation, PredictorBank
 
 Array = NDArray[np.float64]
 

@@ -11,15 +11,13 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 
 from daq.identification.airframe import Airframe, Sample
-from daq.identification.controls import ControlSignal
-from daq.identification.curve import middle_curve
 from daq.identification.in_order import OrderedEstimator
-from daq.identification.interval import cubic_weights
 from daq.identification.live import LiveEstimates, LiveEstimator
-from daq.identification.rows import TOTAL, WIDTH, RowMaker
-from daq.identification.servo import SurfaceCurves
+from daq.identification.movement import ControlSignal
+from daq.identification.rows import TOTAL, WIDTH, RowMaker, cubic_weights
 from daq.identification.simulated_motion import SimulatedMotion
-from daq.identification.sums import Block
+from daq.identification.solve import Block
+from daq.identification.surfaces import SurfaceCurves, middle_curve
 from tests.studies import second_truth
 from tests.studies.live_statistics import EIGHT, Case, airframe_for, samples, through_link
 

@@ -13,17 +13,14 @@ from scipy.stats import gumbel_r
 from daq.identification.airframe import DERIVATIVES, Airframe, Sample
 from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import CHANNELS, MonitoredEffect, bank
-from daq.identification.monitor.evidence import PIECE_S, MonitorEvidence
-from daq.identification.monitor.innovations import FlightsScan, PredictorBank
-from daq.identification.monitor.intervals import BLIND
+from daq.identification.monitor.evidence import PIECE_S, MonitorEvidence, fitted
 from daq.identification.monitor.monitor import Alarm, GapMonitor
-from daq.identification.monitor.motion import Inputs, LateralMotion
 from daq.identification.monitor.nulls import NullConditions, fly
-from daq.identification.monitor.surfaces import GUESSED, SurfacesBetween
+from daq.identification.monitor.predictors import FlightsScan, Inputs, LateralMotion, PredictorBank
+from daq.identification.monitor.surfaces import BLIND, GUESSED, SurfacesBetween
 from daq.identification.monitor.threshold import Calibration, calibrated, exceeded
-from daq.identification.monitor.whitening import fitted
-from daq.identification.servo import ServoEdge, SurfaceCurves
 from daq.identification.simulated_motion import LateralState, MotionInputs, SimulatedMotion
+from daq.identification.surfaces import ServoEdge, SurfaceCurves
 from tests.studies.live_statistics import Case, airframe_for
 
 Array = NDArray[np.float64]

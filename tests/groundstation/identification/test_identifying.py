@@ -11,11 +11,10 @@ import pytest
 
 import sideslip
 from daq.contract.errors import UserError
-from daq.identification.airframe import DERIVATIVES
+from daq.identification.airframe import DERIVATIVES, LiveAircraft
 from daq.transport.mavlink_codec import FrameDecoder
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
-from groundstation.identification.aircraft import LiveAircraft
 from groundstation.identification.history import BELIEVED, DETAIL, MOST, LiveHistory, history_of
 from groundstation.live.config import LiveIdentificationConfig
 from groundstation.live.flight_phase import LandingLimits
@@ -159,7 +158,7 @@ def test_nothing_is_read_where_it_is_off() -> None:
 
 def test_values_are_forwarded_in_the_aircrafts_name(flown: Path) -> None:
     from daq.contract.recordings.reading import read_recording
-    from daq.identification.stretches import ManoeuvreDetector
+    from daq.identification.movement import ManoeuvreDetector
     from groundstation.calibration.apply import Calibrator
     from groundstation.calibration.recording import embedded_calibration
     from groundstation.identification.alignment import ScanAlignment

@@ -13,7 +13,7 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan, encode_scan
 from daq.identification.airframe import SIGNALS, Belief, Sample
 from daq.identification.live import LiveEstimator
-from daq.identification.stretches import ManoeuvreDetector
+from daq.identification.movement import ManoeuvreDetector
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, recursive, samples_of

@@ -1,7 +1,10 @@
-"""A surface between scans where its servo's lag is known: an edge within an interval is found from the scans about it.
+"""A control surface between two scans, as a curve that is integrated into the rows of the regression.
 
-A step of the command at an unknown instant within the interval from t1 to t2 leaves a first-order servo on exponentials.
-With the target before it (c) and after it (d, from the next scan), E = exp(-(t2 - t1)/lag) and u = exp(-(t2 - edge)/lag):
+Without a servo's lag: the monotone cubic through the samples, which does not overshoot where a servo's edge is steep (slopes
+after Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), as scipy's `PchipInterpolator` inside a record). With it, an edge
+within an interval is found from the scans about it: a step of the command at an unknown instant within the interval from t1 to
+t2 leaves a first-order servo on exponentials. With the target before it (c) and after it (d, from the next scan),
+E = exp(-(t2 - t1)/lag) and u = exp(-(t2 - edge)/lag):
 
     delta(t2) = d + (c - d) u + (delta(t1) - c) E        so that u, and the instant of the edge, follow.
 
@@ -11,7 +14,43 @@ At 11.5 Hz such an edge, drawn through the scans, would be worth 5 to 10 % of th
 import math
 from typing import NamedTuple, Protocol
 
-from daq.identification.curve import middle_curve
+
+class CubicCurve(NamedTuple):
+    """A cubic over one interval of `h` seconds. first, last: values at its ends; rise, fall: slopes there [1/s]."""
+
+    h: float
+    first: float
+    last: float
+    rise: float
+    fall: float
+
+    def at(self, part: float) -> float:
+        """Value where `part` of the interval has passed."""
+        rest = 1.0 - part
+        return rest * rest * ((1.0 + 2.0 * part) * self.first + part * self.h * self.rise) + part * part * (
+            (1.0 + 2.0 * rest) * self.last - rest * self.h * self.fall
+        )
+
+    @property
+    def integral(self) -> float:
+        """Over the interval."""
+        return 0.5 * self.h * (self.first + self.last) + self.h * self.h * (self.rise - self.fall) / 12.0
+
+
+def slope(h0: float, h1: float, y0: float, y1: float, y2: float) -> float:
+    """Slope in the middle of three samples, steps h0 and h1 apart: zero at a peak."""
+    before, after = (y1 - y0) / h0, (y2 - y1) / h1
+    if before * after <= 0.0:
+        return 0.0
+    first, second = 2.0 * h1 + h0, h1 + 2.0 * h0
+    return (first + second) / (first / before + second / after)
+
+
+def middle_curve(t: tuple[float, float, float, float], y: tuple[float, float, float, float]) -> CubicCurve:
+    """The curve between the middle two of four samples."""
+    h0, h, h2 = t[1] - t[0], t[2] - t[1], t[3] - t[2]
+    return CubicCurve(h, y[1], y[2], slope(h0, h, y[0], y[1], y[2]), slope(h, h2, y[1], y[2], y[3]))
+
 
 Four = tuple[float, float, float, float]
 
