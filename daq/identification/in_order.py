@@ -55,12 +55,12 @@ class OrderedEstimator:
                 self._keep_copy(sample.time, self._estimator)
                 self._forget(sample.time - HORIZON)
             return
-        at = bisect_left(self._times, sample.time)
-        if self._times[at] == sample.time:
+        index = bisect_left(self._times, sample.time)
+        if self._times[index] == sample.time:
             return
-        self._samples.insert(at, sample)
-        self._times.insert(at, sample.time)
-        if self._rework is None or at < self._rework.at:
+        self._samples.insert(index, sample)
+        self._times.insert(index, sample.time)
+        if self._rework is None or index < self._rework.at:
             self._go_back(sample.time)
 
     def revise(self, sample: Sample) -> None:
@@ -68,12 +68,12 @@ class OrderedEstimator:
         if sample.time <= self._forgotten:
             self.too_late += 1
             return
-        at = bisect_left(self._times, sample.time)
-        if at == len(self._times) or self._times[at] != sample.time:
+        index = bisect_left(self._times, sample.time)
+        if index == len(self._times) or self._times[index] != sample.time:
             self.add(sample)
-        elif self._samples[at] != sample and (sample.credible or self._samples[at].credible):
-            self._samples[at] = sample
-            if self._rework is None or at < self._rework.at:
+        elif self._samples[index] != sample and (sample.credible or self._samples[index].credible):
+            self._samples[index] = sample
+            if self._rework is None or index < self._rework.at:
                 self._go_back(sample.time)
 
     @property
@@ -108,23 +108,23 @@ class OrderedEstimator:
         """Begin to work in what came late at `time` from the last copy before it."""
         self._copies = [c for c in self._copies if c[0] < time]
         if self._copies:
-            since, kept = self._copies[-1]
-            self._rework = _Rework(deepcopy(kept), bisect_right(self._times, since))
+            copy_time, copy = self._copies[-1]
+            self._rework = _Rework(deepcopy(copy), bisect_right(self._times, copy_time))
         else:
             self._rework = _Rework(LiveEstimator(self._airframe), 0)
 
     def _keep_copy(self, time: float, estimator: LiveEstimator) -> None:
-        since = self._copies[-1][0] if self._copies else self._times[0] if self._times else time
-        if time - since >= COPY_EVERY:
+        copy_time = self._copies[-1][0] if self._copies else self._times[0] if self._times else time
+        if time - copy_time >= COPY_EVERY:
             self._copies.append((time, deepcopy(estimator)))
 
     def _forget(self, before: float) -> None:
         """Drop copies that a later one replaces, and the samples that are in the oldest copy left."""
-        later = sum(time < before for time, _ in self._copies)
-        if later < 2:
+        old_copies = sum(time < before for time, _ in self._copies)
+        if old_copies < 2:
             return
-        del self._copies[: later - 1]
+        del self._copies[: old_copies - 1]
         self._forgotten = self._copies[0][0]
-        gone = bisect_right(self._times, self._forgotten)
-        del self._times[:gone]
-        del self._samples[:gone]
+        forgotten_samples = bisect_right(self._times, self._forgotten)
+        del self._times[:forgotten_samples]
+        del self._samples[:forgotten_samples]

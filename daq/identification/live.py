@@ -113,8 +113,8 @@ class LiveEstimator:
             self._learn()
 
     def _take(self, sample: Sample) -> None:
-        held = (self._controls["da"].add(sample.delta_a), self._controls["dr"].add(sample.delta_r))
-        row = self._rows.add(sample, held)
+        surfaces = (self._controls["da"].add(sample.delta_a), self._controls["dr"].add(sample.delta_r))
+        row = self._rows.add(sample, surfaces)
         if row is None:
             self._block.interrupt()
             return
@@ -150,13 +150,13 @@ class LiveEstimator:
     def information(self) -> dict[str, "EquationInformation"]:
         """What was flown so far tells of each equation that can be solved."""
         sums = self._sums()
-        found = {}
+        information = {}
         for coefficient, solution in self.solutions().items():
             if solution is not None:
                 pick = list(solution.columns)
                 normal = sums.instruments[0][np.ix_(pick, pick)]
-                found[coefficient] = EquationInformation(solution.columns, normal, solution.covariance)
-        return found
+                information[coefficient] = EquationInformation(solution.columns, normal, solution.covariance)
+        return information
 
     def solutions(self) -> dict[str, RegressionSolution | None]:
         """Each equation as far as the scans so far tell it."""
@@ -165,14 +165,14 @@ class LiveEstimator:
 
     def estimates(self, stretches: slice = slice(None)) -> LiveEstimates:
         """Every derivative as far as the scans so far tell it. stretches: those of which the constants are wanted."""
-        sums, solutions, found = self._sums(), self.solutions(), {}
+        sums, solutions, derivatives = self._sums(), self.solutions(), {}
         open_level = [*self._levels[:-1], self._levels[-1] + self._block.sums.cross[0]]
         level = np.sum(open_level[stretches], axis=0)
         for coefficient, solution in solutions.items():
             if len(self.still) == len(CONTROLS):  # what moves it then is gusts, which no column stands for
                 solution = None
-            found.update({d.name: d for d in self._described(coefficient, solution, level)})
-        return LiveEstimates(self._last, sums.span, sums.rows, found, self.still)
+            derivatives.update({d.name: d for d in self._described(coefficient, solution, level)})
+        return LiveEstimates(self._last, sums.span, sums.rows, derivatives, self.still)
 
     def _sums(self) -> Sums:
         return self._closed.plus(self._block.sums.without_constant())
@@ -196,24 +196,28 @@ class LiveEstimator:
             if column not in solution.columns:
                 result.append(self._untold(coefficient, term))
                 continue
-            at = solution.columns.index(column)
-            bound, white = (math.sqrt(c[at, at]) for c in (solution.covariance, solution.white))
-            result.append(self._judged(f"{coefficient}_{term}", float(solution.values[at]), bound, white))
+            index = solution.columns.index(column)
+            bound, white = (math.sqrt(c[index, index]) for c in (solution.covariance, solution.white))
+            result.append(self._judged(f"{coefficient}_{term}", float(solution.values[index]), bound, white))
         return result
 
     def _untold(self, coefficient: str, term: str) -> LiveDerivative:
         """No number; where a control rests, the control is named."""
-        resting = term in self._controls and not self._controls[term].moved
-        none = len(self.still) == len(CONTROLS)
-        why = (
-            f"{CONTROLS[term]} has not moved: {MOVE_IT}" if resting else NONE_MOVED if none else "not enough flown yet"
+        control_rests = term in self._controls and not self._controls[term].moved
+        all_rest = len(self.still) == len(CONTROLS)
+        reason = (
+            f"{CONTROLS[term]} has not moved: {MOVE_IT}"
+            if control_rests
+            else NONE_MOVED
+            if all_rest
+            else "not enough flown yet"
         )
-        return LiveDerivative(f"{coefficient}_{term}", math.nan, math.inf, math.inf, why)
+        return LiveDerivative(f"{coefficient}_{term}", math.nan, math.inf, math.inf, reason)
 
     def _judged(self, name: str, value: float, bound: float, white: float) -> LiveDerivative:
         limit = useful_bound(value, self._airframe.beliefs.get(name))
-        why = "" if bound <= limit else f"bound {bound:.2g} is wider than {limit:.2g}: fly more that moves it"
-        return LiveDerivative(name, value, bound, white, why)
+        reason = "" if bound <= limit else f"bound {bound:.2g} is wider than {limit:.2g}: fly more that moves it"
+        return LiveDerivative(name, value, bound, white, reason)
 
     def _learn(self) -> None:
         """Simulate the instruments with what is known by now: belief and estimate, each weighted by its bound.
@@ -239,7 +243,7 @@ class LiveEstimator:
 
 def useful_bound(value: float, belief: Belief | None) -> float:
     """The widest bound with which a number is worth showing beside what is believed; the laboratory's rule for its own."""
-    found = BEYOND_DOUBT * abs(value)
+    beyond_doubt = BEYOND_DOUBT * abs(value)
     if belief is None:
         return abs(value)
-    return max(USEFUL * abs(belief.value) if belief.value else belief.std, found)
+    return max(USEFUL * abs(belief.value) if belief.value else belief.std, beyond_doubt)

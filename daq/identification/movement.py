@@ -146,8 +146,8 @@ class ManoeuvreDetector:
             self._waiting.popleft()
 
     def _within(self, time: float) -> bool:
-        at = bisect_right(self._begins, time) - 1
-        return at >= 0 and time <= self._ends[at]
+        index = bisect_right(self._begins, time) - 1
+        return index >= 0 and time <= self._ends[index]
 
     def _flies(self, sample: Sample) -> bool:
         self._fast_from = min(self._fast_from, sample.time) if self._speed < sample.V else math.inf

@@ -78,23 +78,25 @@ def next_manoeuvre(
     """
     if not has_condition(sample):
         return None
-    known = {c: i for c, i in information.items() if len(i.columns) == len(EQUATIONS[c])}
-    if len(known) < len(EQUATIONS):
+    solved = {c: i for c, i in information.items() if len(i.columns) == len(EQUATIONS[c])}
+    if len(solved) < len(EQUATIONS):
         return None
-    now = _ratios(known, dict.fromkeys(known, 0.0), wanted)
-    worst = max(now, key=lambda n: now[n])
-    if now[worst] <= 1.0:
+    ratios_now = _ratios(solved, dict.fromkeys(solved, 0.0), wanted)
+    worst_name = max(ratios_now, key=lambda n: ratios_now[n])
+    if ratios_now[worst_name] <= 1.0:
         return None
-    best: tuple[float, CandidateManoeuvre, float, dict[str, float]] | None = None
+    best_candidate: tuple[float, CandidateManoeuvre, float, dict[str, float]] | None = None
     for candidate in LIBRARY:
         columns, share = predicted_columns(airframe, values, candidate, sample)
-        added = {c: _normal(columns, i) / i.noise for c, i in known.items()}
-        then = _ratios(known, added, wanted)
-        reached = max(then.values())
-        if best is None or reached < best[0]:
-            best = (reached, candidate, share, then)
-    assert best is not None
-    return ManoeuvreAdvice(best[1].title, worst, now[worst], best[3][worst], best[2])
+        added_information = {c: _normal(columns, i) / i.noise for c, i in solved.items()}
+        ratios_then = _ratios(solved, added_information, wanted)
+        largest_ratio = max(ratios_then.values())
+        if best_candidate is None or largest_ratio < best_candidate[0]:
+            best_candidate = (largest_ratio, candidate, share, ratios_then)
+    assert best_candidate is not None
+    return ManoeuvreAdvice(
+        best_candidate[1].title, worst_name, ratios_now[worst_name], best_candidate[3][worst_name], best_candidate[2]
+    )
 
 
 def has_condition(sample: Sample) -> bool:
@@ -108,19 +110,19 @@ def _ratios(
     known: Mapping[str, EquationInformation], added: Mapping[str, Array | float], wanted: Mapping[str, float]
 ) -> dict[str, float]:
     """Bound in units of the wanted one, of every derivative that has one, with so much information more."""
-    found = {}
+    ratios = {}
     for coefficient, i in known.items():
         covariance = np.linalg.inv(np.linalg.inv(i.covariance) + added[coefficient])
-        for at, column in enumerate(i.columns):
+        for index, column in enumerate(i.columns):
             name = f"{coefficient}_{COLUMNS[column]}"
             if wanted.get(name, 0.0) > 0.0:
-                found[name] = math.sqrt(max(covariance[at, at], 0.0)) / wanted[name]
-    return found
+                ratios[name] = math.sqrt(max(covariance[index, index], 0.0)) / wanted[name]
+    return ratios
 
 
 def _normal(columns: Array, i: EquationInformation) -> Array:
-    own = columns[:, list(i.columns)]
-    return np.asarray(own.T @ own)
+    equation_columns = columns[:, list(i.columns)]
+    return np.asarray(equation_columns.T @ equation_columns)
 
 
 def predicted_columns(
@@ -133,18 +135,18 @@ def predicted_columns(
     surfaces = _surfaces(candidate, NO_LAG if airframe.servo_lag is None else airframe.servo_lag)
     block = np.zeros((6, 6))
     block[:4, :4], block[:4, 4:] = A, B
-    moved = _exponential(STEP * block)
-    Ad, Bd = moved[:4, :4], moved[:4, 4:]
+    discrete = _exponential(STEP * block)
+    Ad, Bd = discrete[:4, :4], discrete[:4, 4:]
     states = np.zeros((len(surfaces), 4))
     for k in range(len(surfaces) - 1):
         states[k + 1] = Ad @ states[k] + Bd @ surfaces[k]
     largest = max(np.abs(states[:, 0]).max() / MOST_SIDESLIP, np.abs(states[:, 3]).max() / MOST_BANK)
     share = 1.0 / largest if largest > 1.0 else 1.0
-    every = max(1, round(ROW / STEP))
+    stride = max(1, round(ROW / STEP))
     pressure = 0.5 * sample.rho * sample.V**2
     rate = airframe.span / (2.0 * sample.V)
     table = np.column_stack([np.ones(len(states)), states[:, 0], rate * states[:, 1], rate * states[:, 2], surfaces])[
-        ::every
+        ::stride
     ]
     table[:, 1:] *= share
     table[:, 1:] -= table[:, 1:].mean(axis=0)  # the constant is estimated too, and takes the mean with it
@@ -180,16 +182,16 @@ def linear_lateral(airframe: Airframe, values: Mapping[str, float], sample: Samp
 def _surfaces(candidate: CandidateManoeuvre, lag: float) -> Array:
     """(steps, 2) aileron and rudder [rad] behind a first-order servo; the second control moves when the first is done."""
     command = np.zeros((round(LONG / STEP), 2))
-    at = 0.0
+    start = 0.0
     for control, (kind, peak) in enumerate(((candidate.aileron, AILERON), (candidate.rudder, RUDDER))):
         for part, seconds in PULSES[kind] if kind else ():
-            command[round(at / STEP) : round((at + seconds) / STEP), control] = part * peak
-            at += seconds
+            command[round(start / STEP) : round((start + seconds) / STEP), control] = part * peak
+            start += seconds
     fade = math.exp(-STEP / lag)
-    moved = np.zeros_like(command)
+    surfaces = np.zeros_like(command)
     for k in range(1, len(command)):
-        moved[k] = command[k - 1] + (moved[k - 1] - command[k - 1]) * fade
-    return moved
+        surfaces[k] = command[k - 1] + (surfaces[k - 1] - command[k - 1]) * fade
+    return surfaces
 
 
 def _exponential(matrix: Array) -> Array:

@@ -116,17 +116,19 @@ class RowMaker:
 
     def _row(self, scans: list[MotionScan]) -> Row:
         weights = cubic_weights(*(s.sample.time for s in scans))
-        before, after = scans[1].sample, scans[2].sample
+        first_sample, last_sample = scans[1].sample, scans[2].sample
         measured = weights @ np.stack([self._integrands(s.sample) for s in scans])
-        scales = 0.5 * (self._scales(before) + self._scales(after))
+        scales = 0.5 * (self._scales(first_sample) + self._scales(last_sample))
         simulated, surfaces, _ = self._integrals[0]
         cubic = weights @ np.array([s.motion[:3] for s in scans])
         moments = measured[:WIDTH].copy()
         moments[MOTION] += scales[MOTION] * (simulated[:3] - cubic)
         moments[SURFACES] = scales[SURFACES] * surfaces
         instruments = np.concatenate([measured[:1], scales[1:] * simulated])
-        self._add_increments(measured, before, after)
-        return Row(after.time, after.time - before.time, np.concatenate([moments, measured]), instruments)
+        self._add_increments(measured, first_sample, last_sample)
+        return Row(
+            last_sample.time, last_sample.time - first_sample.time, np.concatenate([moments, measured]), instruments
+        )
 
     def _scales(self, s: Sample) -> Array:
         """(WIDTH,) what turns a signal into its column: dynamic pressure [Pa], times b / 2V for rates."""
@@ -138,12 +140,12 @@ class RowMaker:
         """(WIDTH + LEFT,) columns and left sides at one scan, without increments."""
         a = self._airframe
         per_span = 1.0 / (a.area * a.span)
-        left = (
+        left_sides = (
             a.mass * s.ay / a.area,
             ((a.Izz - a.Iyy) * s.q * s.r - a.Ixz * s.p * s.q) * per_span,
             ((a.Iyy - a.Ixx) * s.p * s.q + a.Ixz * s.q * s.r) * per_span,
         )
-        return np.concatenate([self._scales(s) * np.array([1.0, s.beta, s.p, s.r, s.delta_a, s.delta_r]), left])
+        return np.concatenate([self._scales(s) * np.array([1.0, s.beta, s.p, s.r, s.delta_a, s.delta_r]), left_sides])
 
     def _add_increments(self, measured: Array, before: Sample, after: Sample) -> None:
         """What the rates gained over the interval, on the left sides of the moments."""

@@ -48,16 +48,16 @@ class Sums:
         energy = self.cross[0, 0]
         if not energy > 0.0:
             return Sums(self.rows, self.span)
-        share, own = self.cross[0] / energy, self.cross[:, 0] / energy
-        take, take_z = np.eye(TOTAL), np.eye(WIDTH)
-        take[:, 0] -= share
-        take_z[:, 0] -= own
+        share, instrument_share = self.cross[0] / energy, self.cross[:, 0] / energy
+        projection, instrument_projection = np.eye(TOTAL), np.eye(WIDTH)
+        projection[:, 0] -= share
+        instrument_projection[:, 0] -= instrument_share
         return Sums(
             self.rows,
             self.span,
-            take_z @ self.cross @ take.T,
-            take @ self.measured @ take.T,
-            take_z @ self.instruments @ take_z.T,
+            instrument_projection @ self.cross @ projection.T,
+            projection @ self.measured @ projection.T,
+            instrument_projection @ self.instruments @ instrument_projection.T,
         )
 
 
@@ -116,8 +116,8 @@ class RegressionSolution:
 
     def constant(self, level: Array) -> tuple[float, float]:
         """The equation's constant and its variance. level: (TOTAL,) the constant's row of the crossed sums."""
-        own = own_columns(self.equation, self.columns)
-        mean = level[own] / level[0]
+        equation_columns = own_columns(self.equation, self.columns)
+        mean = level[equation_columns] / level[0]
         value = float(level[2 * WIDTH + self.equation] / level[0] - mean @ self.values)
         return value, float(self.scatter / level[0] + mean @ self.covariance @ mean)
 
@@ -132,37 +132,37 @@ def solve(sums: Sums, equation: int, columns: Sequence[int]) -> RegressionSoluti
 
     sums: without their constant.
     """
-    pick, n = list(columns), len(columns)
+    instruments, n = list(columns), len(columns)
     if not n or sums.rows < n + FEWEST_ROWS:
         return None
-    own = own_columns(equation, pick)
-    scale_z = np.sqrt(np.diag(sums.instruments[0])[pick])
-    scale = np.sqrt(np.diag(sums.measured[0])[own])
+    equation_columns = own_columns(equation, instruments)
+    scale_z = np.sqrt(np.diag(sums.instruments[0])[instruments])
+    scale = np.sqrt(np.diag(sums.measured[0])[equation_columns])
     if not (np.all(scale_z > 0.0) and np.all(scale > 0.0)):
         return None
-    scaled = sums.cross[np.ix_(pick, own)] / scale_z[:, None] / scale
+    scaled = sums.cross[np.ix_(instruments, equation_columns)] / scale_z[:, None] / scale
     if not np.linalg.cond(scaled) < 1.0 / SINGULAR:
         return None
     inverse = np.linalg.inv(scaled) / scale_z / scale[:, None]
-    values = inverse @ sums.cross[pick, 2 * WIDTH + equation]
-    residual = _residual_products(sums, equation, own, values)
+    values = inverse @ sums.cross[instruments, 2 * WIDTH + equation]
+    residual = _residual_products(sums, equation, equation_columns, values)
     freedom = sums.rows - n
-    white = inverse @ (residual[0] / freedom * sums.instruments[0][np.ix_(pick, pick)]) @ inverse.T
+    white = inverse @ (residual[0] / freedom * sums.instruments[0][np.ix_(instruments, instruments)]) @ inverse.T
     widened = 1.0 + SHORT / max(sums.span, 1e-9)
-    coloured = inverse @ _score(sums, pick, residual, freedom) @ inverse.T
-    lacking = np.maximum(LEAST_SHARE * np.diag(white) - np.diag(coloured), 0.0)
+    coloured = inverse @ _score(sums, instruments, residual, freedom) @ inverse.T
+    floor = np.maximum(LEAST_SHARE * np.diag(white) - np.diag(coloured), 0.0)
     scatter = max(float(_BARTLETT @ residual), LEAST_SHARE * residual[0]) / freedom
     return RegressionSolution(
-        equation, tuple(pick), values, widened * (coloured + np.diag(lacking)), white, widened * scatter
+        equation, tuple(instruments), values, widened * (coloured + np.diag(floor)), white, widened * scatter
     )
 
 
 def _residual_products(sums: Sums, equation: int, own: list[int], values: Array) -> Array:
     """(LAGS + 1,) sums of the residual of a row times that of the row so many later."""
-    v, left = np.zeros(TOTAL), 2 * WIDTH + equation
-    v[own], v[left] = -values, 1.0
+    v, left_side = np.zeros(TOTAL), 2 * WIDTH + equation
+    v[own], v[left_side] = -values, 1.0
     products: Array = np.einsum("i,kij,j->k", v, sums.measured, v)
-    products[0] = max(products[0], ROUNDING * sums.measured[0, left, left])
+    products[0] = max(products[0], ROUNDING * sums.measured[0, left_side, left_side])
     return products
 
 

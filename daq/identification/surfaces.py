@@ -39,11 +39,11 @@ class CubicCurve(NamedTuple):
 
 def slope(h0: float, h1: float, y0: float, y1: float, y2: float) -> float:
     """Slope in the middle of three samples, steps h0 and h1 apart: zero at a peak."""
-    before, after = (y1 - y0) / h0, (y2 - y1) / h1
-    if before * after <= 0.0:
+    slope_before, slope_after = (y1 - y0) / h0, (y2 - y1) / h1
+    if slope_before * slope_after <= 0.0:
         return 0.0
-    first, second = 2.0 * h1 + h0, h1 + 2.0 * h0
-    return (first + second) / (first / before + second / after)
+    weight_before, weight_after = 2.0 * h1 + h0, h1 + 2.0 * h0
+    return (weight_before + weight_after) / (weight_before / slope_before + weight_after / slope_after)
 
 
 def middle_curve(t: tuple[float, float, float, float], y: tuple[float, float, float, float]) -> CubicCurve:
@@ -131,10 +131,10 @@ class SurfaceCurves:
         fade = math.exp(-h / self._lag)
         target = first if self._target is None else self._target
         if abs(last - target - (first - target) * fade) > EDGE:
-            found = self._edge(t, y, target, fade)
-            if found is not None:
-                self._target = found.after
-                return found
+            edge = self._edge(t, y, target, fade)
+            if edge is not None:
+                self._target = edge.after
+                return edge
             self._target, self.sure = None, h <= LONG
             return middle_curve(t, y)
         self.sure = True
@@ -147,12 +147,12 @@ class SurfaceCurves:
     def _edge(self, t: Four, y: Four, target: float, fade: float) -> ServoEdge | None:
         assert self._lag is not None
         next_fade = math.exp(-(t[3] - t[2]) / self._lag)
-        after = (y[3] - y[2] * next_fade) / (1.0 - next_fade)
-        if abs(after - target) < EDGE:
+        next_target = (y[3] - y[2] * next_fade) / (1.0 - next_fade)
+        if abs(next_target - target) < EDGE:
             return None
-        u = (y[2] - after - (y[1] - target) * fade) / (target - after)
+        u = (y[2] - next_target - (y[1] - target) * fade) / (target - next_target)
         if not fade - SLACK <= u <= 1.0 + SLACK:
             return None
         h, self.sure = t[2] - t[1], u >= SURE
         u = min(max(u, fade), 1.0)
-        return ServoEdge(h, self._lag, y[1], target, after, h + self._lag * math.log(u))
+        return ServoEdge(h, self._lag, y[1], target, next_target, h + self._lag * math.log(u))

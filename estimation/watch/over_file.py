@@ -94,7 +94,7 @@ def watch(
     rng = np.random.default_rng([seed, len(effects)])
     calibration = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, rate=rate)
     monitor = GapMonitor(airframe, values, effects, calibration)
-    history = tuple(seen for s in samples if (seen := monitor.add(s)) is not None)
+    history = tuple(state for s in samples if (state := monitor.add(s)) is not None)
     _refuse_short(flight, monitor.watched)
     return Watched(flight, model.name, tuple(monitor.alarms), history, monitor.watched, calibration)
 
@@ -102,14 +102,14 @@ def watch(
 def _manoeuvring(flight: Flight) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
     stretches, last = ManoeuvreDetector(FLYING, FLYING_S), -math.inf
-    found: list[Sample] = []
+    samples: list[Sample] = []
     for part in flight.segments:
         for sample in samples_of(flight, part):
             if sample.time - last < FINEST_S:
                 continue
             last = sample.time
-            found += stretches.take(sample)
-    return found, sum(end - begin for begin, end in stretches.found)
+            samples += stretches.take(sample)
+    return samples, sum(end - begin for begin, end in stretches.found)
 
 
 def _refuse_short(flight: Flight, seconds: float) -> None:
@@ -121,27 +121,27 @@ def _refuse_short(flight: Flight, seconds: float) -> None:
 
 def conditions_of(flight: Flight) -> NullConditions:
     """Noise of the flight's own instruments, its airspeed and its rate; what it does not tell is as usual."""
-    usual = NullConditions()
-    found: dict[str, float] = {}
+    defaults = NullConditions()
+    levels: dict[str, float] = {}
     for name, column in NOISES.items():
         level = noise(flight[column])
         if level:
-            found[name] = level
+            levels[name] = level
     surfaces = [s for c in ("delta_a", "delta_r") if (s := noise(flight[c]))]
     if surfaces:
-        found["surface"] = max(surfaces)
+        levels["surface"] = max(surfaces)
     flying = flight["V"][flight["V"] > FLYING]
     if flying.size:
-        found["speed"] = float(np.median(flying))
-    found["rate"] = min(20.0, 1.0 / float(np.mean(_steps(flight))))
-    return replace(usual, **found)  # type: ignore[arg-type]
+        levels["speed"] = float(np.median(flying))
+    levels["rate"] = min(20.0, 1.0 / float(np.mean(_steps(flight))))
+    return replace(defaults, **levels)  # type: ignore[arg-type]
 
 
 def _steps(flight: Flight) -> Array:
     """Steps in time [s] between scans that belong together."""
     steps = np.diff(flight.time)
-    near = steps[steps < 0.5]
-    return near if near.size else np.array([0.05])
+    connected = steps[steps < 0.5]
+    return connected if connected.size else np.array([0.05])
 
 
 HERE = Path(__file__).parent

@@ -52,34 +52,34 @@ class ScanAlignment:
 
     def add(self, scan: Scan | bytes) -> None:
         """A scan as received, or in the aircraft's own bytes as fetched; these replace what was received."""
-        known = decode_scan(scan) if isinstance(scan, bytes) else scan
+        decoded = decode_scan(scan) if isinstance(scan, bytes) else scan
         data = scan if isinstance(scan, bytes) else encode_scan(scan)
-        before = self._scans.get(known.number)
-        if before == data or known.number < self._oldest:
+        previous = self._scans.get(decoded.number)
+        if previous == data or decoded.number < self._oldest:
             return
-        self._scans[known.number] = data
-        if before is None:
-            at = bisect_right(self._numbers, known.number)
-            insort(self._numbers, known.number)
-            if at < self._done:
+        self._scans[decoded.number] = data
+        if previous is None:
+            index = bisect_right(self._numbers, decoded.number)
+            insort(self._numbers, decoded.number)
+            if index < self._done:
                 self._done += 1
-                self._dirty.add(known.number)
-        elif bisect_left(self._numbers, known.number) < self._done:
-            self._dirty.add(known.number)
-        self._latest = max(self._latest, known.time)
+                self._dirty.add(decoded.number)
+        elif bisect_left(self._numbers, decoded.number) < self._done:
+            self._dirty.add(decoded.number)
+        self._latest = max(self._latest, decoded.time)
         self._forget()
 
     def _forget(self) -> None:
         """Scans that are worked in and so old that nothing late changes them any more."""
         if len(self._numbers) < MOST + SPARE:
             return
-        gone = min(len(self._numbers) - MOST, self._done - NEIGHBOURS - HELD)
-        if gone <= 0:
+        old_scans = min(len(self._numbers) - MOST, self._done - NEIGHBOURS - HELD)
+        if old_scans <= 0:
             return
-        for number in self._numbers[:gone]:
+        for number in self._numbers[:old_scans]:
             del self._scans[number]
-        del self._numbers[:gone]
-        self._done -= gone
+        del self._numbers[:old_scans]
+        self._done -= old_scans
         self._oldest = self._numbers[0]
         self._dirty = {n for n in self._dirty if n >= self._oldest}
 
@@ -93,9 +93,9 @@ class ScanAlignment:
 
         late: also these. all_of_it: the last ones too, although none will follow. Raises CalibrationError.
         """
-        there = len(self._numbers) if all_of_it else len(self._numbers) - NEIGHBOURS
-        end = there if all_of_it else min(there, self._done + AT_ONCE)
-        if end > self._done and (end < there or all_of_it or self._latest - self._worked >= self._batch):
+        available = len(self._numbers) if all_of_it else len(self._numbers) - NEIGHBOURS
+        end = available if all_of_it else min(available, self._done + AT_ONCE)
+        if end > self._done and (end < available or all_of_it or self._latest - self._worked >= self._batch):
             first, self._done, self._worked = self._done, end, self._latest
             yield from self._samples(first, end, calibrator)
         if late or all_of_it:
@@ -107,8 +107,8 @@ class ScanAlignment:
         """Ranges of rows among those given that late scans have to do with."""
         ranges: list[tuple[int, int]] = []
         for number in sorted(self._dirty):
-            at = bisect_left(self._numbers, number)
-            first, last = max(0, at - NEIGHBOURS), min(self._done, at + NEIGHBOURS + 1)
+            index = bisect_left(self._numbers, number)
+            first, last = max(0, index - NEIGHBOURS), min(self._done, index + NEIGHBOURS + 1)
             if ranges and first <= ranges[-1][1]:
                 ranges[-1] = (ranges[-1][0], last)
             else:

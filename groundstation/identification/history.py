@@ -34,8 +34,8 @@ class LiveHistory:
             self._skipped += 1
             return
         self._skipped = 0
-        known = [estimates.derivatives[n] for n in DERIVATIVES]
-        numbers = [(d.estimate, d.std) if d.told else (math.nan, math.nan) for d in known]
+        derivatives = [estimates.derivatives[n] for n in DERIVATIVES]
+        numbers = [(d.estimate, d.std) if d.told else (math.nan, math.nan) for d in derivatives]
         self._rows.append((time, array("d", [x for pair in numbers for x in pair])))
         if len(self._rows) > MOST:
             self._rows = self._rows[::2]
@@ -72,27 +72,27 @@ def _short(value: float) -> float | None:
 def history_of(detail: Mapping[str, Any]) -> tuple[list[float], dict[str, tuple[list[float], list[float]]]] | None:
     """Times [s] and, by derivative, estimates and bounds (NaN before they were told) that a flight carries; None for anything
     else under that key, for a flight may come from anybody."""
-    kept = detail.get(DETAIL)
-    history = kept.get("history") if isinstance(kept, Mapping) else None
+    stored = detail.get(DETAIL)
+    history = stored.get("history") if isinstance(stored, Mapping) else None
     if not isinstance(history, Mapping):
         return None
     times = _numbers(history.get("time"))
     if not times or not all(math.isfinite(t) for t in times):
         return None
-    found = {}
+    series_by_name = {}
     for name in DERIVATIVES:
         series = history.get(name)
         if isinstance(series, Mapping):
             values, bounds = _numbers(series.get("estimate")), _numbers(series.get("std"))
             if len(values) == len(bounds) == len(times):
-                found[name] = (values, bounds)
-    return times, found
+                series_by_name[name] = (values, bounds)
+    return times, series_by_name
 
 
 def alarmed(detail: Mapping[str, Any]) -> bool:
     """Whether the gap monitor gave an alarm during the flight."""
-    kept = detail.get(DETAIL)
-    return isinstance(kept, Mapping) and bool(kept.get("alarms"))
+    stored = detail.get(DETAIL)
+    return isinstance(stored, Mapping) and bool(stored.get("alarms"))
 
 
 def _numbers(value: Any) -> list[float]:

@@ -121,16 +121,16 @@ class LiveIdentification:
         return self.state
 
     def _work(self, *, finish: bool) -> None:
-        late = self._last is not None and self._last.time >= self._revise_at and not self._estimator.behind
-        if late and self._last is not None:
+        revise = self._last is not None and self._last.time >= self._revise_at and not self._estimator.behind
+        if revise and self._last is not None:
             self._revise_at = self._last.time + REVISE_S
-        for sample in self._alignment.ready(self._calibrator, late=late, all_of_it=finish):
+        for sample in self._alignment.ready(self._calibrator, late=revise, all_of_it=finish):
             if self._last is None or sample.time > self._last.time:
                 self._newest(sample)
-            for wanted in self.stretches.take(sample):
-                self._estimator.revise(wanted)
+            for identified in self.stretches.take(sample):
+                self._estimator.revise(identified)
                 if self.watch is not None:
-                    self.watch.add(wanted)
+                    self.watch.add(identified)
         while not self._estimator.work(1000 if finish else WORK) and finish:
             pass
 
@@ -152,18 +152,18 @@ class LiveIdentification:
     def _look(self, last: Sample) -> LiveState:
         estimates = self._estimator.estimates()
         information = self._estimator.estimator.information()
-        wanted = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
-        to_go = self._pace.at(estimates, wanted)
+        bounds = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
+        to_go = self._pace.at(estimates, bounds)
         # Without advice nothing was solved yet, or nothing is left to be done: either may be over by now, and is quickly seen.
         if last.time >= self._advise_at or self._advice is None:
             self._advise_at = last.time + ADVISE_S
             values = {n: self._value(n, estimates) for n in DERIVATIVES}
-            self._advice = next_manoeuvre(self.aircraft.airframe, values, information, wanted, last)
+            self._advice = next_manoeuvre(self.aircraft.airframe, values, information, bounds, last)
         return LiveState(
             last.time,
             self.aircraft,
             estimates,
-            wanted,
+            bounds,
             to_go,
             {signal: meter.rms for signal, meter in self._meters.items()},
             together(information),
@@ -172,5 +172,5 @@ class LiveIdentification:
         )
 
     def _value(self, name: str, estimates: LiveEstimates) -> float:
-        known = estimates.derivatives[name]
-        return known.estimate if known.told else self.aircraft.airframe.believed(name)
+        derivative = estimates.derivatives[name]
+        return derivative.estimate if derivative.told else self.aircraft.airframe.believed(name)

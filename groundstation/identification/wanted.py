@@ -23,15 +23,15 @@ def wanted_bounds(beliefs: Mapping[str, Belief], known: Mapping[str, LiveDerivat
 
     The size is the larger of what is told and what is believed; constants are not aimed at.
     """
-    found = {}
+    bounds = {}
     for name in DERIVATIVES:
         if name.endswith("_0"):
             continue
         belief = beliefs.get(name)
-        told = name in known and known[name].told
-        size = max(abs(known[name].estimate) if told else 0.0, 0.0 if belief is None else abs(belief.value))
-        found[name] = share * (WEAK if name in WEAK_TERMS else 1.0) * size
-    return found
+        is_told = name in known and known[name].told
+        size = max(abs(known[name].estimate) if is_told else 0.0, 0.0 if belief is None else abs(belief.value))
+        bounds[name] = share * (WEAK if name in WEAK_TERMS else 1.0) * size
+    return bounds
 
 
 class TimeToBound:
@@ -42,21 +42,21 @@ class TimeToBound:
 
     def at(self, estimates: LiveEstimates, wanted: Mapping[str, float]) -> dict[str, float]:
         """Seconds to go of each derivative that has a wanted bound: 0 when there, inf where nothing is being gained."""
-        now = {n: 1.0 / d.std**2 if 0.0 < d.std < math.inf else 0.0 for n, d in estimates.derivatives.items()}
-        self._seen.append((estimates.time, now))
+        information = {n: 1.0 / d.std**2 if 0.0 < d.std < math.inf else 0.0 for n, d in estimates.derivatives.items()}
+        self._seen.append((estimates.time, information))
         while self._seen[0][0] < estimates.time - PACE_S:
             self._seen.popleft()
-        since, before = self._seen[0]
-        elapsed = estimates.time - since
-        found = {}
+        first_time, first_information = self._seen[0]
+        elapsed = estimates.time - first_time
+        seconds = {}
         for name, bound in wanted.items():
-            have, need = now.get(name, 0.0), 1.0 / bound**2 if bound > 0.0 else math.inf
-            gained = have - before.get(name, 0.0)
-            if have >= need:
-                found[name] = 0.0
+            current, required = information.get(name, 0.0), 1.0 / bound**2 if bound > 0.0 else math.inf
+            gain = current - first_information.get(name, 0.0)
+            if current >= required:
+                seconds[name] = 0.0
             else:
-                found[name] = (need - have) / gained * elapsed if gained > 0.0 and elapsed > 0.0 else math.inf
-        return found
+                seconds[name] = (required - current) / gain * elapsed if gain > 0.0 and elapsed > 0.0 else math.inf
+        return seconds
 
 
 class ExcitationMeter:
@@ -89,15 +89,15 @@ class Together:
 
 def together(information: Mapping[str, EquationInformation]) -> tuple[Together, ...]:
     """Pairs of derivatives whose errors go together, the closest first."""
-    found = []
+    pairs = []
     for coefficient, i in information.items():
         spread = np.sqrt(np.diag(i.covariance))
         rho = i.covariance / np.outer(spread, spread)
         names = [f"{coefficient}_{COLUMNS[c]}" for c in i.columns]
-        found += [
+        pairs += [
             Together(names[a], names[b], float(rho[a, b]))
             for a in range(len(names))
             for b in range(a + 1, len(names))
             if abs(rho[a, b]) >= TOGETHER
         ]
-    return tuple(sorted(found, key=lambda t: -abs(t.correlation)))
+    return tuple(sorted(pairs, key=lambda t: -abs(t.correlation)))

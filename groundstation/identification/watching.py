@@ -46,15 +46,15 @@ class LiveWatch:
             self._thread.join()
         if self._monitor is None:
             return []
-        most = len(self._waiting) if finish else AT_ONCE
-        now, self._waiting = self._waiting[:most], self._waiting[most:]
-        for sample in now:
+        count = len(self._waiting) if finish else AT_ONCE
+        batch, self._waiting = self._waiting[:count], self._waiting[count:]
+        for sample in batch:
             self._monitor.add(sample)
         names = [a.leading[0].effect if a.leading else "" for a in self._monitor.alarms]
-        before = [*self._told, *[None] * (len(names) - len(self._told))]
-        new = [a for a, now, then in zip(self._monitor.alarms, names, before, strict=True) if now != then]
+        told_names = [*self._told, *[None] * (len(names) - len(self._told))]
+        news = [a for a, name, told in zip(self._monitor.alarms, names, told_names, strict=True) if name != told]
         self._told = names
-        return new
+        return news
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
@@ -72,7 +72,7 @@ class LiveWatch:
         try:
             effects = bank(self._airframe, values, {n: b.std for n, b in beliefs.items() if b.std > 0.0})
             rng = np.random.default_rng([SEED, len(effects)])
-            found = calibrated(self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS)
-            self._monitor = GapMonitor(self._airframe, values, effects, found)
+            calibration = calibrated(self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS)
+            self._monitor = GapMonitor(self._airframe, values, effects, calibration)
         except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"

@@ -19,11 +19,11 @@ FIRST = "a doublet of each control: nothing can be told before both have moved"
 
 def short_line(state: LiveState) -> str:
     """The most important in one line of the log."""
-    told = [state.estimates.derivatives[n] for n in NAMES if state.estimates.derivatives[n].told]
-    reached = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in told)
-    surest = sorted(told, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:SAID]
+    told_derivatives = [state.estimates.derivatives[n] for n in NAMES if state.estimates.derivatives[n].told]
+    reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in told_derivatives)
+    surest = sorted(told_derivatives, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:SAID]
     numbers = ", ".join(f"{d.name} {number(d)}" for d in surest)
-    counts = f"{len(told)} of {len(NAMES)} told, {reached} to the wanted bound"
+    counts = f"{len(told_derivatives)} of {len(NAMES)} told, {reached_count} to the wanted bound"
     return f"live: {counts}{': ' + numbers if numbers else ''}; next: {next_words(state)}"
 
 
@@ -52,8 +52,8 @@ def markdown(state: LiveState) -> str:
     for name in NAMES:
         d = e.derivatives[name]
         value, bound = (f"**{d.estimate:.4g}**", f"{d.std:.2g}") if d.told else ("-", "-")
-        by = state.aircraft.sources.get(name, "")
-        rows.append(f"| {name} | {value} | {bound} | {_believed(state, name)} | {by} | {_to_go(state, name)} |")
+        source = state.aircraft.sources.get(name, "")
+        rows.append(f"| {name} | {value} | {bound} | {_believed(state, name)} | {source} | {_to_go(state, name)} |")
     notes = [f"- {d.name}: {words}" for n in NAMES if (words := _remark(state, d := e.derivatives[n]))]
     return "\n".join([*rows, "", *(f"- {line}" for line in advice_lines(state)), *notes])
 
@@ -61,14 +61,14 @@ def markdown(state: LiveState) -> str:
 def advice_lines(state: LiveState) -> Iterator[str]:
     """Excitation, what is told only together, and what to fly next."""
     for signal in CONTROLS.values():
-        now = math.degrees(state.excitation.get(signal, 0.0))
+        rms_deg = math.degrees(state.excitation.get(signal, 0.0))
         if signal in state.estimates.still:
-            how = "has not moved yet"
+            movement = "has not moved yet"
         elif state.excitation.get(signal, 0.0) < EXCITED:
-            how = f"rests ({now:.1f} deg rms)"
+            movement = f"rests ({rms_deg:.1f} deg rms)"
         else:
-            how = f"moves {now:.1f} deg rms"
-        yield f"{CONTROL_WORDS[signal]} {how}"
+            movement = f"moves {rms_deg:.1f} deg rms"
+        yield f"{CONTROL_WORDS[signal]} {movement}"
     for pair in state.together:
         yield (
             f"{pair.first} and {pair.second} are told only together (correlation {pair.correlation:+.2f}): "
@@ -79,12 +79,15 @@ def advice_lines(state: LiveState) -> Iterator[str]:
 
 def next_words(state: LiveState) -> str:
     """What to fly next."""
-    still = [CONTROL_WORDS[s] for s in state.estimates.still]
-    if still:
-        return f"{' and '.join(still)} doublet: {' and '.join(still)} {'has' if len(still) == 1 else 'have'} not moved"
+    resting_controls = [CONTROL_WORDS[s] for s in state.estimates.still]
+    if resting_controls:
+        controls = " and ".join(resting_controls)
+        return f"{controls} doublet: {controls} {'has' if len(resting_controls) == 1 else 'have'} not moved"
     if state.advice is None:
-        reached = all(state.estimates.derivatives[n].std <= bound for n, bound in state.wanted.items() if bound > 0.0)
-        return "every wanted bound is reached" if reached else FIRST
+        all_reached = all(
+            state.estimates.derivatives[n].std <= bound for n, bound in state.wanted.items() if bound > 0.0
+        )
+        return "every wanted bound is reached" if all_reached else FIRST
     return _advised(state.advice)
 
 

@@ -73,7 +73,7 @@ def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, flo
 
     stds: what the model states of its derivatives' standard deviations; where it states nothing, 1 % or 5 %.
     """
-    found = []
+    effects = []
     for name in DERIVATIVES:
         value, equation = abs(values.get(name, 0.0)), name.split("_")[0]
         if name in SIZES:
@@ -82,5 +82,5 @@ def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, flo
             step = max(0.1 * value, LEAST[equation])
             share = PRIOR_WEAK if name in WEAK else PRIOR
             prior = stds.get(name, max(share * value, share * LEAST[equation]))
-        found.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
-    return (*found, *MISSING)
+        effects.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
+    return (*effects, *MISSING)

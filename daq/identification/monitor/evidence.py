@@ -49,13 +49,13 @@ Run = tuple[Array, Kinds]
 def fitted(runs: Iterable[Run]) -> Whitening:
     """From stretches without gaps: least squares over all of them, each scan with the weight of its kind, whose covariance
     comes from what that leaves."""
-    kept = list(runs)
+    run_list = list(runs)
     weight = np.ones(KINDS)
     for _ in range(PASSES):
         weight[BLIND] = 0.0
-        first, second = _autoregression(kept, weight)
-        covariance, usual = _covariances(kept, first, second)
-        weight = len(usual) / np.einsum("ij,kji->k", np.linalg.inv(usual), covariance)
+        first, second = _autoregression(run_list, weight)
+        covariance, common_covariance = _covariances(run_list, first, second)
+        weight = len(common_covariance) / np.einsum("ij,kji->k", np.linalg.inv(common_covariance), covariance)
     shape = np.linalg.inv(np.linalg.cholesky(covariance))
     shape[BLIND] = 0.0
     return Whitening(first, second, shape)
@@ -63,15 +63,15 @@ def fitted(runs: Iterable[Run]) -> Whitening:
 
 def _autoregression(runs: Iterable[Run], weight: Array) -> tuple[Array, Array]:
     cross: Array | float = 0.0
-    own: Array | float = 0.0
+    lagged_products: Array | float = 0.0
     for e, kind in runs:
         lagged = np.concatenate([e[1:-1], e[:-2]], axis=1)  # (scans - 2, 10, flights)
         weighted = lagged * weight[kind[2:]][:, None, :]
         cross = cross + np.einsum("tif,tjf->ij", e[2:], weighted)
-        own = own + np.einsum("tif,tjf->ij", lagged, weighted)
-    both = np.linalg.solve(np.asarray(own), np.asarray(cross).T).T
-    channels = both.shape[0]
-    return both[:, :channels], both[:, channels:]
+        lagged_products = lagged_products + np.einsum("tif,tjf->ij", lagged, weighted)
+    coefficients = np.linalg.solve(np.asarray(lagged_products), np.asarray(cross).T).T
+    channels = coefficients.shape[0]
+    return coefficients[:, :channels], coefficients[:, channels:]
 
 
 def _covariances(runs: Iterable[Run], first: Array, second: Array) -> tuple[Array, Array]:
@@ -82,11 +82,11 @@ def _covariances(runs: Iterable[Run], first: Array, second: Array) -> tuple[Arra
         rest = e[2:] - np.einsum("ij,tjf->tif", first, e[1:-1]) - np.einsum("ij,tjf->tif", second, e[:-2])
         flat, kind = rest.transpose(0, 2, 1).reshape(-1, channels), kinds[2:].ravel()
         for k in set(np.unique(kind).tolist()) - {BLIND}:
-            mine = flat[kind == k]
-            sums[k] += mine.T @ mine
-            counts[k] += len(mine)
-    usual = sums.sum(axis=0) / counts.sum()
-    return (sums + AS_IF * usual) / (counts + AS_IF)[:, None, None], usual
+            residuals = flat[kind == k]
+            sums[k] += residuals.T @ residuals
+            counts[k] += len(residuals)
+    common_covariance = sums.sum(axis=0) / counts.sum()
+    return (sums + AS_IF * common_covariance) / (counts + AS_IF)[:, None, None], common_covariance
 
 
 PIECE_S = 0.5  # s of scans summed before they enter the window: how finely its edges, and an onset, are known
@@ -153,9 +153,9 @@ class MonitorEvidence:
         self._pieces.append(p)
         self._open = None
         if len(self._pieces) > round(WINDOWS_S[-1] / PIECE_S):
-            old = self._pieces.popleft()
-            self._usual = old.energy if self._usual is None else self._usual + old.energy
-            self._usual_scans += old.scans
+            oldest = self._pieces.popleft()
+            self._usual = oldest.energy if self._usual is None else self._usual + oldest.energy
+            self._usual_scans += oldest.scans
         return True
 
     @property
@@ -182,36 +182,36 @@ class MonitorEvidence:
         total = np.sum([p.energy for p in pieces], axis=(0, 2))
         scans = sum(p.scans for p in pieces)
         z, explained = self._scores(b, C)
-        left = np.maximum(total - explained, 0.0) / (5.0 * max(scans, 1))
-        return np.asarray(z / np.sqrt(np.maximum(left, 1.0))[:, None])
+        noise_variance = np.maximum(total - explained, 0.0) / (5.0 * max(scans, 1))
+        return np.asarray(z / np.sqrt(np.maximum(noise_variance, 1.0))[:, None])
 
     def _scores(self, b: Array, C: Array) -> tuple[Array, Array]:
         """z of each effect, and the energy that the best of them explains with the model's own errors."""
-        base = np.flatnonzero(self._prior > 0.0)
-        other = np.flatnonzero(self._prior == 0.0)
-        variance = self._prior[base] ** 2
-        posterior = np.linalg.inv(C[:, base[:, None], base] + np.diag(1.0 / variance))
-        mean = np.einsum("fij,fj->fi", posterior, b[:, base])
+        modelled = np.flatnonzero(self._prior > 0.0)
+        absent = np.flatnonzero(self._prior == 0.0)
+        variance = self._prior[modelled] ** 2
+        posterior = np.linalg.inv(C[:, modelled[:, None], modelled] + np.diag(1.0 / variance))
+        mean = np.einsum("fij,fj->fi", posterior, b[:, modelled])
         z = np.zeros_like(b)
-        own = np.diagonal(posterior, axis1=1, axis2=2)
+        posterior_variance = np.diagonal(posterior, axis1=1, axis2=2)
         # the posterior mean of what is drawn from the prior has variance prior - posterior
-        z[:, base] = mean / np.sqrt(np.maximum(variance - own, TINY * variance))
-        across = C[:, other[:, None], base]
-        rest = b[:, other] - np.einsum("foi,fi->fo", across, mean)
-        spread = np.diagonal(C[:, other[:, None], other], axis1=1, axis2=2) - np.einsum(
-            "foi,fij,foj->fo", across, posterior, across
+        z[:, modelled] = mean / np.sqrt(np.maximum(variance - posterior_variance, TINY * variance))
+        coupling = C[:, absent[:, None], modelled]
+        residual = b[:, absent] - np.einsum("foi,fi->fo", coupling, mean)
+        spread = np.diagonal(C[:, absent[:, None], absent], axis1=1, axis2=2) - np.einsum(
+            "foi,fij,foj->fo", coupling, posterior, coupling
         )
-        z[:, other] = rest / np.sqrt(np.maximum(spread, TINY))
-        usual = np.einsum("fi,fi->f", b[:, base], mean)
-        return z, np.asarray(usual + np.max(z**2, axis=1))
+        z[:, absent] = residual / np.sqrt(np.maximum(spread, TINY))
+        model_energy = np.einsum("fi,fi->f", b[:, modelled], mean)
+        return z, np.asarray(model_energy + np.max(z**2, axis=1))
 
     def _energies(self) -> Array:
         last = list(self._pieces)[-round(ENERGY_S / PIECE_S) :]
-        before = list(self._pieces)[: -round(ENERGY_S / PIECE_S)]
+        earlier = list(self._pieces)[: -round(ENERGY_S / PIECE_S)]
         energy = np.sum([p.energy for p in last], axis=0) / sum(p.scans for p in last)
-        scans = self._usual_scans + sum(p.scans for p in before)
-        sums = [p.energy for p in before] + ([] if self._usual is None else [self._usual])
-        pieces = len(before) + self._usual_scans / max(last[0].scans, 1)
+        scans = self._usual_scans + sum(p.scans for p in earlier)
+        sums = [p.energy for p in earlier] + ([] if self._usual is None else [self._usual])
+        pieces = len(earlier) + self._usual_scans / max(last[0].scans, 1)
         if pieces * PIECE_S < SETTLED_S or not sums:
             return np.full_like(energy, np.nan)
         return np.asarray(energy / np.maximum(np.sum(sums, axis=0) / scans, 1.0))
@@ -226,9 +226,9 @@ class MonitorEvidence:
     def onset(self, flight: int, effect: int) -> tuple[float, float]:
         """Since when the effect is there [s], as far as the window tells, and its size since then [steps]: the begin that
         makes it most likely."""
-        best, since, size, b, c = -1.0, self._pieces[-1].time, 0.0, 0.0, TINY
+        largest, onset_time, size, b, c = -1.0, self._pieces[-1].time, 0.0, 0.0, TINY
         for piece in reversed(self._pieces):
             b, c = b + piece.b[flight, effect], c + piece.C[flight, effect, effect]
-            if b * b / c > best:
-                best, since, size = b * b / c, piece.time, b / c
-        return since, size
+            if b * b / c > largest:
+                largest, onset_time, size = b * b / c, piece.time, b / c
+        return onset_time, size

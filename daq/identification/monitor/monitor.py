@@ -18,7 +18,6 @@ MOST_NAMED = 4
 QUIET_S = 10.0  # s of watched flight below the threshold after which an alarm is over, and another may be told
 SURER = 1.25  # times the score an alarm has, at which what it may be is told anew
 NAMED_WITHIN_S = 15.0  # of flight after it was noticed; what comes later may be something else
-HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -54,13 +53,13 @@ class Alarm:
     @property
     def text(self) -> str:
         """For a person, but for the time at which it was noticed."""
-        where = f"the model no longer holds in {self.equation} (shown by {', '.join(self.channels)})"
-        how = f"since about {self.since:.1f} s; score {self.score:.1f}, threshold {self.threshold:.1f}"
+        place = f"the model no longer holds in {self.equation} (shown by {', '.join(self.channels)})"
+        strength = f"since about {self.since:.1f} s; score {self.score:.1f}, threshold {self.threshold:.1f}"
         if not self.leading:
-            return f"{where}, {how}; errors have grown, and no effect of the list explains them so far"
+            return f"{place}, {strength}; errors have grown, and no effect of the list explains them so far"
         names = "; ".join(f"{n.effect} ({n.title}) {n.size:.2g} {n.unit}" for n in self.leading)
-        known = f" (by {self.named:.1f} s)" if self.named is not None and self.named > self.time else ""
-        return f"{where}, {how}; leading{known}: {names}"
+        named_at = f" (by {self.named:.1f} s)" if self.named is not None and self.named > self.time else ""
+        return f"{place}, {strength}; leading{named_at}: {names}"
 
 
 @dataclass(frozen=True)
@@ -107,13 +106,13 @@ class GapMonitor:
         else:
             self.watched += gap
         self._last = sample.time
-        found = self._bank.innovation(_scan_of(sample))
-        if found is None:
+        innovation = self._bank.innovation(_scan_of(sample))
+        if innovation is None:
             return None
-        self._past = [*self._past, found][-3:]
+        self._past = [*self._past, innovation][-3:]
         if len(self._past) < 3:
             return None
-        if not self._evidence.add(found.time, *whitened(self._calibration.whitening, self._past)):
+        if not self._evidence.add(innovation.time, *whitened(self._calibration.whitening, self._past)):
             return None
         return self._judge(sample.time)
 
@@ -145,38 +144,33 @@ class GapMonitor:
         which is that of the scores as they are: in units of what is usual, those that are usually small would stand before."""
         c = self._calibration
         level = float(np.abs(by_window).max())
-        known = bool(np.abs(by_window[-1]).max() >= c.named)
-        named = gains if known else strongest(by_window)
-        order = np.argsort(-np.abs(named))
-        best = int(order[0])
+        nameable = bool(np.abs(by_window[-1]).max() >= c.named)
+        effect_scores = gains if nameable else strongest(by_window)
+        order = np.argsort(-np.abs(effect_scores))
+        strongest_effect = int(order[0])
         if level < c.named:
             channel = CHANNELS[int(np.argmax(energy))]
             return Alarm(time, time, EQUATION_OF_CHANNEL[channel], (channel,), float(energy.max()), c.unnamed, ())
         leading = tuple(
-            self._name(int(k), float(named[k]))
+            self._name(int(k), float(effect_scores[k]))
             for k in order[:MOST_NAMED]
-            if known and abs(named[k]) >= LEADING * abs(named[best])
+            if nameable and abs(effect_scores[k]) >= LEADING * abs(effect_scores[strongest_effect])
         )
         return Alarm(
             time,
-            self._evidence.onset(0, best)[0],
-            self._effects[best].equation,
-            self._evidence.channels(0, best),
+            self._evidence.onset(0, strongest_effect)[0],
+            self._effects[strongest_effect].equation,
+            self._evidence.channels(0, strongest_effect),
             level,
             c.named,
             leading,
-            time if known else None,
+            time if nameable else None,
         )
 
     def _name(self, k: int, score: float) -> Name:
         effect = self._effects[k]
         _, size = self._evidence.onset(0, k)
         return Name(effect.name, effect.title, size * effect.step, effect.unit, abs(score))
-
-    @property
-    def hours(self) -> float:
-        """Hours of manoeuvring that were watched."""
-        return self.watched / HOUR_S
 
 
 def _clearer(now: Alarm, told: Alarm) -> bool:
@@ -187,9 +181,9 @@ def _clearer(now: Alarm, told: Alarm) -> bool:
 
 
 def _told_anew(told: Alarm, now: Alarm) -> Alarm:
-    same = bool(told.leading) and told.leading[0].effect == now.leading[0].effect
-    since = min(now.since, told.time)  # the errors that were noticed had begun
-    return replace(now, time=told.time, since=since, named=told.named if same else now.named)
+    same_effect = bool(told.leading) and told.leading[0].effect == now.leading[0].effect
+    onset = min(now.since, told.time)  # the errors that were noticed had begun
+    return replace(now, time=told.time, since=onset, named=told.named if same_effect else now.named)
 
 
 def _scan_of(s: Sample) -> FlightsScan:

@@ -70,15 +70,15 @@ def fly(
     }
     truth |= {n: np.zeros((1, flights)) for n in ("Cn_da", "CY_da")}
     steps = round(seconds / STEP)
-    least, most = conditions.gust_spread
-    gusts = conditions.gust * np.exp(rng.uniform(math.log(least), math.log(most), flights))
-    wanted = _hands(rng, flights, steps)
+    lowest_factor, highest_factor = conditions.gust_spread
+    gusts = conditions.gust * np.exp(rng.uniform(math.log(lowest_factor), math.log(highest_factor), flights))
+    commands = _hands(rng, flights, steps)
     speed = conditions.speed + conditions.speed_spread * rng.uniform(-1.0, 1.0, flights)
     lag = NO_LAG if airframe.servo_lag is None else airframe.servo_lag
     fade, gust_fade = math.exp(-STEP / lag), math.exp(-STEP / GUST_TIME)
     x = np.zeros((4, 1, flights))
-    moved, gust = np.zeros((2, flights)), np.zeros(flights)
-    seen = _seen(conditions, rng, round(seconds / GRID))
+    surfaces, gust = np.zeros((2, flights)), np.zeros(flights)
+    arrives = _seen(conditions, rng, round(seconds / GRID))
     scans: list[FlightsScan] = []
     motion = LateralMotion(airframe, truth)
     for k in range(steps):
@@ -86,13 +86,13 @@ def fly(
         if change is not None:
             change(time, truth)
             motion = LateralMotion(airframe, truth)
-        now = _inputs(x, moved, speed)
-        if k % 2 == 0 and seen[k // 2]:
-            scans.append(_scan(time, x, now, motion, gust, conditions, rng))
-        command = wanted[k] + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(flights)])
-        after = command + (moved - command) * fade
-        x = motion.advance(x, partial(now.between, _inputs(x, after, speed)), STEP, gust)
-        moved = after
+        inputs = _inputs(x, surfaces, speed)
+        if k % 2 == 0 and arrives[k // 2]:
+            scans.append(_scan(time, x, inputs, motion, gust, conditions, rng))
+        command = commands[k] + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(flights)])
+        next_surfaces = command + (surfaces - command) * fade
+        x = motion.advance(x, partial(inputs.between, _inputs(x, next_surfaces, speed)), STEP, gust)
+        surfaces = next_surfaces
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
     return scans
 
@@ -121,22 +121,22 @@ def _scan(
 
 def _seen(c: NullConditions, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
     """Which scans of the grid arrive."""
-    sent = np.diff(np.floor(np.arange(count + 1) * min(1.0, c.rate * GRID)), prepend=-1.0)[: count + 1] > 0
-    return np.asarray(sent & (rng.uniform(size=count + 1) >= c.loss))
+    transmitted = np.diff(np.floor(np.arange(count + 1) * min(1.0, c.rate * GRID)), prepend=-1.0)[: count + 1] > 0
+    return np.asarray(transmitted & (rng.uniform(size=count + 1) >= c.loss))
 
 
 def _hands(rng: np.random.Generator, flights: int, steps: int) -> Array:
     """(steps, 2, flights) what hands ask for [rad]: now and then a few steps of aileron or rudder."""
-    found = np.zeros((steps, 2, flights))
+    commands = np.zeros((steps, 2, flights))
     for flight in range(flights):
-        at = round(rng.uniform(0.5, 2.0) / STEP)
-        while at < steps:
+        start = round(rng.uniform(0.5, 2.0) / STEP)
+        while start < steps:
             control = int(rng.integers(2))
             peak = math.radians(rng.uniform(3.0, 7.0) if control == 0 else rng.uniform(2.0, 4.5))
             sign = float(rng.choice([-1.0, 1.0]))
             for _ in range(int(rng.integers(2, 5))):
                 length = round(rng.uniform(0.3, 0.9) / STEP)
-                found[at : at + length, control, flight] = sign * peak
-                sign, at = -sign, at + length
-            at += round(rng.uniform(0.8, 3.0) / STEP)
-    return found
+                commands[start : start + length, control, flight] = sign * peak
+                sign, start = -sign, start + length
+            start += round(rng.uniform(0.8, 3.0) / STEP)
+    return commands

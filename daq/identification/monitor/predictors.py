@@ -158,12 +158,14 @@ class PredictorBank:
             return None
         if len(self._scans) == 2:
             return None
-        earlier, last, now, following = (self._scans[0], *self._scans)[-4:]
+        earlier, last, scan_now, following = (self._scans[0], *self._scans)[-4:]
         del self._scans[:-3]
-        dt = now.time - last.time
-        before, surfaces = self._between, self._surfaces_between((earlier, last, now, following))
+        dt = scan_now.time - last.time
+        surfaces_before, surfaces = self._between, self._surfaces_between((earlier, last, scan_now, following))
         self._between = surfaces
-        drive = _Drive(last.inputs, now.inputs, surfaces, before, (self._delay_a / dt, self._delay_r / dt))
+        drive = _Drive(
+            last.inputs, scan_now.inputs, surfaces, surfaces_before, (self._delay_a / dt, self._delay_r / dt)
+        )
         x = self._motion.advance(self._x, drive, dt)
         lag = np.maximum(self._vane_lag, SLOWEST_LAG)
         fade = np.where(self._vane_lag > 0.0, np.exp(-dt / lag), 0.0)
@@ -171,22 +173,22 @@ class PredictorBank:
         # a first-order lag shown a ramp from x0 to x1, exactly
         vane = x[0] - lag * mean_slope * (1.0 - fade) + (self._vane - self._x[0]) * fade
         vane = np.where(self._vane_lag > 0.0, vane, x[0])
-        shown = np.stack([vane + self._vane_bias, x[1], x[2], x[3], self._motion.side_force(x, drive(1.0))])
-        wrong = now.measured[:, None, :] - shown
-        self._vane = vane + GAIN * wrong[0]
-        self._x = x + GAIN * wrong[:4]
-        kind = kind_of(dt, surfaces, before)
-        self._restart_where(kind == BLIND, now)
+        predicted = np.stack([vane + self._vane_bias, x[1], x[2], x[3], self._motion.side_force(x, drive(1.0))])
+        innovations = scan_now.measured[:, None, :] - predicted
+        self._vane = vane + GAIN * innovations[0]
+        self._x = x + GAIN * innovations[:4]
+        kind = kind_of(dt, surfaces, surfaces_before)
+        self._restart_where(kind == BLIND, scan_now)
         kind = np.where(self._blind > 0, BLIND, kind)
-        return Innovation(now.time, wrong[:, 0], wrong[:, :1] - wrong[:, 1:], kind)
+        return Innovation(scan_now.time, innovations[:, 0], innovations[:, :1] - innovations[:, 1:], kind)
 
     def _surfaces_between(self, scans: tuple[FlightsScan, FlightsScan, FlightsScan, FlightsScan]) -> Pair:
         """Aileron and rudder between the middle two."""
-        one, two, three, four = (s.time for s in scans)
+        t0, t1, t2, t3 = (s.time for s in scans)
         a, b, c, d = (s.inputs for s in scans)
         return (
-            self._aileron.middle((one, two, three, four), (a.delta_a, b.delta_a, c.delta_a, d.delta_a)),
-            self._rudder.middle((one, two, three, four), (a.delta_r, b.delta_r, c.delta_r, d.delta_r)),
+            self._aileron.middle((t0, t1, t2, t3), (a.delta_a, b.delta_a, c.delta_a, d.delta_a)),
+            self._rudder.middle((t0, t1, t2, t3), (a.delta_r, b.delta_r, c.delta_r, d.delta_r)),
         )
 
     def _begin(self, scan: FlightsScan) -> None:
@@ -227,13 +229,17 @@ class _Drive:
 
     def _surface(self, which: int, part: float) -> Array:
         """(models, flights)."""
-        curve, late = self._surfaces[which], self._late[which][:, 0]
-        found = np.tile(curve.at(part), (late.size, 1))
-        before = None if self._before is None else self._before[which]
-        for model in np.flatnonzero(late):
-            at = part - float(late[model])
-            if at >= 0.0:
-                found[model] = curve.at(at)
+        curve, delays = self._surfaces[which], self._late[which][:, 0]
+        deflections = np.tile(curve.at(part), (delays.size, 1))
+        curve_before = None if self._before is None else self._before[which]
+        for model in np.flatnonzero(delays):
+            delayed_part = part - float(delays[model])
+            if delayed_part >= 0.0:
+                deflections[model] = curve.at(delayed_part)
             else:
-                found[model] = curve.first if before is None else before.at(max(1.0 + at * curve.h / before.h, 0.0))
-        return found
+                deflections[model] = (
+                    curve.first
+                    if curve_before is None
+                    else curve_before.at(max(1.0 + delayed_part * curve.h / curve_before.h, 0.0))
+                )
+        return deflections

@@ -52,18 +52,18 @@ class SurfaceBetween:
 
     def at(self, part: Array | float) -> Array:
         """Where `part` of the interval has passed."""
-        rest = 1.0 - part
-        cubic = rest * rest * ((1.0 + 2.0 * part) * self.first + part * self.h * self.rise) + part * part * (
-            (1.0 + 2.0 * rest) * self.last - rest * self.h * self.fall
+        remainder = 1.0 - part
+        cubic = remainder * remainder * ((1.0 + 2.0 * part) * self.first + part * self.h * self.rise) + part * part * (
+            (1.0 + 2.0 * remainder) * self.last - remainder * self.h * self.fall
         )
         e = self.edge
         if e is None:
             return np.asarray(cubic)
         t = part * self.h
         turn = e.before + (self.first - e.before) * np.exp(-e.at / e.lag)
-        early = e.before + (self.first - e.before) * np.exp(-t / e.lag)
-        late = e.after + (turn - e.after) * np.exp(np.minimum(e.at - t, 0.0) / e.lag)
-        return np.where(e.runs, np.where(t <= e.at, early, late), cubic)
+        before_edge = e.before + (self.first - e.before) * np.exp(-t / e.lag)
+        after_edge = e.after + (turn - e.after) * np.exp(np.minimum(e.at - t, 0.0) / e.lag)
+        return np.where(e.runs, np.where(t <= e.at, before_edge, after_edge), cubic)
 
 
 class SurfacesBetween:
@@ -83,13 +83,13 @@ class SurfacesBetween:
         h, first, last = t[2] - t[1], y[1], y[2]
         rise = _slope(t[1] - t[0], h, *y[:3])
         fall = _slope(h, t[3] - t[2], *y[1:])
-        far = np.abs(last - first) > FAR
+        moves_far = np.abs(last - first) > FAR
         if self._lag is None:
-            moved = np.abs(last - first) > EDGE
-            level = np.where(moved, (GUESSED if h > LONG else 1) + far, 0)
+            moves = np.abs(last - first) > EDGE
+            level = np.where(moves, (GUESSED if h > LONG else 1) + moves_far, 0)
             return SurfaceBetween(h, first, last, rise, fall, level, None)
-        edge, turned, sure = self._edge(self._lag, h, t[3] - t[2], first, last, y[3])
-        level = np.where(turned & ~sure, GUESSED + far, np.where(edge.runs, 1 + far, 0))
+        edge, servo_turned, edge_known = self._edge(self._lag, h, t[3] - t[2], first, last, y[3])
+        level = np.where(servo_turned & ~edge_known, GUESSED + moves_far, np.where(edge.runs, 1 + moves_far, 0))
         self._target = np.where(edge.runs, edge.after, np.nan)
         return SurfaceBetween(h, first, last, rise, fall, level, edge if edge.runs.any() else None)
 
@@ -100,24 +100,26 @@ class SurfacesBetween:
         fade, next_fade = math.exp(-h / lag), math.exp(-following / lag)
         target = first if self._target is None else np.where(np.isnan(self._target), first, self._target)
         goal = (last - first * fade) / (1.0 - fade)
-        after = (then - last * next_fade) / (1.0 - next_fade)
-        turned = np.abs(last - target - (first - target) * fade) > EDGE
+        next_target = (then - last * next_fade) / (1.0 - next_fade)
+        servo_turned = np.abs(last - target - (first - target) * fade) > EDGE
         # what ran to a goal and then goes elsewhere did not run there: it turned on the way here
-        elsewhere = (np.abs(after - goal) * (1.0 - next_fade) > EDGE) & (np.abs(last - first) > EDGE)
-        instead = ~turned & elsewhere & _possible(_since(first, first, last, after, fade), fade)
-        target = np.where(instead, first, target)
-        turned = turned | instead
-        u = _since(target, first, last, after, fade)
-        found = turned & (np.abs(after - target) >= EDGE) & _possible(u, fade)
-        on_its_way = ~turned & (np.abs(first - target) > EDGE)
+        next_goal_differs = (np.abs(next_target - goal) * (1.0 - next_fade) > EDGE) & (np.abs(last - first) > EDGE)
+        turned_earlier = (
+            ~servo_turned & next_goal_differs & _possible(_since(first, first, last, next_target, fade), fade)
+        )
+        target = np.where(turned_earlier, first, target)
+        servo_turned = servo_turned | turned_earlier
+        u = _since(target, first, last, next_target, fade)
+        edge_found = servo_turned & (np.abs(next_target - target) >= EDGE) & _possible(u, fade)
+        on_its_way = ~servo_turned & (np.abs(first - target) > EDGE)
         edge = SurfaceEdges(
-            found | on_its_way,
-            np.where(found, target, goal),
-            np.where(found, after, goal),
-            np.where(found, h + lag * np.log(np.clip(u, max(fade, TINY), 1.0)), 0.0),
+            edge_found | on_its_way,
+            np.where(edge_found, target, goal),
+            np.where(edge_found, next_target, goal),
+            np.where(edge_found, h + lag * np.log(np.clip(u, max(fade, TINY), 1.0)), 0.0),
             lag,
         )
-        return edge, turned, found & (u >= SURE)
+        return edge, servo_turned, edge_found & (u >= SURE)
 
 
 def _since(target: Array, first: Array, last: Array, after: Array, fade: float) -> Array:
@@ -134,11 +136,13 @@ def _slope(h0: float, h1: float, y0: Array, y1: Array, y2: Array) -> Array:
     """As `curve.slope`; zero where h0 is."""
     if h0 <= 0.0:
         return np.zeros_like(y1)
-    before, after = (y1 - y0) / h0, (y2 - y1) / h1
-    first, second = 2.0 * h1 + h0, h1 + 2.0 * h0
-    same = before * after > 0.0
-    one, two = np.where(same, before, 1.0), np.where(same, after, 1.0)
-    return np.where(same, (first + second) / (first / one + second / two), 0.0)
+    slope_before, slope_after = (y1 - y0) / h0, (y2 - y1) / h1
+    weight_before, weight_after = 2.0 * h1 + h0, h1 + 2.0 * h0
+    monotone = slope_before * slope_after > 0.0
+    safe_before, safe_after = np.where(monotone, slope_before, 1.0), np.where(monotone, slope_after, 1.0)
+    return np.where(
+        monotone, (weight_before + weight_after) / (weight_before / safe_before + weight_after / safe_after), 0.0
+    )
 
 
 LENGTHS = np.array([0.06, 0.11, 0.16])  # s

@@ -61,24 +61,28 @@ def calibrated(
 ) -> Calibration:
     """Simulate so many hours of manoeuvring; half of the allowed false alarms to each statistic."""
     batches = max(1, round(hours * HOUR_S / FLIGHT_S / AT_ONCE))
-    flown = [fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S) for _ in range(batches)]
-    whitening = fitted(_innovations(airframe, values, scans) for scans in flown)
+    batches_of_scans = [fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S) for _ in range(batches)]
+    whitening = fitted(_innovations(airframe, values, scans) for scans in batches_of_scans)
     z, energy = (
         np.concatenate(v, axis=1)
-        for v in zip(*(_histories(airframe, values, effects, whitening, scans) for scans in flown), strict=True)
+        for v in zip(
+            *(_histories(airframe, values, effects, whitening, scans) for scans in batches_of_scans), strict=True
+        )
     )
-    seen, loud = _usual(z), _usual(energy)
+    effect_scale, energy_scale = _usual(z), _usual(energy)
     seconds = FLIGHT_S - BEGIN_S
-    named = exceeded(np.abs(seen.of(z)).max(axis=(0, 2, 3)), seconds, rate / 2.0)
-    unnamed = exceeded(np.nanmax(loud.of(energy), axis=(0, 2)), seconds, rate / 2.0)
-    return Calibration(whitening, seen, loud, named, unnamed, rate, z.shape[1] * seconds / HOUR_S)
+    effect_threshold = exceeded(np.abs(effect_scale.of(z)).max(axis=(0, 2, 3)), seconds, rate / 2.0)
+    energy_threshold = exceeded(np.nanmax(energy_scale.of(energy), axis=(0, 2)), seconds, rate / 2.0)
+    return Calibration(
+        whitening, effect_scale, energy_scale, effect_threshold, energy_threshold, rate, z.shape[1] * seconds / HOUR_S
+    )
 
 
 def _usual(values: Array) -> StatisticScale:
     """values: (times, flights, ...)."""
     mean = np.nanmean(values, axis=(0, 1))
-    far = np.nanquantile(np.abs(values - mean), FAR, axis=(0, 1))
-    return StatisticScale(mean, far / FAR_NORMAL)
+    far_quantile = np.nanquantile(np.abs(values - mean), FAR, axis=(0, 1))
+    return StatisticScale(mean, far_quantile / FAR_NORMAL)
 
 
 def _histories(
@@ -89,16 +93,16 @@ def _histories(
     scans: Sequence[FlightsScan],
 ) -> tuple[Array, Array]:
     """(times, flights, windows, effects) and (times, flights, 5) of both statistics, once there is something in the windows."""
-    found = [s for t, s in scores(airframe, values, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
-    return np.stack([s.z for s in found]), np.stack([np.log(s.unnamed) for s in found])
+    scores_in_time = [s for t, s in scores(airframe, values, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
+    return np.stack([s.z for s in scores_in_time]), np.stack([np.log(s.unnamed) for s in scores_in_time])
 
 
 def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[FlightsScan]) -> Run:
     """Of the model alone."""
     bank = PredictorBank(airframe, values, ())
-    found = [f for scan in scans if (f := bank.innovation(scan)) is not None]
-    later = found[20:]  # the first second still shows where it began
-    return np.stack([f.wrong for f in later]), np.stack([f.kind for f in later])
+    innovations = [f for scan in scans if (f := bank.innovation(scan)) is not None]
+    after_start = innovations[20:]  # the first second still shows where it began
+    return np.stack([f.wrong for f in after_start]), np.stack([f.kind for f in after_start])
 
 
 def scores(
@@ -110,29 +114,29 @@ def scores(
 ) -> Iterator[tuple[float, EffectScores]]:
     """Time and score at each half second of several flights side by side."""
     bank, evidence = PredictorBank(airframe, values, effects), MonitorEvidence(effects)
-    past: list[Innovation] = []
+    last_three: list[Innovation] = []
     for scan in scans:
-        found = bank.innovation(scan)
-        if found is None:
+        innovation = bank.innovation(scan)
+        if innovation is None:
             continue
-        past = [*past, found][-3:]
-        if len(past) == 3 and evidence.add(found.time, *whitened(whitening, past)):
+        last_three = [*last_three, innovation][-3:]
+        if len(last_three) == 3 and evidence.add(innovation.time, *whitened(whitening, last_three)):
             yield scan.time, evidence.score()
 
 
 def whitened(whitening: Whitening, three: Sequence[Innovation]) -> tuple[Array, Array]:
     """Of three in order of time the last: (5, flights) and (5, effects, flights), white."""
-    earlier, before, now = three
+    two_before, one_before, latest = three
     return (
-        whitening.applied(now.wrong, before.wrong, earlier.wrong, now.kind),
-        whitening.applied(now.signatures, before.signatures, earlier.signatures, now.kind),
+        whitening.applied(latest.wrong, one_before.wrong, two_before.wrong, latest.kind),
+        whitening.applied(latest.signatures, one_before.signatures, two_before.signatures, latest.kind),
     )
 
 
 def strongest(standardised: Array) -> Array:
     """(..., windows, effects) -> (..., effects): of each effect what the window says in which it stands out most."""
-    at = np.abs(standardised).argmax(axis=-2)
-    return np.take_along_axis(standardised, at[..., None, :], axis=-2)[..., 0, :]
+    best_window = np.abs(standardised).argmax(axis=-2)
+    return np.take_along_axis(standardised, best_window[..., None, :], axis=-2)[..., 0, :]
 
 
 def exceeded(largest: Array, seconds: float, per_hour: float) -> float:
