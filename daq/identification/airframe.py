@@ -31,7 +31,8 @@ DERIVATIVES = tuple(f"{coefficient}_{c}" for coefficient, terms in EQUATIONS.ite
 
 
 class Sample(NamedTuple):
-    """One calibrated scan: time [s], angles [rad], rates [rad/s], V true airspeed [m/s], ay at the CG [m/s2], rho [kg/m3]."""
+    """One calibrated scan: time [s], angles [rad], rates [rad/s], V true airspeed [m/s], ax ay az at the CG [m/s2], rho [kg/m3],
+    thrust [N]. What only the pitching plane needs is NaN where it is not known."""
 
     time: float
     beta: float
@@ -46,17 +47,25 @@ class Sample(NamedTuple):
     delta_a: float
     delta_r: float
     rho: float
+    ax: float = math.nan
+    az: float = math.nan
+    delta_e: float = math.nan
+    thrust: float = math.nan
 
     @property
     def credible(self) -> bool:
-        """Whether every value is a number that an aircraft can show: a scan with a silent or raving sensor makes no row."""
+        """Whether every value of the lateral motion is a number that an aircraft can show: a scan with a silent or raving sensor
+        makes no row."""
         return math.isfinite(self.time) and all(
-            low <= x <= high for x, (low, high) in zip(self[1:], _RANGES, strict=True)
+            low <= x <= high for x, (low, high) in zip(self[1:LATERAL_FIELDS], _RANGES, strict=True)
         )
 
 
-SIGNALS = Sample._fields[1:]
-"""Signals that a sample consists of, in its order; names are those of the flight's columns."""
+LATERAL_FIELDS = 13
+SIGNALS = Sample._fields[1:LATERAL_FIELDS]
+"""Signals of the lateral motion, in the order of a sample; names are those of the flight's columns."""
+PITCH_SIGNALS = Sample._fields[LATERAL_FIELDS:]
+"""Those that come to them for the pitching plane."""
 
 _RANGES = tuple(COLUMN_BY_NAME[name].plausible for name in SIGNALS)
 
@@ -74,8 +83,8 @@ class Airframe:
     """Geometry [m, m2], mass [kg], moments of inertia [kg m2], and beliefs by name (`DERIVATIVES`).
 
     `Ixz` as it stands in the equations of motion (positive for a nose-down principal axis). servo_lag [s]: first-order lag of the
-    servos, None where not known; surfaces are then drawn through their samples. Raises ValueError for a value
-    that no airframe has, naming it.
+    servos, None where not known; surfaces are then drawn through their samples. chord [m]: NaN where only the lateral plane is
+    asked for. Raises ValueError for a value that no airframe has, naming it.
     """
 
     span: float
@@ -87,6 +96,7 @@ class Airframe:
     Ixz: float
     beliefs: Mapping[str, Belief] = field(default_factory=dict)
     servo_lag: float | None = None
+    chord: float = math.nan
 
     def __post_init__(self) -> None:
         for name in ("span", "area", "mass", "Ixx", "Iyy", "Izz"):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.live import LiveEstimates, LiveEstimator
+from daq.identification.regression import LATERAL, Regression
 
 HORIZON = 900.0
 """How late [s] a sample may come and still be worked in; samples and copies older than that are forgotten, so that an hour of
@@ -30,12 +31,13 @@ class _Rework:
 class OrderedEstimator:
     """Takes samples in any order of time. A second one of the same time is ignored: the first that came is the record."""
 
-    def __init__(self, airframe: Airframe) -> None:
+    def __init__(self, airframe: Airframe, regression: Regression = LATERAL) -> None:
         self._airframe = airframe
+        self._regression = regression
         self._samples: list[Sample] = []
         self._times: list[float] = []
         self._copies: list[tuple[float, LiveEstimator]] = []  # time of the last sample in it
-        self._estimator = LiveEstimator(airframe)
+        self._estimator = LiveEstimator(airframe, regression)
         self._rework: _Rework | None = None
         self._forgotten = -math.inf  # time up to which samples are in the oldest copy only
         self.too_late = 0
@@ -71,10 +73,13 @@ class OrderedEstimator:
         index = bisect_left(self._times, sample.time)
         if index == len(self._times) or self._times[index] != sample.time:
             self.add(sample)
-        elif self._samples[index] != sample and (sample.credible or self._samples[index].credible):
+        elif self._samples[index] != sample and self._matters(sample, self._samples[index]):
             self._samples[index] = sample
             if self._rework is None or index < self._rework.at:
                 self._go_back(sample.time)
+
+    def _matters(self, *samples: Sample) -> bool:
+        return any(self._regression.credible(sample) for sample in samples)
 
     @property
     def behind(self) -> int:
@@ -111,7 +116,7 @@ class OrderedEstimator:
             copy_time, copy = self._copies[-1]
             self._rework = _Rework(deepcopy(copy), bisect_right(self._times, copy_time))
         else:
-            self._rework = _Rework(LiveEstimator(self._airframe), 0)
+            self._rework = _Rework(LiveEstimator(self._airframe, self._regression), 0)
 
     def _keep_copy(self, time: float, estimator: LiveEstimator) -> None:
         copy_time = self._copies[-1][0] if self._copies else self._times[0] if self._times else time

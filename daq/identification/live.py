@@ -1,16 +1,17 @@
 """The recursive estimator: scans in, derivatives with bounds out, at any moment."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import COLUMNS, CONTROLS, EQUATIONS, Airframe, Belief, Sample
+from daq.identification.airframe import Airframe, Belief, Sample
 from daq.identification.movement import ControlSignal
-from daq.identification.rows import TOTAL, RowMaker
-from daq.identification.simulated_motion import SimulatedMotion
+from daq.identification.regression import LATERAL, Equation, Regression
+from daq.identification.rows import RowMaker
+from daq.identification.simulated_motion import simulation_of
 from daq.identification.solve import Block, RegressionSolution, Sums, solve
 
 Array = NDArray[np.float64]
@@ -56,9 +57,10 @@ class LiveEstimates:
 
 @dataclass(frozen=True)
 class EquationInformation:
-    """One equation. columns: as in `COLUMNS`; normal: (n, n) sum of products of its columns over the rows [Pa2 s2];
-    covariance: (n, n) the honest one."""
+    """One equation. names: its derivatives; columns: theirs in the regression; normal: (n, n) sum of products of its columns over
+    the rows [Pa2 s2]; covariance: (n, n) the honest one."""
 
+    names: tuple[str, ...]
     columns: tuple[int, ...]
     normal: Array
     covariance: Array
@@ -73,21 +75,22 @@ class EquationInformation:
 class LiveEstimator:
     """Takes calibrated scans in order of time; any step length, scans may be missing.
 
-    Costs the same for every scan however long the flight is. Not thread safe. skipped: scans without a row, because a value
-    was missing, time did not advance, or the aircraft hardly moves through the air.
+    regression: what is estimated. Costs the same for every scan however long the flight is. Not thread safe. skipped: scans
+    without a row, because a value was missing, time did not advance, or the aircraft hardly moves through the air.
     """
 
-    def __init__(self, airframe: Airframe) -> None:
+    def __init__(self, airframe: Airframe, regression: Regression = LATERAL) -> None:
         self._airframe = airframe
-        self._motion = SimulatedMotion(airframe)
-        self._rows = RowMaker(airframe, self._motion)
-        self._controls = {c: ControlSignal() for c in CONTROLS}
-        self._closed = Sums()
-        self._block = Block()
+        self._regression = regression
+        self._motion = simulation_of(regression, airframe)
+        self._rows = RowMaker(airframe, self._motion, regression)
+        self._controls = {c: ControlSignal() for c in regression.controls}
+        self._closed = Sums.empty(regression.width, regression.total)
+        self._block = Block(regression)
         self._block_start = math.nan
         self._last = -math.inf
         self._learn_at = -math.inf
-        self._levels = [np.zeros(TOTAL)]
+        self._levels = [np.zeros(regression.total)]
         self.scans = 0
         self.skipped = 0
 
@@ -95,13 +98,13 @@ class LiveEstimator:
         """A new stretch begins: time may be any, and nothing leads over from before. What is known is kept."""
         self._close_block()
         self._interrupt()
-        self._levels.append(np.zeros(TOTAL))
+        self._levels.append(np.zeros(self._regression.total))
         self._last = self._learn_at = -math.inf
 
     def add(self, sample: Sample) -> None:
         """One scan. One that is not credible, or not later than the last, is counted in `skipped`."""
         self.scans += 1
-        if not sample.credible or sample.V < SLOWEST or sample.time <= self._last:
+        if not self._regression.credible(sample) or sample.V < SLOWEST or sample.time <= self._last:
             self.skipped += 1
             return
         if sample.time - self._last > GAP and math.isfinite(self._last):
@@ -113,7 +116,8 @@ class LiveEstimator:
             self._learn()
 
     def _take(self, sample: Sample) -> None:
-        surfaces = (self._controls["da"].add(sample.delta_a), self._controls["dr"].add(sample.delta_r))
+        signals = self._regression.controls
+        surfaces = tuple(control.add(getattr(sample, signals[c])) for c, control in self._controls.items())
         row = self._rows.add(sample, surfaces)
         if row is None:
             self._block.interrupt()
@@ -132,7 +136,7 @@ class LiveEstimator:
     def _close_block(self) -> None:
         self._closed = self._closed.plus(self._block.sums.without_constant())
         self._levels[-1] += self._block.sums.cross[0]
-        self._block = Block()
+        self._block = Block(self._regression)
         self._block_start = math.nan
 
     # ------------------------------------------------------------------------------------------------ answers
@@ -140,7 +144,7 @@ class LiveEstimator:
     @property
     def still(self) -> tuple[str, ...]:
         """Controls that have not moved yet, by the names of their signals."""
-        return tuple(CONTROLS[c] for c, signal in self._controls.items() if not signal.moved)
+        return tuple(self._regression.controls[c] for c, signal in self._controls.items() if not signal.moved)
 
     @property
     def stretches(self) -> int:
@@ -155,64 +159,70 @@ class LiveEstimator:
             if solution is not None:
                 pick = list(solution.columns)
                 normal = sums.instruments[0][np.ix_(pick, pick)]
-                information[coefficient] = EquationInformation(solution.columns, normal, solution.covariance)
+                information[coefficient] = EquationInformation(
+                    solution.names, solution.columns, normal, solution.covariance
+                )
         return information
 
     def solutions(self) -> dict[str, RegressionSolution | None]:
         """Each equation as far as the scans so far tell it."""
         sums = self._sums()
-        return {c: solve(sums, e, self._columns(c)) for e, c in enumerate(EQUATIONS)}
+        return {
+            equation.coefficient: solve(sums, self._regression, number, self._names(equation))
+            for number, equation in enumerate(self._regression.equations)
+        }
 
     def estimates(self, stretches: slice = slice(None)) -> LiveEstimates:
         """Every derivative as far as the scans so far tell it. stretches: those of which the constants are wanted."""
         sums, solutions, derivatives = self._sums(), self.solutions(), {}
         open_level = [*self._levels[:-1], self._levels[-1] + self._block.sums.cross[0]]
         level = np.sum(open_level[stretches], axis=0)
-        for coefficient, solution in solutions.items():
-            if len(self.still) == len(CONTROLS):  # what moves it then is gusts, which no column stands for
+        for equation in self._regression.equations:
+            solution = solutions[equation.coefficient]
+            if self._all_still:  # what moves it then is gusts, which no column stands for
                 solution = None
-            derivatives.update({d.name: d for d in self._described(coefficient, solution, level)})
+            derivatives.update({d.name: d for d in self._described(equation, solution, level)})
         return LiveEstimates(self._last, sums.span, sums.rows, derivatives, self.still)
 
     def _sums(self) -> Sums:
         return self._closed.plus(self._block.sums.without_constant())
 
-    def _columns(self, coefficient: str) -> tuple[int, ...]:
-        """Columns of an equation without those of controls at rest."""
+    @property
+    def _all_still(self) -> bool:
+        return not any(signal.moved for signal in self._controls.values())
+
+    def _names(self, equation: Equation) -> tuple[str, ...]:
+        """Derivatives of an equation without those by controls at rest."""
         return tuple(
-            COLUMNS.index(term)
-            for term in EQUATIONS[coefficient]
-            if term not in self._controls or self._controls[term].moved
+            name
+            for name, column in equation.terms.items()
+            if column not in self._controls or self._controls[column].moved
         )
 
-    def _described(self, coefficient: str, solution: RegressionSolution | None, level: Array) -> list[LiveDerivative]:
+    def _described(
+        self, equation: Equation, solution: RegressionSolution | None, level: Array
+    ) -> Iterator[LiveDerivative]:
         if solution is None:
-            return [self._untold(coefficient, term) for term in ("0", *EQUATIONS[coefficient])]
+            yield from (self._untold(name, equation.terms.get(name, "0")) for name in equation.derivatives)
+            return
         value, variance = solution.constant(level) if level[0] > 0.0 else (math.nan, math.inf)
         spread = math.sqrt(variance)
-        result = [self._judged(f"{coefficient}_0", value, spread, spread)]
-        for term in EQUATIONS[coefficient]:
-            column = COLUMNS.index(term)
-            if column not in solution.columns:
-                result.append(self._untold(coefficient, term))
+        yield self._judged(equation.constant, value, spread, spread)
+        for name, column in equation.terms.items():
+            if name not in solution.names:
+                yield self._untold(name, column)
                 continue
-            index = solution.columns.index(column)
+            index = solution.names.index(name)
             bound, white = (math.sqrt(c[index, index]) for c in (solution.covariance, solution.white))
-            result.append(self._judged(f"{coefficient}_{term}", float(solution.values[index]), bound, white))
-        return result
+            yield self._judged(name, float(solution.values[index]), bound, white)
 
-    def _untold(self, coefficient: str, term: str) -> LiveDerivative:
+    def _untold(self, name: str, column: str) -> LiveDerivative:
         """No number; where a control rests, the control is named."""
-        control_rests = term in self._controls and not self._controls[term].moved
-        all_rest = len(self.still) == len(CONTROLS)
-        reason = (
-            f"{CONTROLS[term]} has not moved: {MOVE_IT}"
-            if control_rests
-            else NONE_MOVED
-            if all_rest
-            else "not enough flown yet"
-        )
-        return LiveDerivative(f"{coefficient}_{term}", math.nan, math.inf, math.inf, reason)
+        if column in self._controls and not self._controls[column].moved:
+            reason = f"{self._regression.controls[column]} has not moved: {MOVE_IT}"
+        else:
+            reason = NONE_MOVED if self._all_still else "not enough flown yet"
+        return LiveDerivative(name, math.nan, math.inf, math.inf, reason)
 
     def _judged(self, name: str, value: float, bound: float, white: float) -> LiveDerivative:
         limit = useful_bound(value, self._airframe.beliefs.get(name))
@@ -226,19 +236,20 @@ class LiveEstimator:
         all rows that are made with a motion simulated from it.
         """
         doubtful = {c for c, signal in self._controls.items() if signal.doubtful}
-        for coefficient, solution in self.solutions().items():
-            if solution is not None and not doubtful.intersection(EQUATIONS[coefficient]):
-                self._motion.values.update(self._weighed(coefficient, solution))
+        solutions = self.solutions()
+        for equation in self._regression.equations:
+            solution = solutions[equation.coefficient]
+            if solution is not None and not doubtful.intersection(equation.terms.values()):
+                self._motion.values.update(self._weighed(solution))
 
-    def _weighed(self, coefficient: str, solution: RegressionSolution) -> dict[str, float]:
-        names = [f"{coefficient}_{COLUMNS[c]}" for c in solution.columns]
-        beliefs = [self._airframe.beliefs.get(n) for n in names]
+    def _weighed(self, solution: RegressionSolution) -> dict[str, float]:
+        beliefs = [self._airframe.beliefs.get(n) for n in solution.names]
         if any(b is None or not b.std > 0.0 for b in beliefs):
             return {}
         mean = np.array([b.value for b in beliefs if b is not None])
         spread = np.diag([b.std**2 for b in beliefs if b is not None])
         gain = spread @ np.linalg.inv(spread + solution.covariance)
-        return dict(zip(names, (mean + gain @ (solution.values - mean)).tolist(), strict=True))
+        return dict(zip(solution.names, (mean + gain @ (solution.values - mean)).tolist(), strict=True))
 
 
 def useful_bound(value: float, belief: Belief | None) -> float:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import COLUMNS, EQUATIONS, GRAVITY, Airframe, Sample
+from daq.identification.airframe import EQUATIONS, GRAVITY, Airframe, Sample
 from daq.identification.live import EquationInformation
 
 Array = NDArray[np.float64]
@@ -113,8 +113,7 @@ def _ratios(
     ratios = {}
     for coefficient, i in known.items():
         covariance = np.linalg.inv(np.linalg.inv(i.covariance) + added[coefficient])
-        for index, column in enumerate(i.columns):
-            name = f"{coefficient}_{COLUMNS[column]}"
+        for index, name in enumerate(i.names):
             if wanted.get(name, 0.0) > 0.0:
                 ratios[name] = math.sqrt(max(covariance[index, index], 0.0)) / wanted[name]
     return ratios

@@ -1,25 +1,23 @@
 """Rows of the regression: what the scans about one interval say of it.
 
-A row is an increment, not a rate: the noise of a gyro's difference is then the same for every length of interval. With
-Q(x) = integral of the dynamic pressure times x over the interval, the equations are linear in the derivatives:
-
-    CY:  m / S  integral of ay                                                   = Q(1) CY_0 + Q(beta) CY_beta + ...
-    Cl:  (Ixx dp - Ixz dr + integral of (Izz - Iyy) q r - Ixz p q) / (S b)       = Q(1) Cl_0 + ...
-    Cn:  (Izz dr - Ixz dp + integral of (Iyy - Ixx) p q + Ixz q r) / (S b)       = Q(1) Cn_0 + ...
+A row is an increment, not a rate: the noise of a gyro's difference is then the same for every length of interval. Its equations
+are those of a `Regression`.
 
 Measured motion is integrated by the cubic through the four nearest scans. What such a cubic misses of a motion that settles
 within a scan is taken from the simulated motion, of which both the integral and the cubic through the same scans are known.
-The side force holds at every instant, so that all its columns are left to the one cubic, which then cancels.
+Forces hold at every instant, so that all their columns are left to the one cubic, which then cancels.
 """
 
 from collections import deque
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import COLUMNS, EQUATIONS, Airframe, Sample
-from daq.identification.simulated_motion import LateralState, SimulatedMotion
+from daq.identification.airframe import Airframe, Sample
+from daq.identification.regression import LATERAL, Regression
+from daq.identification.simulated_motion import MotionState, PitchState, SimulatedPitch, Simulation
 from daq.identification.surfaces import SurfaceCurves
 
 Array = NDArray[np.float64]
@@ -40,17 +38,12 @@ def cubic_weights(t0: float, t1: float, t2: float, t3: float) -> Array:
     )
 
 
-WIDTH = len(COLUMNS)
-LEFT = len(EQUATIONS)
-TOTAL = 2 * WIDTH + LEFT  # of a row: columns of the moments, of the side force, left sides
 LONGEST_ROW = 0.21  # s; a cubic over more loses the roll mode (three scans of a 20 Hz grid in a row may be lost)
-MOTION = slice(1, 4)  # columns of beta, p, r
-SURFACES = slice(4, 6)  # columns of aileron, rudder
 
 
 class Row(NamedTuple):
-    """One row of all three equations, of an interval of `span` seconds up to `time`. measured: (TOTAL,) columns of the
-    moments, of the side force, left sides of CY Cl Cn; instruments: (WIDTH,)."""
+    """One row of all equations, of an interval of `span` seconds up to `time`. measured: (total,) columns of the equations with
+    increments, columns of those that hold at every instant, left sides; instruments: (width,)."""
 
     time: float
     span: float
@@ -62,17 +55,25 @@ class MotionScan(NamedTuple):
     """A scan with its surfaces as the instruments take them [rad] and the motion simulated at its time."""
 
     sample: Sample
-    surfaces: tuple[float, float]
-    motion: LateralState
+    surfaces: tuple[float, ...]
+    motion: MotionState
 
 
 class RowMaker:
     """Takes scans one by one; gives the row of an interval two scans late."""
 
-    def __init__(self, airframe: Airframe, simulated: SimulatedMotion) -> None:
+    def __init__(self, airframe: Airframe, simulated: Simulation, regression: Regression = LATERAL) -> None:
         self._airframe = airframe
+        self._regression = regression
         self._simulated = simulated
-        self._curves = [SurfaceCurves(airframe.servo_lag) for _ in range(4)]  # as `_surfaces` has them
+        self._controls = attrgetter("time", *regression.controls.values())
+        states, controls = len(regression.states), len(regression.controls)
+        self._motion = slice(1, 1 + states)
+        self._surfaces = slice(1 + states, 1 + states + controls)
+        self._linear = 1 + states + controls
+        self._curves = [SurfaceCurves(airframe.servo_lag) for _ in range(2 * controls)]  # as `_deflections` has them
+        lengths = [getattr(airframe, name) if name else 0.0 for name in regression.states.values()]
+        self._lengths = [0.0, *lengths, *[0.0] * controls]
         self._scans: deque[MotionScan] = deque(maxlen=5)
         self._integrals: deque[tuple[Array, Array, bool]] = deque(maxlen=2)  # simulated motion, surfaces; known well
 
@@ -83,10 +84,10 @@ class RowMaker:
         for curves in self._curves:
             curves.restart()
 
-    def add(self, sample: Sample, surfaces: tuple[float, float]) -> Row | None:
+    def add(self, sample: Sample, surfaces: tuple[float, ...]) -> Row | None:
         """The row that this scan completes, None while there are too few or where the interval is too long.
 
-        surfaces: aileron and rudder as the instruments take them [rad].
+        surfaces: the controls as the instruments take them [rad].
         """
         if len(self._scans) < 2:
             self._simulated.restart(sample)
@@ -106,55 +107,55 @@ class RowMaker:
         times = (four[0].sample.time, four[1].sample.time, four[2].sample.time, four[3].sample.time)
         curves = [
             surface.middle(times, values)
-            for surface, values in zip(self._curves, zip(*(_surfaces(s) for s in four), strict=True), strict=True)
+            for surface, values in zip(self._curves, zip(*map(self._deflections, four), strict=True), strict=True)
         ]
-        integral = self._simulated.advance(four[1].sample, four[2].sample, curves[2], curves[3])
+        measured, held = curves[: len(curves) // 2], curves[len(curves) // 2 :]
+        integral = self._simulated.advance(four[1].sample, four[2].sample, *held)
         self._scans[-2] = four[2]._replace(motion=self._simulated.motion)
-        simulated = np.array([*integral[:3], curves[2].integral, curves[3].integral])
-        surfaces = np.array([curves[0].integral, curves[1].integral])
+        simulated = np.array([*integral[: len(self._regression.states)], *(c.integral for c in held)])
+        surfaces = np.array([c.integral for c in measured])
         self._integrals.append((simulated, surfaces, all(c.sure for c in self._curves)))
 
+    def _deflections(self, scan: MotionScan) -> tuple[float, ...]:
+        """Controls as measured, then as the instruments take them."""
+        return *self._controls(scan.sample)[1:], *scan.surfaces
+
     def _row(self, scans: list[MotionScan]) -> Row:
+        r = self._regression
         weights = cubic_weights(*(s.sample.time for s in scans))
         first_sample, last_sample = scans[1].sample, scans[2].sample
         measured = weights @ np.stack([self._integrands(s.sample) for s in scans])
         scales = 0.5 * (self._scales(first_sample) + self._scales(last_sample))
         simulated, surfaces, _ = self._integrals[0]
-        cubic = weights @ np.array([s.motion[:3] for s in scans])
-        moments = measured[:WIDTH].copy()
-        moments[MOTION] += scales[MOTION] * (simulated[:3] - cubic)
-        moments[SURFACES] = scales[SURFACES] * surfaces
+        cubic = weights @ np.array([s.motion[: len(r.states)] for s in scans])
+        moments = measured[: r.width].copy()
+        moments[self._motion] += scales[self._motion] * (simulated[: len(r.states)] - cubic)
+        moments[self._surfaces] = scales[self._surfaces] * surfaces
         instruments = np.concatenate([measured[:1], scales[1:] * simulated])
-        self._add_increments(measured, first_sample, last_sample)
+        if r.square_of_lift:
+            instruments = np.append(instruments, weights @ np.array([self._simulated_square(s) for s in scans]))
+        measured[r.width :] += r.gains(self._airframe, first_sample, last_sample)
         return Row(
             last_sample.time, last_sample.time - first_sample.time, np.concatenate([moments, measured]), instruments
         )
 
     def _scales(self, s: Sample) -> Array:
-        """(WIDTH,) what turns a signal into its column: dynamic pressure [Pa], times b / 2V for rates."""
+        """(linear columns,) what turns a signal into its column: dynamic pressure [Pa], times length / 2V for rates."""
         pressure = 0.5 * s.rho * s.V * s.V
-        rate = pressure * self._airframe.span / (2.0 * s.V)
-        return np.array([pressure, pressure, rate, rate, pressure, pressure])
+        return np.array([pressure * length / (2.0 * s.V) if length else pressure for length in self._lengths])
 
     def _integrands(self, s: Sample) -> Array:
-        """(WIDTH + LEFT,) columns and left sides at one scan, without increments."""
-        a = self._airframe
-        per_span = 1.0 / (a.area * a.span)
-        left_sides = (
-            a.mass * s.ay / a.area,
-            ((a.Izz - a.Iyy) * s.q * s.r - a.Ixz * s.p * s.q) * per_span,
-            ((a.Iyy - a.Ixx) * s.p * s.q + a.Ixz * s.q * s.r) * per_span,
-        )
-        return np.concatenate([self._scales(s) * np.array([1.0, s.beta, s.p, s.r, s.delta_a, s.delta_r]), left_sides])
+        """(width + equations,) columns and left sides at one scan, without increments."""
+        forces = self._regression.forces(self._airframe, s)
+        linear = self._scales(s) * np.array(self._regression.linear_values(s))
+        if not self._regression.square_of_lift:
+            return np.concatenate([linear, forces])
+        pressure = 0.5 * s.rho * s.V * s.V
+        return np.concatenate([linear, [forces[0] ** 2 / pressure], forces])
 
-    def _add_increments(self, measured: Array, before: Sample, after: Sample) -> None:
-        """What the rates gained over the interval, on the left sides of the moments."""
-        a = self._airframe
-        dp, dr, per_span = after.p - before.p, after.r - before.r, 1.0 / (a.area * a.span)
-        measured[WIDTH + 1] += (a.Ixx * dp - a.Ixz * dr) * per_span
-        measured[WIDTH + 2] += (a.Izz * dr - a.Ixz * dp) * per_span
-
-
-def _surfaces(scan: MotionScan) -> tuple[float, float, float, float]:
-    """Aileron and rudder as measured, then as the instruments take them."""
-    return scan.sample.delta_a, scan.sample.delta_r, *scan.surfaces
+    def _simulated_square(self, scan: MotionScan) -> float:
+        """Dynamic pressure times the square of the simulated lift coefficient."""
+        s = scan.sample
+        assert isinstance(self._simulated, SimulatedPitch)
+        assert isinstance(scan.motion, PitchState)
+        return 0.5 * s.rho * s.V * s.V * self._simulated.lift_coefficient(scan.motion, s.V, scan.surfaces[0]) ** 2

@@ -11,7 +11,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from daq.identification.airframe import DERIVATIVES, GRAVITY, Airframe, Sample
+from daq.identification.airframe import GRAVITY, Airframe, Sample
+from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
 from daq.identification.surfaces import Between
 
 LONGEST_STEP = 0.026  # s; rolling decays with some 17 /s and a servo's edge takes 35 ms: Runge-Kutta is within 0.1 %
@@ -22,6 +23,7 @@ DELAY = (
     5  # scans by which that is late: a row holds the noise of four scans, so that none of it gets into the instruments
 )
 LIMITS = (0.6, 12.0, 6.0, 3.0)  # rad, rad/s, rad/s, rad of beta p r phi: beyond, the believed aircraft has departed
+PITCH_LIMITS = (0.8, 8.0)  # rad, rad/s of alpha q
 
 
 class LateralState(NamedTuple):
@@ -44,8 +46,27 @@ class LateralState(NamedTuple):
         return not all(abs(x) < limit for x, limit in zip(self, LIMITS, strict=True))
 
 
+class PitchState(NamedTuple):
+    """Angle of attack [rad], pitch rate [rad/s]; or their rates of change, or their integrals."""
+
+    alpha: float
+    q: float
+
+    def moved(self, rate: "PitchState", dt: float) -> "PitchState":
+        """Where this motion is after `dt` seconds at constant rates."""
+        return PitchState(self.alpha + dt * rate.alpha, self.q + dt * rate.q)
+
+    @property
+    def departed(self) -> bool:
+        """Whether no aircraft moves so, or nothing is a number any more."""
+        return not all(abs(x) < limit for x, limit in zip(self, PITCH_LIMITS, strict=True))
+
+
+MotionState = LateralState | PitchState
+
+
 class MotionInputs(NamedTuple):
-    """What drives the motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces."""
+    """What drives the lateral motion at one instant: pitch rate, attitude, angle of attack, airspeed, density, surfaces."""
 
     q: float
     theta: float
@@ -64,10 +85,10 @@ class SimulatedMotion:
 
     def __init__(self, airframe: Airframe) -> None:
         self._airframe = airframe
+        self.values = {n: airframe.believed(n) for n in LATERAL.derivatives}
         self._inertia = airframe.Ixx * airframe.Izz - airframe.Ixz**2
         self._lag: deque[float] = deque(maxlen=DELAY)
         self.motion = NOWHERE
-        self.values = {n: airframe.believed(n) for n in DERIVATIVES}
 
     def restart(self, sample: Sample) -> None:
         """Begin anew from measured motion."""
@@ -137,3 +158,72 @@ def _between(a: Sample, b: Sample, part: float, aileron: Between, rudder: Betwee
         aileron.at(part),
         rudder.at(part),
     )
+
+
+class SimulatedPitch:
+    """As `SimulatedMotion` for angle of attack and pitch rate; V, attitude and the lateral motion are measured."""
+
+    def __init__(self, airframe: Airframe) -> None:
+        self._airframe = airframe
+        self.motion = PitchState(0.0, 0.0)
+        self.values = {n: airframe.believed(n) for n in LONGITUDINAL.derivatives}
+
+    def restart(self, sample: Sample) -> None:
+        """Begin anew from measured motion."""
+        self.motion = PitchState(sample.alpha, sample.q)
+
+    def advance(self, first: Sample, last: Sample, elevator: Between) -> PitchState:
+        """Go from `first` to `last`: the integral of the motion over the interval. What is measured, on straight lines."""
+        interval = last.time - first.time
+        steps = max(1, math.ceil(interval / LONGEST_STEP))
+        h, integral = interval / steps, PitchState(0.0, 0.0)
+        points = [self._inputs(first, last, k / (2 * steps), elevator) for k in range(2 * steps + 1)]
+        for k in range(0, 2 * steps, 2):
+            x = self.motion
+            k1 = self._rates(x, *points[k])
+            k2 = self._rates(x.moved(k1, h / 2), *points[k + 1])
+            k3 = self._rates(x.moved(k2, h / 2), *points[k + 1])
+            k4 = self._rates(x.moved(k3, h), *points[k + 2])
+            sixth = h / 6
+            self.motion = x.moved(k1, sixth).moved(k2, 2 * sixth).moved(k3, 2 * sixth).moved(k4, sixth)
+            integral = integral.moved(x.moved(k1, sixth).moved(k2, sixth).moved(k3, sixth), h)
+        if self.motion.departed:
+            self.restart(last)
+        return integral
+
+    def lift_coefficient(self, x: PitchState, V: float, elevator: float) -> float:
+        """CL of a motion at an airspeed [m/s] with the elevator at an angle [rad]."""
+        d = self.values
+        return (
+            d["CL_0"]
+            + d["CL_alpha"] * x.alpha
+            + d["CL_q"] * x.q * self._airframe.chord / (2 * V)
+            + d["CL_de"] * elevator
+        )
+
+    @staticmethod
+    def _inputs(first: Sample, last: Sample, part: float, elevator: Between) -> tuple[Sample, float]:
+        between = Sample(*((1.0 - part) * a + part * b for a, b in zip(first, last, strict=True)))
+        return between, elevator.at(part)
+
+    def _rates(self, x: PitchState, u: Sample, elevator: float) -> PitchState:
+        """Equations of the pitching motion at measured airspeed and attitude."""
+        d, a = self.values, self._airframe
+        q_s = 0.5 * u.rho * u.V * u.V * a.area
+        CL = self.lift_coefficient(x, u.V, elevator)
+        CD = d["CD_0"] + d["CD_k"] * CL * CL
+        Cm = d["Cm_0"] + d["Cm_alpha"] * x.alpha + d["Cm_q"] * x.q * a.chord / (2 * u.V) + d["Cm_de"] * elevator
+        sin, cos = math.sin(x.alpha), math.cos(x.alpha)
+        gx = (q_s * (CL * sin - CD * cos) + u.thrust) / a.mass - GRAVITY * math.sin(u.theta)
+        gz = q_s * (-CL * cos - CD * sin) / a.mass + GRAVITY * math.cos(u.theta) * math.cos(u.phi)
+        alpha_rate = x.q - math.tan(u.beta) * (u.p * cos + u.r * sin) + (gz * cos - gx * sin) / (u.V * math.cos(u.beta))
+        moment = q_s * a.chord * Cm + (a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p * u.p - u.r * u.r)
+        return PitchState(alpha_rate, moment / a.Iyy)
+
+
+Simulation = SimulatedMotion | SimulatedPitch
+
+
+def simulation_of(regression: Regression, airframe: Airframe) -> Simulation:
+    """The simulated motion that a regression's instruments come from."""
+    return SimulatedPitch(airframe) if regression is LONGITUDINAL else SimulatedMotion(airframe)

@@ -6,32 +6,35 @@ which would need more rows than there are.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.rows import TOTAL, WIDTH, Row
+from daq.identification.regression import LATERAL, Regression
+from daq.identification.rows import Row
 
 Array = NDArray[np.float64]
 
 LAGS = 12  # rows over which residuals are taken to be correlated: half a second and more
 
 
-def _zeros(*shape: int) -> Array:
-    return np.zeros(shape)
-
-
 @dataclass
 class Sums:
-    """Sums over rows. cross: (WIDTH, TOTAL) instruments by measured; measured: (LAGS + 1, TOTAL, TOTAL) and
-    instruments: (LAGS + 1, WIDTH, WIDTH) products of each row with the one so many rows later; span: [s] covered."""
+    """Sums over rows. cross: (width, total) instruments by measured; measured: (LAGS + 1, total, total) and
+    instruments: (LAGS + 1, width, width) products of each row with the one so many rows later; span: [s] covered."""
 
-    rows: int = 0
-    span: float = 0.0
-    cross: Array = field(default_factory=lambda: _zeros(WIDTH, TOTAL))
-    measured: Array = field(default_factory=lambda: _zeros(LAGS + 1, TOTAL, TOTAL))
-    instruments: Array = field(default_factory=lambda: _zeros(LAGS + 1, WIDTH, WIDTH))
+    rows: int
+    span: float
+    cross: Array
+    measured: Array
+    instruments: Array
+
+    @classmethod
+    def empty(cls, width: int, total: int) -> "Sums":
+        """Of no rows."""
+        lagged = LAGS + 1
+        return cls(0, 0.0, np.zeros((width, total)), np.zeros((lagged, total, total)), np.zeros((lagged, width, width)))
 
     def plus(self, other: "Sums") -> "Sums":
         """Sums over the rows of both."""
@@ -45,11 +48,11 @@ class Sums:
 
     def without_constant(self) -> "Sums":
         """Sums of the rows less what the constant's column explains of them (its own entries are zero then)."""
-        energy = self.cross[0, 0]
+        energy, (width, total) = self.cross[0, 0], self.cross.shape
         if not energy > 0.0:
-            return Sums(self.rows, self.span)
+            return Sums.empty(width, total)
         share, instrument_share = self.cross[0] / energy, self.cross[:, 0] / energy
-        projection, instrument_projection = np.eye(TOTAL), np.eye(WIDTH)
+        projection, instrument_projection = np.eye(total), np.eye(width)
         projection[:, 0] -= share
         instrument_projection[:, 0] -= instrument_share
         return Sums(
@@ -64,10 +67,10 @@ class Sums:
 class Block:
     """Rows of one block as they come."""
 
-    def __init__(self) -> None:
-        self.sums = Sums()
-        self._measured = _zeros(LAGS + 1, TOTAL)
-        self._instruments = _zeros(LAGS + 1, WIDTH)
+    def __init__(self, regression: Regression = LATERAL) -> None:
+        self.sums = Sums.empty(regression.width, regression.total)
+        self._measured = np.zeros((LAGS + 1, regression.total))
+        self._instruments = np.zeros((LAGS + 1, regression.width))
 
     def add(self, row: Row) -> None:
         """One more row."""
@@ -87,7 +90,6 @@ class Block:
         self._instruments[:] = 0.0
 
 
-SIDE = 0  # number of the side-force equation, whose columns stand apart
 SHORT = 4.0  # s; a bound from T seconds is widened by sqrt(1 + SHORT / T): its own scatter, found by simulation
 FEWEST_ROWS = 24  # beyond the columns
 SINGULAR = 1e-10  # reciprocal condition of the scaled normal matrix below which columns are dependent
@@ -102,40 +104,39 @@ _BARTLETT = np.concatenate([[1.0], 2.0 * (1.0 - np.arange(1, LAGS + 1) / (LAGS +
 
 @dataclass(frozen=True)
 class RegressionSolution:
-    """values: (n,) of the columns `columns`; covariance: (n, n), honest; white: the same as if residuals were white.
+    """values: (n,) of the derivatives `names`, which belong to the columns `columns`; covariance: (n, n), honest; white: the same
+    as if residuals were white.
 
-    scatter: of the sum of the left side's residuals, per row.
+    places: where the measured columns stand in a row, and its left side last. scatter: of the sum of the left side's residuals,
+    per row.
     """
 
-    equation: int
+    names: tuple[str, ...]
     columns: tuple[int, ...]
+    places: tuple[int, ...]
     values: Array
     covariance: Array
     white: Array
     scatter: float
 
     def constant(self, level: Array) -> tuple[float, float]:
-        """The equation's constant and its variance. level: (TOTAL,) the constant's row of the crossed sums."""
-        equation_columns = own_columns(self.equation, self.columns)
-        mean = level[equation_columns] / level[0]
-        value = float(level[2 * WIDTH + self.equation] / level[0] - mean @ self.values)
+        """The equation's constant and its variance. level: (total,) the constant's row of the crossed sums."""
+        mean = level[list(self.places[:-1])] / level[0]
+        value = float(level[self.places[-1]] / level[0] - mean @ self.values)
         return value, float(self.scatter / level[0] + mean @ self.covariance @ mean)
 
 
-def own_columns(equation: int, columns: Sequence[int]) -> list[int]:
-    """Where the measured columns of an equation stand in a row."""
-    return [c + (WIDTH if equation == SIDE else 0) for c in columns]
-
-
-def solve(sums: Sums, equation: int, columns: Sequence[int]) -> RegressionSolution | None:
-    """Derivatives of one equation (0 CY, 1 Cl, 2 Cn) for the given columns; None where these rows cannot tell them.
+def solve(sums: Sums, regression: Regression, equation: int, names: Sequence[str]) -> RegressionSolution | None:
+    """The named derivatives of one equation of a regression; None where these rows cannot tell them.
 
     sums: without their constant.
     """
-    instruments, n = list(columns), len(columns)
+    chosen, n = regression.equations[equation], len(names)
+    instruments = [regression.columns.index(chosen.terms[name]) for name in names]
     if not n or sums.rows < n + FEWEST_ROWS:
         return None
-    equation_columns = own_columns(equation, instruments)
+    equation_columns = [c + (regression.width if chosen.instant else 0) for c in instruments]
+    left_side = 2 * regression.width + equation
     scale_z = np.sqrt(np.diag(sums.instruments[0])[instruments])
     scale = np.sqrt(np.diag(sums.measured[0])[equation_columns])
     if not (np.all(scale_z > 0.0) and np.all(scale > 0.0)):
@@ -144,8 +145,8 @@ def solve(sums: Sums, equation: int, columns: Sequence[int]) -> RegressionSoluti
     if not np.linalg.cond(scaled) < 1.0 / SINGULAR:
         return None
     inverse = np.linalg.inv(scaled) / scale_z / scale[:, None]
-    values = inverse @ sums.cross[instruments, 2 * WIDTH + equation]
-    residual = _residual_products(sums, equation, equation_columns, values)
+    values = inverse @ sums.cross[instruments, left_side]
+    residual = _residual_products(sums, left_side, equation_columns, values)
     freedom = sums.rows - n
     white = inverse @ (residual[0] / freedom * sums.instruments[0][np.ix_(instruments, instruments)]) @ inverse.T
     widened = 1.0 + SHORT / max(sums.span, 1e-9)
@@ -153,13 +154,19 @@ def solve(sums: Sums, equation: int, columns: Sequence[int]) -> RegressionSoluti
     floor = np.maximum(LEAST_SHARE * np.diag(white) - np.diag(coloured), 0.0)
     scatter = max(float(_BARTLETT @ residual), LEAST_SHARE * residual[0]) / freedom
     return RegressionSolution(
-        equation, tuple(instruments), values, widened * (coloured + np.diag(floor)), white, widened * scatter
+        tuple(names),
+        tuple(instruments),
+        (*equation_columns, left_side),
+        values,
+        widened * (coloured + np.diag(floor)),
+        white,
+        widened * scatter,
     )
 
 
-def _residual_products(sums: Sums, equation: int, own: list[int], values: Array) -> Array:
+def _residual_products(sums: Sums, left_side: int, own: list[int], values: Array) -> Array:
     """(LAGS + 1,) sums of the residual of a row times that of the row so many later."""
-    v, left_side = np.zeros(TOTAL), 2 * WIDTH + equation
+    v = np.zeros(sums.cross.shape[1])
     v[own], v[left_side] = -values, 1.0
     products: Array = np.einsum("i,kij,j->k", v, sums.measured, v)
     products[0] = max(products[0], ROUNDING * sums.measured[0, left_side, left_side])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe, Belief, Sample
+from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Belief, Sample
 from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
@@ -204,9 +204,9 @@ def _status(final: LiveEstimates, found: Mapping[str, Estimate]) -> tuple[Status
 def _matrix(names: tuple[str, ...], solutions: Mapping[str, RegressionSolution | None], kind: str) -> Array:
     """(n, n) covariance in the order of the names; zero where there is none, constants by themselves."""
     result = np.zeros((len(names), len(names)))
-    for coefficient, solution in solutions.items():
+    for solution in solutions.values():
         if solution is not None:
-            indices = [names.index(f"{coefficient}_{COLUMNS[c]}") for c in solution.columns]
+            indices = [names.index(n) for n in solution.names]
             result[np.ix_(indices, indices)] = getattr(solution, kind)
     return result
 

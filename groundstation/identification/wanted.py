@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.identification.airframe import COLUMNS, DERIVATIVES, Belief
+from daq.identification.airframe import DERIVATIVES, Belief
 from daq.identification.live import EquationInformation, LiveDerivative, LiveEstimates
 
 WEAK = 4.0  # times the wanted share, of the terms that move an aircraft little
@@ -90,10 +90,10 @@ class Together:
 def together(information: Mapping[str, EquationInformation]) -> tuple[Together, ...]:
     """Pairs of derivatives whose errors go together, the closest first."""
     pairs = []
-    for coefficient, i in information.items():
+    for i in information.values():
         spread = np.sqrt(np.diag(i.covariance))
         rho = i.covariance / np.outer(spread, spread)
-        names = [f"{coefficient}_{COLUMNS[c]}" for c in i.columns]
+        names = i.names
         pairs += [
             Together(names[a], names[b], float(rho[a, b]))
             for a in range(len(names))

@@ -14,7 +14,8 @@ from daq.identification.airframe import Airframe, Sample
 from daq.identification.in_order import OrderedEstimator
 from daq.identification.live import LiveEstimates, LiveEstimator
 from daq.identification.movement import ControlSignal
-from daq.identification.rows import TOTAL, WIDTH, RowMaker, cubic_weights
+from daq.identification.regression import LATERAL
+from daq.identification.rows import RowMaker, cubic_weights
 from daq.identification.simulated_motion import SimulatedMotion
 from daq.identification.solve import Block
 from daq.identification.surfaces import SurfaceCurves, middle_curve
@@ -232,7 +233,7 @@ def test_noise_of_the_vane_does_not_pull_the_rolling_derivatives(airframe: Airfr
             row = rows.add(s, (s.delta_a, s.delta_r))
             if row is not None:
                 block.add(row)
-        sums, pick, left = block.sums.without_constant(), [1, 2, 3, 4, 5], 2 * WIDTH + 1
+        sums, pick, left = block.sums.without_constant(), [1, 2, 3, 4, 5], 2 * LATERAL.width + 1
         gram = sums.measured[0]
         by_squares = np.linalg.solve(gram[np.ix_(pick, pick)], gram[pick, left])
         by_instruments = np.linalg.solve(sums.cross[np.ix_(pick, pick)], sums.cross[pick, left])
@@ -385,8 +386,8 @@ def test_a_row_has_what_its_documentation_says(airframe: Airframe, exact: Flown)
     row = made[4]
     assert row is not None
     assert (row.time, row.span) == pytest.approx((0.1, 0.05))
-    assert row.measured.shape == (TOTAL,)
-    assert row.instruments.shape == (WIDTH,)
+    assert row.measured.shape == (LATERAL.total,)
+    assert row.instruments.shape == (LATERAL.width,)
 
 
 def test_a_sample_names_its_signals() -> None:

@@ -1,0 +1,179 @@
+"""A regression as data: states that are simulated for the instruments, columns, and the terms of each equation.
+
+With Q(x) = integral of the dynamic pressure times x over an interval between scans, every equation is linear in its derivatives:
+
+    CY:  m / S  integral of ay                                                   = Q(1) CY_0 + Q(beta) CY_beta + ...
+    Cl:  (Ixx dp - Ixz dr + integral of (Izz - Iyy) q r - Ixz p q) / (S b)       = Q(1) Cl_0 + ...
+    Cn:  (Izz dr - Ixz dp + integral of (Iyy - Ixx) p q + Ixz q r) / (S b)       = Q(1) Cn_0 + ...
+    CL:  integral of ((m ax - T) sin alpha - m az cos alpha) / S                 = Q(1) CL_0 + Q(alpha) CL_alpha + ...
+    CD:  integral of (-(m ax - T) cos alpha - m az sin alpha) / S                = Q(1) CD_0 + Q(CL^2) CD_k
+    Cm:  (Iyy dq - integral of (Izz - Ixx) p r - Ixz (p^2 - r^2)) / (S c)        = Q(1) Cm_0 + Q(alpha) Cm_alpha + ...
+
+CL in a column of the drag is the measured one, and the simulated one in its instrument.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from operator import attrgetter
+
+from daq.contract.channels import COLUMN_BY_NAME
+from daq.identification.airframe import EQUATIONS, Airframe, Sample
+
+Forces = Callable[[Airframe, Sample], tuple[float, ...]]
+Gains = Callable[[Airframe, Sample, Sample], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One equation. terms: derivative -> column, beside the constant. instant: holds at every instant, without an increment."""
+
+    coefficient: str
+    terms: Mapping[str, str]
+    instant: bool = False
+
+    @property
+    def constant(self) -> str:
+        """Name of its constant."""
+        return f"{self.coefficient}_0"
+
+    @property
+    def derivatives(self) -> tuple[str, ...]:
+        """The constant first."""
+        return (self.constant, *self.terms)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Columns in their order: the constant, states (with the length that makes a rate of each, empty for an angle), controls, the
+    square of CL if wanted.
+
+    states: signal -> attribute of the airframe that its rate is made with. controls: column -> signal. forces: left sides of all
+    equations at one scan, what rates gain (gains) left out. motion: signals that the simulation needs besides.
+    """
+
+    name: str
+    states: Mapping[str, str]
+    controls: Mapping[str, str]
+    equations: tuple[Equation, ...]
+    forces: Forces
+    gains: Gains
+    motion: tuple[str, ...]
+    square_of_lift: bool = False
+
+    @cached_property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return ("0", *self.states, *self.controls, *(("CL2",) if self.square_of_lift else ()))
+
+    @property
+    def width(self) -> int:
+        """Columns of a row."""
+        return len(self.columns)
+
+    @property
+    def total(self) -> int:
+        """Numbers of a row: columns of the equations with increments, of those that hold at every instant, left sides."""
+        return 2 * self.width + len(self.equations)
+
+    @cached_property
+    def derivatives(self) -> tuple[str, ...]:
+        """Every parameter, constants included."""
+        return tuple(name for equation in self.equations for name in equation.derivatives)
+
+    @cached_property
+    def signals(self) -> tuple[str, ...]:
+        """Signals of a sample that it needs."""
+        return tuple(dict.fromkeys((*self.states, *self.controls.values(), *self.motion)))
+
+    @cached_property
+    def _values(self) -> Callable[[Sample], tuple[float, ...]]:
+        getter = attrgetter(*self.states, *self.controls.values())
+        return getter
+
+    def linear_values(self, sample: Sample) -> tuple[float, ...]:
+        """Measured values of the linear columns, the constant's first."""
+        return (1.0, *self._values(sample))
+
+    @cached_property
+    def _limits(self) -> tuple[tuple[str, float, float], ...]:
+        return tuple((n, *COLUMN_BY_NAME[n].plausible) for n in self.signals)
+
+    def credible(self, sample: Sample) -> bool:
+        """Whether every value it needs is a number that an aircraft can show."""
+        return math.isfinite(sample.time) and all(
+            low <= getattr(sample, name) <= high for name, low, high in self._limits
+        )
+
+
+def _terms(coefficient: str) -> dict[str, str]:
+    return {f"{coefficient}_{column}": column for column in EQUATIONS[coefficient]}
+
+
+def _lateral_forces(a: Airframe, s: Sample) -> tuple[float, ...]:
+    per_span = 1.0 / (a.area * a.span)
+    return (
+        a.mass * s.ay / a.area,
+        ((a.Izz - a.Iyy) * s.q * s.r - a.Ixz * s.p * s.q) * per_span,
+        ((a.Iyy - a.Ixx) * s.p * s.q + a.Ixz * s.q * s.r) * per_span,
+    )
+
+
+def _lateral_gains(a: Airframe, first: Sample, last: Sample) -> tuple[float, ...]:
+    dp, dr, per_span = last.p - first.p, last.r - first.r, 1.0 / (a.area * a.span)
+    return 0.0, (a.Ixx * dp - a.Ixz * dr) * per_span, (a.Izz * dr - a.Ixz * dp) * per_span
+
+
+LATERAL = Regression(
+    "lateral",
+    {"beta": "", "p": "span", "r": "span"},
+    {"da": "delta_a", "dr": "delta_r"},
+    (
+        Equation("CY", _terms("CY"), instant=True),
+        Equation("Cl", _terms("Cl")),
+        Equation("Cn", _terms("Cn")),
+    ),
+    _lateral_forces,
+    _lateral_gains,
+    ("q", "phi", "theta", "alpha", "V", "ay", "rho"),
+)
+
+
+def lift_and_drag(a: Airframe, s: Sample) -> tuple[float, float]:
+    """Of the specific force at the CG, thrust taken out, per area [Pa]."""
+    x, z = a.mass * s.ax - s.thrust, a.mass * s.az
+    sin, cos = math.sin(s.alpha), math.cos(s.alpha)
+    return (x * sin - z * cos) / a.area, (-x * cos - z * sin) / a.area
+
+
+def _longitudinal_forces(a: Airframe, s: Sample) -> tuple[float, ...]:
+    coupling = (a.Izz - a.Ixx) * s.p * s.r - a.Ixz * (s.p * s.p - s.r * s.r)
+    return *lift_and_drag(a, s), -coupling / (a.area * a.chord)
+
+
+def _longitudinal_gains(a: Airframe, first: Sample, last: Sample) -> tuple[float, ...]:
+    return 0.0, 0.0, a.Iyy * (last.q - first.q) / (a.area * a.chord)
+
+
+LONGITUDINAL = Regression(
+    "longitudinal",
+    {"alpha": "", "q": "chord"},
+    {"de": "delta_e"},
+    (
+        Equation("CL", {"CL_alpha": "alpha", "CL_q": "q", "CL_de": "de"}, instant=True),
+        Equation("CD", {"CD_k": "CL2"}, instant=True),
+        Equation("Cm", {"Cm_alpha": "alpha", "Cm_q": "q", "Cm_de": "de"}),
+    ),
+    _longitudinal_forces,
+    _longitudinal_gains,
+    ("beta", "p", "r", "phi", "theta", "V", "ax", "ay", "az", "rho", "thrust"),
+    square_of_lift=True,
+)
+
+REGRESSIONS: Mapping[str, tuple[Regression, ...]] = {
+    "lateral": (LATERAL,),
+    "longitudinal": (LONGITUDINAL,),
+    "six-dof": (LATERAL, LONGITUDINAL),
+}
+"""By the model whose derivatives they tell."""
