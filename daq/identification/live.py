@@ -1,7 +1,7 @@
 """The recursive estimator: scans in, derivatives with bounds out, at any moment."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -250,6 +250,49 @@ class LiveEstimator:
         spread = np.diag([b.std**2 for b in beliefs if b is not None])
         gain = spread @ np.linalg.inv(spread + solution.covariance)
         return dict(zip(solution.names, (mean + gain @ (solution.values - mean)).tolist(), strict=True))
+
+
+class JointEstimator:
+    """Estimators of several regressions over the same scans, as one: lateral and longitudinal motion of a six-dof model."""
+
+    def __init__(self, airframe: Airframe, regressions: Sequence[Regression]) -> None:
+        self.parts = tuple(LiveEstimator(airframe, r) for r in regressions)
+
+    def restart(self) -> None:
+        """As `LiveEstimator.restart`."""
+        for part in self.parts:
+            part.restart()
+
+    def add(self, sample: Sample) -> None:
+        """One scan."""
+        for part in self.parts:
+            part.add(sample)
+
+    @property
+    def stretches(self) -> int:
+        """Number of the present stretch, of all parts together."""
+        return max(part.stretches for part in self.parts)
+
+    def solutions(self) -> dict[str, RegressionSolution | None]:
+        """Each equation as far as the scans so far tell it."""
+        return {c: solution for part in self.parts for c, solution in part.solutions().items()}
+
+    def estimates(self, stretches: slice = slice(None)) -> LiveEstimates:
+        """Every derivative of all parts."""
+        return joined([part.estimates(stretches) for part in self.parts])
+
+
+def joined(parts: Sequence[LiveEstimates]) -> LiveEstimates:
+    """Of several regressions over the same flight: flight time and rows of the one that has most."""
+    if len(parts) == 1:
+        return parts[0]
+    return LiveEstimates(
+        max(e.time for e in parts),
+        max(e.span for e in parts),
+        max(e.rows for e in parts),
+        {n: d for e in parts for n, d in e.derivatives.items()},
+        tuple(signal for e in parts for signal in e.still),
+    )
 
 
 def useful_bound(value: float, belief: Belief | None) -> float:

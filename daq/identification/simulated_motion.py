@@ -226,4 +226,4 @@ Simulation = SimulatedMotion | SimulatedPitch
 
 def simulation_of(regression: Regression, airframe: Airframe) -> Simulation:
     """The simulated motion that a regression's instruments come from."""
-    return SimulatedPitch(airframe) if regression is LONGITUDINAL else SimulatedMotion(airframe)
+    return SimulatedPitch(airframe) if "alpha" in regression.states else SimulatedMotion(airframe)

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Belief, Sample
-from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
+from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Airframe, Belief, Sample
+from daq.identification.live import GAP, JointEstimator, LiveDerivative, LiveEstimates
+from daq.identification.regression import LATERAL, Regression
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
 from estimation.engine.data import FOR_REGRESSION, FlightData
@@ -20,6 +21,7 @@ from estimation.engine.prepared import compared, prepared
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
+from estimation.estimators.linear_terms import OPTIONAL, LinearTerms, linear_terms
 from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
@@ -35,7 +37,7 @@ DOUBTED = 0.5  # of a believed value: its standard deviation where the aircraft 
 class _RecursiveRun:
     """What came of feeding flights one after the other. ends: stretch of the estimator at which each flight ends."""
 
-    estimator: LiveEstimator
+    estimator: JointEstimator
     ends: tuple[int, ...]
     history: EstimateHistory
 
@@ -43,46 +45,36 @@ class _RecursiveRun:
 def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
     """Estimates with bounds after the last scan, and how they came about.
 
-    model: one with the derivatives of `lateral`. Several flights are taken one after the other, as one aircraft; the history
-    is that of a single flight. Raises EstimationError for another model, parameters that are held or an airframe that cannot
-    be, MissingColumnError for a flight without the measured motion.
+    model: linear in its parameters, as `linear_terms` asks. Several flights are taken one after the other, as one aircraft; the
+    history is that of a single flight. Raises EstimationError for another model, parameters that are held or an airframe that
+    cannot be, MissingColumnError for a flight without the measured motion.
     """
-    airframe = airframe_of(model, aircraft)
+    airframe, terms = airframe_of(model, aircraft), linear_terms(model)
     for flight in flights:
-        flight.require([s for s in SIGNALS if s != "rho"], "method live")
+        flight.require(list(terms.signals), "method live")
     compared_model, data = compared(model, prepared(model, flights, FOR_REGRESSION))
-    run = _fed(airframe, [with_derived(f, ["rho"]) for f in flights])
-    return _result(compared_model, data, run)
+    run = _fed(airframe, terms, [with_derived(f, ["rho"]) for f in flights])
+    return _result(compared_model, data, run, terms)
 
 
 def refusal(model: Model) -> str:
     """Why a model cannot be taken, empty where it can."""
-    if set(model.parameter_names) != set(DERIVATIVES):
-        return f"method live knows the derivatives of model lateral only, not those of {model.name}; take method ml"
-    fixed_names = [p.name for p in model.parameters if p.fixed]
-    return (
-        f"method live holds no parameter ({', '.join(fixed_names)}): free it, or take method ml" if fixed_names else ""
-    )
+    try:
+        linear_terms(model)
+    except EstimationError as error:
+        return str(error)
+    return ""
 
 
 def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
     """The airframe and what is believed of it, as a model and its aircraft have it."""
-    if reason := refusal(model):
-        raise EstimationError(reason)
+    terms, c = linear_terms(model), model.constants
     lag = None if aircraft.servos is None else aircraft.servos.lag
-    c = model.constants
+    beliefs = {terms.names[p.name]: _belief(p) for p in model.parameters}
+    pitching = any(r.name == "longitudinal" for r in terms.regressions)
     try:
-        return Airframe(
-            c["b"],
-            c["S"],
-            c["m"],
-            c["Ixx"],
-            c["Iyy"],
-            c["Izz"],
-            c["Ixz"],
-            {p.name: _belief(p) for p in model.parameters},
-            lag,
-        )
+        geometry = [c[n] for n in ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")]
+        return Airframe(*geometry, beliefs, lag, c["c"] if pitching else math.nan)
     except KeyError as error:
         raise EstimationError(
             f"model {model.name} has no constant {error}, and method live cannot do without"
@@ -109,21 +101,26 @@ def _stated_std(p: Parameter) -> float | None:
     return p.reference_std if p.reference_std and p.start == p.reference else None
 
 
-def samples_of(flight: Flight, part: slice) -> Iterator[Sample]:
-    """Scans of a stretch of a flight, in order. A column that is missing reads NaN."""
-    columns = [flight.time[part], *(flight[n][part] for n in SIGNALS)]
+def samples_of(flight: Flight, part: slice, regressions: Sequence[Regression] = (LATERAL,)) -> Iterator[Sample]:
+    """Scans of a stretch of a flight, in order. A column that is missing reads NaN; the pitching plane by itself does without the
+    lateral motion, which counts as none."""
+    names = [*SIGNALS, *(PITCH_SIGNALS if regressions != (LATERAL,) else ())]
+    lateral = any(r.name == "lateral" for r in regressions)
+    absent = () if lateral else [n for n in (*OPTIONAL, "delta_a", "delta_r") if n not in flight.columns]
+    size = flight.time[part].size
+    columns = [flight.time[part], *(np.zeros(size) if n in absent else flight[n][part] for n in names)]
     for row in np.stack(columns, axis=1).tolist():
         yield Sample(*row)
 
 
-def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _RecursiveRun:
-    estimator, ends, entries = LiveEstimator(airframe), [], list[LiveEstimates]()
+def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _RecursiveRun:
+    estimator, ends, entries = JointEstimator(airframe, terms.regressions), [], list[LiveEstimates]()
     for flight in flights:
         due = -math.inf
         for part in flight.segments:
             if not _leads_over(flight, part.start):
                 estimator.restart()
-            for sample in samples_of(flight, part):
+            for sample in samples_of(flight, part, terms.regressions):
                 estimator.add(sample)
                 if sample.time >= due and len(flights) == 1:
                     due = sample.time + EVERY - 1e-6
@@ -131,7 +128,7 @@ def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _RecursiveRun:
         if len(flights) == 1:
             entries.append(replace(estimator.estimates(), time=float(flight.time[-1])))
         ends.append(estimator.stretches + 1)
-    return _RecursiveRun(estimator, tuple(ends), _history(entries))
+    return _RecursiveRun(estimator, tuple(ends), _history(entries, terms.names))
 
 
 def _leads_over(flight: Flight, at: int) -> bool:
@@ -142,23 +139,23 @@ def _leads_over(flight: Flight, at: int) -> bool:
     return GAP_FACTOR * flight.sample_interval < step <= GAP
 
 
-def _history(seen: Sequence[LiveEstimates]) -> EstimateHistory:
+def _history(entries: Sequence[LiveEstimates], names: Mapping[str, str]) -> EstimateHistory:
     def series(name: str, field: str) -> Array:
-        derivatives = (e.derivatives[name] for e in seen)
+        derivatives = (e.derivatives[name] for e in entries)
         return np.array([getattr(d, field) if d.told else np.nan for d in derivatives])
 
     return EstimateHistory(
-        np.array([e.time for e in seen]),
-        {n: series(n, "estimate") for n in DERIVATIVES},
-        {n: series(n, "std") for n in DERIVATIVES},
+        np.array([e.time for e in entries]),
+        {own: series(name, "estimate") for own, name in names.items()},
+        {own: series(name, "std") for own, name in names.items()},
     )
 
 
-def _result(model: Model, data: list[FlightData], run: _RecursiveRun) -> Result:
+def _result(model: Model, data: list[FlightData], run: _RecursiveRun, terms: LinearTerms) -> Result:
     final = run.estimator.estimates()
     names = tuple(n for n in model.parameter_names if not model.parameter(n).local)
-    estimates = {n: _estimate(model.parameter(n), final.derivatives[n]) for n in names}
-    constants_by_flight = list(_locals(model, run))
+    estimates = {n: _estimate(model.parameter(n), final.derivatives[terms.names[n]]) for n in names}
+    constants_by_flight = list(_locals(model, run, terms))
     values = [
         {n: e.estimate for n, e in (estimates | flight_constants).items()} for flight_constants in constants_by_flight
     ]
@@ -166,7 +163,9 @@ def _result(model: Model, data: list[FlightData], run: _RecursiveRun) -> Result:
     flights: tuple[FlightFit, ...] = tuple(
         replace(f, local=flight_constants) for f, flight_constants in zip(fits, constants_by_flight, strict=True)
     )
-    honest, white = (_matrix(names, run.estimator.solutions(), kind) for kind in ("covariance", "white"))
+    honest, white = (
+        _matrix([terms.names[n] for n in names], run.estimator.solutions(), kind) for kind in ("covariance", "white")
+    )
     status, text = _status(final, estimates)
     return Result(
         model, "live", status, text, final.rows, final.rows, math.nan, R, names, estimates, white, honest,
@@ -174,12 +173,12 @@ def _result(model: Model, data: list[FlightData], run: _RecursiveRun) -> Result:
     )  # fmt: skip
 
 
-def _locals(model: Model, run: _RecursiveRun) -> Iterator[dict[str, Estimate]]:
+def _locals(model: Model, run: _RecursiveRun, terms: LinearTerms) -> Iterator[dict[str, Estimate]]:
     """Each flight's own constants, where the model says that they are."""
     begin = 0
     for end in run.ends:
         derivatives = run.estimator.estimates(slice(begin, end)).derivatives
-        yield {p.name: _estimate(p, derivatives[p.name]) for p in model.parameters if p.local}
+        yield {p.name: _estimate(p, derivatives[terms.names[p.name]]) for p in model.parameters if p.local}
         begin = end
 
 
@@ -201,7 +200,7 @@ def _status(final: LiveEstimates, found: Mapping[str, Estimate]) -> tuple[Status
     return (Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED), text
 
 
-def _matrix(names: tuple[str, ...], solutions: Mapping[str, RegressionSolution | None], kind: str) -> Array:
+def _matrix(names: Sequence[str], solutions: Mapping[str, RegressionSolution | None], kind: str) -> Array:
     """(n, n) covariance in the order of the names; zero where there is none, constants by themselves."""
     result = np.zeros((len(names), len(names)))
     for solution in solutions.values():

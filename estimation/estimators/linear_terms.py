@@ -1,0 +1,131 @@
+"""Which columns of the recursive estimator's regressions a model's parameters stand before, from the model's text."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.identification.regression import LATERAL, LONGITUDINAL, Equation, Regression
+from estimation.errors import EstimationError
+from estimation.models.base import Model
+from estimation.models.expressions import evaluate, names_in
+from estimation.models.numeric import FUNCTIONS
+
+PLANES = (LATERAL, LONGITUDINAL)
+OPTIONAL = ("beta", "p", "r", "phi", "ay")  # of the pitching plane by itself: zero where a flight does not have them
+LINEAR = "beta, p_hat, r_hat, delta_a, delta_r in CY Cl Cn, alpha, q_hat, delta_e in CL Cm, CL^2 in CD"
+
+
+@dataclass(frozen=True)
+class LinearTerms:
+    """A model's parameters as the recursive estimator has them. regressions: planes with the model's terms; names: parameter of
+    the model -> name there, which is coefficient and column (`Cl_p`)."""
+
+    regressions: tuple[Regression, ...]
+    names: Mapping[str, str]
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Columns of a flight without which nothing is estimated."""
+        needed = dict.fromkeys(s for r in self.regressions for s in r.signals)
+        lateral = any(r.name == "lateral" for r in self.regressions)
+        return tuple(s for s in needed if s != "rho" and (lateral or s not in OPTIONAL))
+
+
+def linear_terms(model: Model) -> LinearTerms:
+    """A model's parameters by the column that each stands before in a line CY, Cl, Cn, CL, CD or Cm.
+
+    Found from the lines' values at random motions: a coefficient has to change by parameter times column, whatever the other
+    parameters are. Raises EstimationError for a parameter that is held, stands elsewhere, or before something else.
+    """
+    names: dict[str, str] = {}
+    for p in model.parameters:
+        place = _column_of(model, p.name)
+        if place is None or place in names.values():
+            raise EstimationError(
+                f"method live knows derivatives by {LINEAR}; in model {model.name}, {p.name} is none of them: take method ml"
+            )
+        names[p.name] = place
+    if fixed_names := [p.name for p in model.parameters if p.fixed]:
+        raise EstimationError(f"method live holds no parameter ({', '.join(fixed_names)}): free it, or take method ml")
+    planes = [_with_terms(plane, set(names.values())) for plane in PLANES]
+    return LinearTerms(tuple(plane for plane in planes if plane is not None), names)
+
+
+def _with_terms(plane: Regression, names: set[str]) -> Regression | None:
+    """A plane with those terms that a model has; None where it has none of it."""
+    if not any(name.partition("_")[0] in {e.coefficient for e in plane.equations} for name in names):
+        return None
+    equations = tuple(
+        replace(e, terms={n: c for n, c in _possible_terms(plane, e).items() if n in names}) for e in plane.equations
+    )
+    return plane if equations == plane.equations else replace(plane, equations=equations)
+
+
+def _possible_terms(plane: Regression, equation: Equation) -> dict[str, str]:
+    """Those that an equation has anyhow first, in their order."""
+    others = {f"{equation.coefficient}_{c}": c for c in plane.columns if c not in ("0", "CL2")}
+    return {**equation.terms, **({} if equation.coefficient == "CD" else others)}
+
+
+def _column_of(model: Model, name: str) -> str | None:
+    """Coefficient and column (`Cl_p`) of a parameter; None where it stands before none."""
+    rng = np.random.default_rng(1)
+    places: set[str] | None = None
+    for _ in range(3):
+        symbols = {
+            **{s: rng.uniform(0.02, 0.2) for s in (*model.state_names, *model.input_names, *model.parameter_names)},
+            **model.constants,
+            "V": rng.uniform(10.0, 20.0),
+        }
+        shares = _shares(model, name, symbols)
+        places = shares if places is None else places & shares
+    return next(iter(places)) if places and len(places) == 1 else None
+
+
+def _shares(model: Model, name: str, symbols: Mapping[str, float]) -> set[str]:
+    """What a parameter may be by one motion: coefficients that change in proportion to it, by a column's value."""
+    terms: set[str] = set()
+    for plane in PLANES:
+        for equation in plane.equations:
+            if name not in _names_behind(model, equation.coefficient):
+                continue
+            at_one, at_two, at_three = (
+                _line_value(model, equation.coefficient, {**symbols, name: value}) for value in (1.0, 2.0, 3.0)
+            )
+            slope = at_two - at_one
+            if not math.isclose(at_three - at_two, slope, rel_tol=1e-6, abs_tol=1e-12):
+                continue
+            for term, column in {equation.constant: "0", **_possible_terms(plane, equation)}.items():
+                if math.isclose(slope, _column_value(model, plane, column, symbols), rel_tol=1e-6):
+                    terms.add(term)
+    return terms
+
+
+def _names_behind(model: Model, name: str) -> set[str]:
+    """Symbols that a definition rests on, directly or through others."""
+    if name not in model.definitions:
+        return set()
+    direct = names_in(model.definitions[name])
+    return set(direct).union(*(_names_behind(model, n) for n in direct))
+
+
+def _line_value(model: Model, name: str, symbols: Mapping[str, float]) -> float:
+    """Value of a definition, those that it rests on evaluated before it."""
+    if name in symbols:
+        return symbols[name]
+    text = model.definitions[name]
+    needed = {n: _line_value(model, n, symbols) for n in names_in(text)}
+    return float(evaluate(text, needed, FUNCTIONS))
+
+
+def _column_value(model: Model, plane: Regression, column: str, symbols: Mapping[str, float]) -> float:
+    """Value of a column without the dynamic pressure; NaN where the model does not have its signal."""
+    if column == "0":
+        return 1.0
+    if column == "CL2":
+        return _line_value(model, "CL", symbols) ** 2 if "CL" in model.definitions else math.nan
+    value = symbols.get(plane.controls.get(column, column), math.nan)
+    length = {"span": "b", "chord": "c"}.get(plane.states.get(column, ""))
+    return value * symbols.get(length, math.nan) / (2.0 * symbols["V"]) if length else value
