@@ -1,8 +1,11 @@
 """The aircraft as live identification is told of it: from the aircraft file that is given, carried along, or built in."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
-from daq.identification.airframe import DERIVATIVES, Airframe, Belief, LiveAircraft
+from daq.identification.airframe import Airframe, Belief
+from daq.identification.regression import LATERAL, LONGITUDINAL, REGRESSIONS, LiveAircraft, Regression
 from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.aircraft.schema import aircraft_from_text
@@ -14,40 +17,46 @@ NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")
 
 
 def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAircraft:
-    """The aircraft of a name or file; text: that of the file which travelled with the recording; model: file of a model of its
-    lateral derivatives that the gap monitor holds against flight.
+    """The aircraft of a name or file; text: that of the file which travelled with the recording; model: what is estimated, a
+    built-in model's name or the file of one; the gap monitor holds one of the lateral derivatives that is a file against flight.
 
     Raises AircraftError where there is no such aircraft, or where its file lacks geometry, mass or inertia, ModelError and
-    EstimationError where the model cannot be read, or has other parameters.
+    EstimationError where the model cannot be read, or is not linear in its parameters.
     """
     aircraft = (
         load_aircraft(name) if text is None else aircraft_from_text(text, f"aircraft {name} of the recording", name)
     )
-    aircraft.need(NEEDED, "live identification")
     sources = {n: p.source for n, p in aircraft.derivatives.items()}
-    return LiveAircraft(
-        aircraft.name, airframe_of_file(aircraft), sources, airframe_of_model(model, aircraft) if model else None
-    )
+    if not model or model in REGRESSIONS:
+        regressions = REGRESSIONS[model or "lateral"]
+        return LiveAircraft(aircraft.name, airframe_of_file(aircraft, regressions), sources, None, regressions)
+    modelled, regressions = airframe_of_model(model, aircraft)
+    believed = airframe_of_file(aircraft, regressions)
+    return LiveAircraft(aircraft.name, believed, sources, modelled if regressions == (LATERAL,) else None, regressions)
 
 
-def airframe_of_model(model: str, aircraft: Aircraft) -> Airframe:
-    """An aircraft as a model has it: its values, and what it says that these may be wrong by."""
-    from estimation.estimators.recursive import airframe_of, values_of
+def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[Regression, ...]]:
+    """An aircraft as a model has it: its values, and what it says that these may be wrong by; and what it estimates."""
+    from estimation.estimators.recursive import airframe_of, linear_terms, values_of
     from estimation.models.load import load_model
 
     read = load_model(model, aircraft)
-    airframe = airframe_of(read, aircraft)
+    airframe, terms = airframe_of(read, aircraft), linear_terms(read)
     values, stds = values_of(read)
-    return replace(airframe, beliefs={n: Belief(v, stds.get(n, 0.0)) for n, v in values.items()})
+    beliefs = {terms.names[n]: Belief(v, stds.get(n, 0.0)) for n, v in values.items()}
+    return replace(airframe, beliefs=beliefs), terms.regressions
 
 
-def airframe_of_file(aircraft: Aircraft) -> Airframe:
+def airframe_of_file(aircraft: Aircraft, regressions: Sequence[Regression] = (LATERAL,)) -> Airframe:
     """Geometry, mass and beliefs of an aircraft, as the recursive estimator takes them."""
+    pitching = LONGITUDINAL.name in [r.name for r in regressions]
+    aircraft.need((*NEEDED, "c") if pitching else NEEDED, "live identification")
     beliefs = {}
-    for name in DERIVATIVES:
+    for name in (n for r in regressions for n in r.derivatives):
         prior = aircraft.prior(name)
         if prior is not None:
             beliefs[name] = Belief(prior.value, DOUBTED * abs(prior.value) if prior.std is None else prior.std)
     lag = None if aircraft.servos is None else aircraft.servos.lag
     a = aircraft
-    return Airframe(a.span, a.area, a.mass, a.Ixx, a.Iyy, a.Izz, a.Ixz, beliefs, lag)
+    chord = a.chord if pitching else math.nan
+    return Airframe(a.span, a.area, a.mass, a.Ixx, a.Iyy, a.Izz, a.Ixz, beliefs, lag, chord)

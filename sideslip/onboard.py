@@ -16,7 +16,7 @@ from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.schema import load_calibration
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
-from groundstation.identification.words import NAMES, short_line
+from groundstation.identification.words import short_line
 from groundstation.live.flight_phase import LandingLimits
 from sideslip.live_aircraft import live_aircraft
 
@@ -27,7 +27,7 @@ WANTED = 0.05  # bound to be reached, as a share of a derivative; only for the w
 def answer_of(state: LiveState) -> CompanionReply:
     """What is told of a state."""
     known = state.estimates.derivatives
-    told = {n: (known[n].estimate, known[n].std) for n in NAMES if known[n].told}
+    told = {n: (known[n].estimate, known[n].std) for n in state.aircraft.shown if known[n].told}
     return CompanionReply(state.time, told, short_line(state))
 
 
@@ -39,8 +39,9 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
     setup: Setup = read_setup(first)
     calibrator = Calibrator(load_calibration(setup.calibration), setup.details)
     alignment, landing = ScanAlignment(BATCH_S), LandingLimits()
-    stretches = ManoeuvreDetector(landing.flying_speed, landing.flying_s)
-    live = LiveIdentification(live_aircraft(setup.aircraft), calibrator, WANTED, alignment, stretches)
+    aircraft = live_aircraft(setup.aircraft, model=setup.model)
+    stretches = ManoeuvreDetector(landing.flying_speed, landing.flying_s, aircraft.regressions)
+    live = LiveIdentification(aircraft, calibrator, WANTED, alignment, stretches)
     due = -math.inf
     told_trouble = False
     while (data := read_frame(source)) is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from groundstation.cli.services import LogAdvice, Services
 
 if TYPE_CHECKING:
-    from daq.identification.airframe import LiveAircraft
+    from daq.identification.regression import LiveAircraft
     from groundstation.flight import Flight
 
 

@@ -53,7 +53,9 @@ class Companion:
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
             os.set_blocking(pipe.fileno(), False)
-        self._waiting += setup_frame(Setup(self._aircraft, self._calibration, dict(details), self._config.every_s))
+        self._waiting += setup_frame(
+            Setup(self._aircraft, self._calibration, dict(details), self._config.every_s, self._config.model)
+        )
 
     def scans(self, scans: Iterable[Scan]) -> None:
         """Scans in order; then what has been answered."""

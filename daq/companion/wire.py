@@ -21,12 +21,13 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,9}")  # what NAMED_VALUE_FLOAT has 
 @dataclass(frozen=True)
 class Setup:
     """aircraft: its name, or the path of its file. calibration: directory. details: facts of the sensors. every_s: of flight
-    between two answers."""
+    between two answers. model: name or file of what is estimated; empty: lateral."""
 
     aircraft: str
     calibration: str
     details: Mapping[str, str]
     every_s: float
+    model: str = ""
 
 
 @dataclass(frozen=True)

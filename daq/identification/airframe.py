@@ -5,7 +5,7 @@ p b / 2V and r b / 2V. +delta_r trailing edge to port, +delta_a rolls left.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -110,22 +110,3 @@ class Airframe:
         """The believed value of a derivative, zero where nothing is believed."""
         belief = self.beliefs.get(name)
         return 0.0 if belief is None else belief.value
-
-
-@dataclass(frozen=True)
-class LiveAircraft:
-    """An airframe with its beliefs. sources: derivative -> who believes it (wind tunnel, flight, engineering estimate).
-
-    modelled: what the gap monitor holds against flight, as beliefs of a model, with a standard deviation of zero where it states
-    none; None: what the aircraft file believes.
-    """
-
-    name: str
-    airframe: Airframe
-    sources: Mapping[str, str] = field(default_factory=dict)
-    modelled: Airframe | None = None
-
-
-AircraftSource = Callable[[str, str | None, str], LiveAircraft]
-"""(name or file, text of the file that travelled with the recording or None, model file or "") -> the aircraft, for stations that
-know no aircraft files. Raises `daq.contract.errors.UserError` where there is none, or where it lacks what the estimator needs."""

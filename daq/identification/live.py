@@ -11,7 +11,7 @@ from daq.identification.airframe import Airframe, Belief, Sample
 from daq.identification.movement import ControlSignal
 from daq.identification.regression import LATERAL, Equation, Regression
 from daq.identification.rows import RowMaker
-from daq.identification.simulated_motion import simulation_of
+from daq.identification.simulated_motion import SteadiedVane, simulation_of
 from daq.identification.solve import Block, RegressionSolution, Sums, solve
 
 Array = NDArray[np.float64]
@@ -83,9 +83,10 @@ class LiveEstimator:
         self._airframe = airframe
         self._regression = regression
         self._motion = simulation_of(regression, airframe)
+        self._vane = SteadiedVane() if "alpha" in regression.states else None
         self._rows = RowMaker(airframe, self._motion, regression)
         self._controls = {c: ControlSignal() for c in regression.controls}
-        self._closed = Sums.empty(regression.width, regression.total)
+        self._closed = Sums.empty(regression.width, regression.total, regression.lags)
         self._block = Block(regression)
         self._block_start = math.nan
         self._last = -math.inf
@@ -116,11 +117,17 @@ class LiveEstimator:
             self._learn()
 
     def _take(self, sample: Sample) -> None:
+        if self._vane is not None:
+            steadied = self._vane.add(sample)
+            if steadied is None:
+                return
+            sample = steadied
         signals = self._regression.controls
         surfaces = tuple(control.add(getattr(sample, signals[c])) for c, control in self._controls.items())
         row = self._rows.add(sample, surfaces)
         if row is None:
-            self._block.interrupt()
+            if not self._rows.partial:
+                self._block.interrupt()
             return
         if not row.time - self._block_start <= BLOCK:
             self._close_block()
@@ -129,6 +136,8 @@ class LiveEstimator:
 
     def _interrupt(self) -> None:
         self._rows.restart()
+        if self._vane is not None:
+            self._vane.restart()
         self._block.interrupt()
         for control in self._controls.values():
             control.restart()

@@ -12,7 +12,8 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 
-from daq.identification.airframe import CONTROLS, Sample
+from daq.identification.airframe import Sample
+from daq.identification.regression import LATERAL, Regression
 
 MOVED = 3.0  # rms movement in units of the sensor's noise from which a control counts as moved
 LEAST = math.radians(0.1)  # rad rms; smaller movement identifies nothing on any aircraft
@@ -102,11 +103,13 @@ TRAVEL = math.radians(1.0)  # rad of travel that is a movement: ten noise levels
 class ManoeuvreDetector:
     """Feed samples in order of time; late ones afterwards, they are judged by what was found before.
 
-    speed: airspeed [m/s] above which the aircraft flies, once it was for `since` [s].
+    speed: airspeed [m/s] above which the aircraft flies, once it was for `since` [s]. regressions: whose controls count.
     """
 
-    def __init__(self, speed: float, since: float) -> None:
+    def __init__(self, speed: float, since: float, regressions: Sequence[Regression] = (LATERAL,)) -> None:
         self._speed, self._since = speed, since
+        self._regressions = tuple(regressions)
+        self._signals = tuple(signal for r in regressions for signal in r.controls.values())
         self._fast_from = math.inf
         self._moved_at = -math.inf
         self._latest = -math.inf
@@ -126,7 +129,7 @@ class ManoeuvreDetector:
             if self._within(sample.time):
                 yield sample
             return
-        if not sample.credible:
+        if not any(r.credible(sample) for r in self._regressions):
             return
         self._latest = sample.time
         self._note(sample)
@@ -157,7 +160,7 @@ class ManoeuvreDetector:
         self._recent.append(sample)
         while self._recent[0].time < sample.time - WITHIN:
             self._recent.popleft()
-        for signal in CONTROLS.values():
+        for signal in self._signals:
             values = [getattr(s, signal) for s in self._recent]
             if max(values) - min(values) > TRAVEL:
                 self._moved_at = sample.time

@@ -14,7 +14,7 @@ CL in a column of the drag is the measured one, and the simulated one in its ins
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
 
@@ -50,7 +50,8 @@ class Regression:
     square of CL if wanted.
 
     states: signal -> attribute of the airframe that its rate is made with. controls: column -> signal. forces: left sides of all
-    equations at one scan, what rates gain (gains) left out. motion: signals that the simulation needs besides.
+    equations at one scan, what rates gain (gains) left out. motion: signals that the simulation needs besides. lags: rows over
+    which residuals are taken to be correlated, half a second and more at 20 Hz. shortest_row [s]: shorter ones are joined.
     """
 
     name: str
@@ -61,6 +62,8 @@ class Regression:
     gains: Gains
     motion: tuple[str, ...]
     square_of_lift: bool = False
+    lags: int = 12
+    shortest_row: float = 0.0
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -169,6 +172,8 @@ LONGITUDINAL = Regression(
     _longitudinal_gains,
     ("beta", "p", "r", "phi", "theta", "V", "ax", "ay", "az", "rho", "thrust"),
     square_of_lift=True,
+    lags=24,  # what is left of the vane's noise lasts
+    shortest_row=0.045,  # so that this is 1.1 s and more at every rate
 )
 
 REGRESSIONS: Mapping[str, tuple[Regression, ...]] = {
@@ -177,3 +182,34 @@ REGRESSIONS: Mapping[str, tuple[Regression, ...]] = {
     "six-dof": (LATERAL, LONGITUDINAL),
 }
 """By the model whose derivatives they tell."""
+
+
+@dataclass(frozen=True)
+class LiveAircraft:
+    """An airframe with its beliefs, and what is estimated of it. sources: derivative -> who believes it (wind tunnel, flight,
+    engineering estimate).
+
+    modelled: what the gap monitor holds against flight, as beliefs of a model, with a standard deviation of zero where it states
+    none; None: what the aircraft file believes.
+    """
+
+    name: str
+    airframe: Airframe
+    sources: Mapping[str, str] = field(default_factory=dict)
+    modelled: Airframe | None = None
+    regressions: tuple[Regression, ...] = (LATERAL,)
+
+    @property
+    def derivatives(self) -> tuple[str, ...]:
+        """Every parameter, constants included."""
+        return tuple(name for r in self.regressions for name in r.derivatives)
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Derivatives in the order in which they are shown; constants are kept, but nobody flies for them."""
+        return tuple(name for r in self.regressions for e in r.equations for name in e.terms)
+
+
+AircraftSource = Callable[[str, str | None, str], LiveAircraft]
+"""(name or file, text of the file that travelled with the recording or None, model or "") -> the aircraft, for stations that
+know no aircraft files. Raises `daq.contract.errors.UserError` where there is none, or where it lacks what the estimator needs."""

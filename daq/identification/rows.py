@@ -18,24 +18,9 @@ from numpy.typing import NDArray
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.regression import LATERAL, Regression
 from daq.identification.simulated_motion import MotionState, PitchState, SimulatedPitch, Simulation
-from daq.identification.surfaces import SurfaceCurves
+from daq.identification.surfaces import SurfaceCurves, cubic_weights
 
 Array = NDArray[np.float64]
-
-
-def cubic_weights(t0: float, t1: float, t2: float, t3: float) -> Array:
-    """(4,) weights [s]: their product with samples at t0 < t1 < t2 < t3 is the integral from t1 to t2."""
-    h = t2 - t1
-    a, b = (t0 - t1) / h, (t3 - t1) / h  # the outer scans where the inner ones are 0 and 1
-    ends = -1.0 / 12.0
-    return h * np.array(
-        [
-            (ends + b / 6.0) / (a * (a - 1.0) * (a - b)),
-            (ends + (a + b) / 6.0 - a * b / 2.0) / (-a * b),
-            (0.25 - (a + b) / 3.0 + a * b / 2.0) / ((1.0 - a) * (1.0 - b)),
-            (ends + a / 6.0) / (b * (b - 1.0) * (b - a)),
-        ]
-    )
 
 
 LONGEST_ROW = 0.21  # s; a cubic over more loses the roll mode (three scans of a 20 Hz grid in a row may be lost)
@@ -76,11 +61,13 @@ class RowMaker:
         self._lengths = [0.0, *lengths, *[0.0] * controls]
         self._scans: deque[MotionScan] = deque(maxlen=5)
         self._integrals: deque[tuple[Array, Array, bool]] = deque(maxlen=2)  # simulated motion, surfaces; known well
+        self._part: Row | None = None  # of a row
 
     def restart(self) -> None:
         """Forget the scans so far: no interval leads over from them to the next."""
         self._scans.clear()
         self._integrals.clear()
+        self._part = None
         for curves in self._curves:
             curves.restart()
 
@@ -98,8 +85,24 @@ class RowMaker:
             return None
         scans, (_, _, sure) = list(self._scans)[:4], self._integrals[0]
         if not sure or scans[2].sample.time - scans[1].sample.time > LONGEST_ROW:
+            self._part = None
             return None
-        return self._row(scans)
+        return self._joined(self._row(scans))
+
+    @property
+    def partial(self) -> bool:
+        """Whether a row has begun that is too short yet."""
+        return self._part is not None
+
+    def _joined(self, row: Row) -> Row | None:
+        """The row with those before it that were too short by themselves; None while it is too short yet."""
+        if self._part is not None:
+            before = self._part
+            row = Row(
+                row.time, before.span + row.span, before.measured + row.measured, before.instruments + row.instruments
+            )
+        self._part = row if row.span < self._regression.shortest_row else None
+        return row if self._part is None else None
 
     def _simulate(self) -> None:
         """Carry the simulated motion to the last scan but one, whose surfaces' slopes are known now."""

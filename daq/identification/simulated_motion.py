@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from daq.identification.airframe import GRAVITY, Airframe, Sample
 from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
-from daq.identification.surfaces import Between
+from daq.identification.surfaces import Between, cubic_weights
 
 LONGEST_STEP = 0.026  # s; rolling decays with some 17 /s and a servo's edge takes 35 ms: Runge-Kutta is within 0.1 %
 SETTLE = (
@@ -23,6 +23,7 @@ DELAY = (
     5  # scans by which that is late: a row holds the noise of four scans, so that none of it gets into the instruments
 )
 LIMITS = (0.6, 12.0, 6.0, 3.0)  # rad, rad/s, rad/s, rad of beta p r phi: beyond, the believed aircraft has departed
+VANE_S = 0.4  # s in which a steadied angle follows the vane: where its noise and gusts of usual size are worth the same
 PITCH_LIMITS = (0.8, 8.0)  # rad, rad/s of alpha q
 
 
@@ -219,6 +220,49 @@ class SimulatedPitch:
         alpha_rate = x.q - math.tan(u.beta) * (u.p * cos + u.r * sin) + (gz * cos - gx * sin) / (u.V * math.cos(u.beta))
         moment = q_s * a.chord * Cm + (a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p * u.p - u.r * u.r)
         return PitchState(alpha_rate, moment / a.Iyy)
+
+
+class SteadiedVane:
+    """Angle of attack with the noise of the vane mostly off: gyro and accelerometer carry it to the next scan, the vane draws it.
+
+    What they say of an interval is integrated by the cubic through the four nearest scans, so that it is known one scan late. What
+    is left of the vane's noise, and gusts faster than `VANE_S`, are an error of the columns; it has nothing to do with the
+    instruments, so that it makes no bias.
+    """
+
+    def __init__(self) -> None:
+        self._scans: deque[tuple[float, float]] = deque(maxlen=4)  # time and measured rate of change
+        self._waiting: Sample | None = None
+        self._alpha = math.nan
+
+    def restart(self) -> None:
+        """Scans are missing."""
+        self._scans.clear()
+        self._waiting = None
+
+    def add(self, sample: Sample) -> Sample | None:
+        """The sample before this one with the steadied angle; None at the beginning."""
+        self._scans.append((sample.time, _alpha_rate(sample)))
+        before, self._waiting = self._waiting, sample
+        if before is None:
+            return None
+        if len(self._scans) < 4:
+            self._alpha = before.alpha
+            return before
+        times, rates = zip(*self._scans, strict=True)
+        carried = self._alpha + float(cubic_weights(*times) @ rates)
+        follow = 1.0 - math.exp(-(times[2] - times[1]) / VANE_S)
+        self._alpha = carried + follow * (before.alpha - carried)
+        return before._replace(alpha=self._alpha)
+
+
+def _alpha_rate(s: Sample) -> float:
+    """Rate of change of the angle of attack by measured accelerations and rates [rad/s]."""
+    sin, cos = math.sin(s.alpha), math.cos(s.alpha)
+    gx = s.ax - GRAVITY * math.sin(s.theta)
+    gz = s.az + GRAVITY * math.cos(s.theta) * math.cos(s.phi)
+    sideways = math.tan(s.beta) * (s.p * cos + s.r * sin)
+    return s.q - sideways + (gz * cos - gx * sin) / (s.V * math.cos(s.beta))
 
 
 Simulation = SimulatedMotion | SimulatedPitch

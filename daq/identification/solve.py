@@ -16,13 +16,11 @@ from daq.identification.rows import Row
 
 Array = NDArray[np.float64]
 
-LAGS = 12  # rows over which residuals are taken to be correlated: half a second and more
-
 
 @dataclass
 class Sums:
-    """Sums over rows. cross: (width, total) instruments by measured; measured: (LAGS + 1, total, total) and
-    instruments: (LAGS + 1, width, width) products of each row with the one so many rows later; span: [s] covered."""
+    """Sums over rows. cross: (width, total) instruments by measured; measured: (lags + 1, total, total) and
+    instruments: (lags + 1, width, width) products of each row with the one so many rows later; span: [s] covered."""
 
     rows: int
     span: float
@@ -31,9 +29,9 @@ class Sums:
     instruments: Array
 
     @classmethod
-    def empty(cls, width: int, total: int) -> "Sums":
+    def empty(cls, width: int, total: int, lags: int) -> "Sums":
         """Of no rows."""
-        lagged = LAGS + 1
+        lagged = lags + 1
         return cls(0, 0.0, np.zeros((width, total)), np.zeros((lagged, total, total)), np.zeros((lagged, width, width)))
 
     def plus(self, other: "Sums") -> "Sums":
@@ -50,7 +48,7 @@ class Sums:
         """Sums of the rows less what the constant's column explains of them (its own entries are zero then)."""
         energy, (width, total) = self.cross[0, 0], self.cross.shape
         if not energy > 0.0:
-            return Sums.empty(width, total)
+            return Sums.empty(width, total, len(self.measured) - 1)
         share, instrument_share = self.cross[0] / energy, self.cross[:, 0] / energy
         projection, instrument_projection = np.eye(total), np.eye(width)
         projection[:, 0] -= share
@@ -68,9 +66,9 @@ class Block:
     """Rows of one block as they come."""
 
     def __init__(self, regression: Regression = LATERAL) -> None:
-        self.sums = Sums.empty(regression.width, regression.total)
-        self._measured = np.zeros((LAGS + 1, regression.total))
-        self._instruments = np.zeros((LAGS + 1, regression.width))
+        self.sums = Sums.empty(regression.width, regression.total, regression.lags)
+        self._measured = np.zeros((regression.lags + 1, regression.total))
+        self._instruments = np.zeros((regression.lags + 1, regression.width))
 
     def add(self, row: Row) -> None:
         """One more row."""
@@ -98,8 +96,10 @@ LEAST_SHARE = (
     0.15  # of the white bound's variance that is kept where neighbouring residuals cancel (differenced gyro noise)
 )
 
-_BARTLETT = np.concatenate([[1.0], 2.0 * (1.0 - np.arange(1, LAGS + 1) / (LAGS + 1.0))])
-"""Weights of the lags, each for both directions; falling so that a covariance stays positive."""
+
+def _bartlett(lags: int) -> Array:
+    """(lags + 1,) weights of the lags, each for both directions; falling so that a covariance stays positive."""
+    return np.concatenate([[1.0], 2.0 * (1.0 - np.arange(1, lags + 1) / (lags + 1.0))])
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def solve(sums: Sums, regression: Regression, equation: int, names: Sequence[str
     widened = 1.0 + SHORT / max(sums.span, 1e-9)
     coloured = inverse @ _score(sums, instruments, residual, freedom) @ inverse.T
     floor = np.maximum(LEAST_SHARE * np.diag(white) - np.diag(coloured), 0.0)
-    scatter = max(float(_BARTLETT @ residual), LEAST_SHARE * residual[0]) / freedom
+    scatter = max(float(_bartlett(regression.lags) @ residual), LEAST_SHARE * residual[0]) / freedom
     return RegressionSolution(
         tuple(names),
         tuple(instruments),
@@ -165,7 +165,7 @@ def solve(sums: Sums, regression: Regression, equation: int, names: Sequence[str
 
 
 def _residual_products(sums: Sums, left_side: int, own: list[int], values: Array) -> Array:
-    """(LAGS + 1,) sums of the residual of a row times that of the row so many later."""
+    """(lags + 1,) sums of the residual of a row times that of the row so many later."""
     v = np.zeros(sums.cross.shape[1])
     v[own], v[left_side] = -values, 1.0
     products: Array = np.einsum("i,kij,j->k", v, sums.measured, v)
@@ -174,7 +174,7 @@ def _residual_products(sums: Sums, left_side: int, own: list[int], values: Array
 
 
 def _score(sums: Sums, pick: list[int], residual: Array, freedom: int) -> Array:
-    """Covariance of sum z e of residuals coloured over LAGS rows."""
+    """Covariance of sum z e of residuals coloured over so many rows."""
     products = sums.instruments[:, pick][:, :, pick]
     symmetric = 0.5 * (products + products.transpose(0, 2, 1))
-    return np.asarray(np.einsum("k,kij->ij", _BARTLETT * residual / freedom, symmetric))
+    return np.asarray(np.einsum("k,kij->ij", _bartlett(len(residual) - 1) * residual / freedom, symmetric))

@@ -14,6 +14,9 @@ At 11.5 Hz such an edge, drawn through the scans, would be worth 5 to 10 % of th
 import math
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class CubicCurve(NamedTuple):
     """A cubic over one interval of `h` seconds. first, last: values at its ends; rise, fall: slopes there [1/s]."""
@@ -52,6 +55,7 @@ def middle_curve(t: tuple[float, float, float, float], y: tuple[float, float, fl
     return CubicCurve(h, y[1], y[2], slope(h0, h, y[0], y[1], y[2]), slope(h, h2, y[1], y[2], y[3]))
 
 
+Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
 
 EDGE = math.radians(0.5)  # rad beyond what the servo would do by itself: several noise levels of any surface's sensor
@@ -156,3 +160,18 @@ class SurfaceCurves:
         h, self.sure = t[2] - t[1], u >= SURE
         u = min(max(u, fade), 1.0)
         return ServoEdge(h, self._lag, y[1], target, next_target, h + self._lag * math.log(u))
+
+
+def cubic_weights(t0: float, t1: float, t2: float, t3: float) -> Array:
+    """(4,) weights [s]: their product with samples at t0 < t1 < t2 < t3 is the integral from t1 to t2."""
+    h = t2 - t1
+    a, b = (t0 - t1) / h, (t3 - t1) / h  # the outer scans where the inner ones are 0 and 1
+    ends = -1.0 / 12.0
+    return h * np.array(
+        [
+            (ends + b / 6.0) / (a * (a - 1.0) * (a - b)),
+            (ends + (a + b) / 6.0 - a * b / 2.0) / (-a * b),
+            (0.25 - (a + b) / 3.0 + a * b / 2.0) / ((1.0 - a) * (1.0 - b)),
+            (ends + a / 6.0) / (b * (b - 1.0) * (b - a)),
+        ]
+    )

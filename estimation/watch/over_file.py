@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import SIGNALS, Sample
+from daq.identification.airframe import DERIVATIVES, SIGNALS, Sample
 from daq.identification.monitor.bank import bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, MonitorState
 from daq.identification.monitor.nulls import NullConditions
@@ -84,6 +84,8 @@ def watch(
     seconds of manoeuvring, MissingColumnError for one without the measured motion.
     """
     airframe = airframe_of(model, aircraft)
+    if set(airframe.beliefs) != set(DERIVATIVES):
+        raise EstimationError(f"the gap monitor knows the derivatives of model lateral only, not those of {model.name}")
     flight.require([s for s in SIGNALS if s != "rho"], "watch")
     values, stds = values_of(model)
     effects = bank(airframe, values, stds)

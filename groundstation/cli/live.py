@@ -14,7 +14,7 @@ from daq.contract.options import aircraft_option, json_option, model_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
-    from daq.identification.airframe import AircraftSource
+    from daq.identification.regression import AircraftSource
     from groundstation.cli.services import Services
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from daq.identification.airframe import AircraftSource
+    from daq.identification.regression import AircraftSource
     from groundstation.flight import Flight
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from daq.contract.scan import Scan, decode_scan, encode_scan
-from daq.identification.airframe import SIGNALS, Sample
+from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Sample
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.scan_table import bridged, scan_table
 
@@ -88,19 +88,22 @@ class ScanAlignment:
         self._done, self._worked = 0, -math.inf
         self._dirty.clear()
 
-    def ready(self, calibrator: Calibrator, *, late: bool = False, all_of_it: bool = False) -> Iterator[Sample]:
+    def ready(
+        self, calibrator: Calibrator, *, late: bool = False, all_of_it: bool = False, pitch: bool = False
+    ) -> Iterator[Sample]:
         """New samples in order of time, as far as their neighbours are there; then, if asked, those that late scans change.
 
-        late: also these. all_of_it: the last ones too, although none will follow. Raises CalibrationError.
+        late: also these. all_of_it: the last ones too, although none will follow. pitch: with what the pitching plane needs.
+        Raises CalibrationError.
         """
         available = len(self._numbers) if all_of_it else len(self._numbers) - NEIGHBOURS
         end = available if all_of_it else min(available, self._done + AT_ONCE)
         if end > self._done and (end < available or all_of_it or self._latest - self._worked >= self._batch):
             first, self._done, self._worked = self._done, end, self._latest
-            yield from self._samples(first, end, calibrator)
+            yield from self._samples(first, end, calibrator, pitch)
         if late or all_of_it:
             for first, last in self._changed():
-                yield from self._samples(first, last, calibrator)
+                yield from self._samples(first, last, calibrator, pitch)
             self._dirty.clear()
 
     def _changed(self) -> Iterator[tuple[int, int]]:
@@ -115,13 +118,14 @@ class ScanAlignment:
                 ranges.append((first, last))
         yield from ranges
 
-    def _samples(self, first: int, last: int, calibrator: Calibrator) -> Iterator[Sample]:
+    def _samples(self, first: int, last: int, calibrator: Calibrator, pitch: bool) -> Iterator[Sample]:
+        signals = (*SIGNALS, *PITCH_SIGNALS) if pitch else SIGNALS
         for begin in range(first, last, BLOCK):
             end = min(last, begin + BLOCK)
             low = max(0, begin - NEIGHBOURS - HELD)
             numbers = self._numbers[low : end + NEIGHBOURS]
             table = bridged(scan_table(decode_scan(self._scans[n]) for n in numbers))
             columns, _ = calibrator.columns(table, aligned=True)
-            rows = np.stack([table.time, *(columns[n] for n in SIGNALS)], axis=1)
+            rows = np.stack([table.time, *(columns[n] for n in signals)], axis=1)
             for row in rows[begin - low : end - low].tolist():
                 yield Sample(*row)

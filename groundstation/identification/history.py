@@ -2,7 +2,7 @@
 
 import math
 from array import array
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from daq.identification.airframe import DERIVATIVES
@@ -19,7 +19,8 @@ DIGITS = 6  # of a number that is kept: the bounds have two
 class LiveHistory:
     """Estimates over time; of a very long flight every other entry is dropped, again and again."""
 
-    def __init__(self) -> None:
+    def __init__(self, names: Sequence[str] = DERIVATIVES) -> None:
+        self._names = tuple(names)
         self._rows: list[
             tuple[float, array[float]]
         ] = []  # time; estimate and std of each derivative, NaN before it is told
@@ -34,7 +35,7 @@ class LiveHistory:
             self._skipped += 1
             return
         self._skipped = 0
-        derivatives = [estimates.derivatives[n] for n in DERIVATIVES]
+        derivatives = [estimates.derivatives[n] for n in self._names]
         numbers = [(d.estimate, d.std) if d.told else (math.nan, math.nan) for d in derivatives]
         self._rows.append((time, array("d", [x for pair in numbers for x in pair])))
         if len(self._rows) > MOST:
@@ -49,7 +50,7 @@ class LiveHistory:
 
         return {
             "time": [round(t, 3) for t, _ in self._rows],
-            **{n: {"estimate": series(2 * i), "std": series(2 * i + 1)} for i, n in enumerate(DERIVATIVES)},
+            **{n: {"estimate": series(2 * i), "std": series(2 * i + 1)} for i, n in enumerate(self._names)},
         }
 
 
@@ -80,8 +81,7 @@ def history_of(detail: Mapping[str, Any]) -> tuple[list[float], dict[str, tuple[
     if not times or not all(math.isfinite(t) for t in times):
         return None
     series_by_name = {}
-    for name in DERIVATIVES:
-        series = history.get(name)
+    for name, series in history.items():
         if isinstance(series, Mapping):
             values, bounds = _numbers(series.get("estimate")), _numbers(series.get("std"))
             if len(values) == len(bounds) == len(times):

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 from numpy.linalg import LinAlgError
 
-from daq.identification.airframe import CONTROLS, DERIVATIVES, LiveAircraft, Sample
+from daq.identification.airframe import Sample
 from daq.identification.in_order import OrderedEstimator
-from daq.identification.live import LiveEstimates
+from daq.identification.live import LiveEstimates, joined
 from daq.identification.movement import ManoeuvreDetector
 from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
+from daq.identification.regression import LiveAircraft
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.errors import CalibrationError
 from groundstation.identification.alignment import ScanAlignment
@@ -69,16 +70,19 @@ class LiveIdentification:
     ) -> None:
         self.aircraft = aircraft
         self.trouble = ""
-        self.history = LiveHistory()
+        self.history = LiveHistory(aircraft.derivatives)
+        self._pitch = any("alpha" in r.states for r in aircraft.regressions)
         self._calibrator = calibrator
         self._alignment = alignment
         self.stretches = stretches
-        self._estimator = OrderedEstimator(aircraft.airframe)
+        self._estimators = self._new_estimators()
         self._share = wanted
         self._watched = watched
         self._begun = math.nan
         self.watch: LiveWatch | None = None
-        self._meters = {signal: ExcitationMeter(RECENT_S) for signal in CONTROLS.values()}
+        self._meters = {
+            signal: ExcitationMeter(RECENT_S) for r in aircraft.regressions for signal in r.controls.values()
+        }
         self._pace = TimeToBound()
         self._last: Sample | None = None
         self._look_at = self._advise_at = self._revise_at = -math.inf
@@ -89,7 +93,7 @@ class LiveIdentification:
         """Another calibration, from the first scan on."""
         self._calibrator = calibrator
         self._alignment.again()
-        self._estimator = OrderedEstimator(self.aircraft.airframe)
+        self._estimators = self._new_estimators()
 
     def step(self) -> LiveState | None:
         """Work in some of what has come; the state where there is a new one, once a second of flight."""
@@ -121,18 +125,27 @@ class LiveIdentification:
         return self.state
 
     def _work(self, *, finish: bool) -> None:
-        revise = self._last is not None and self._last.time >= self._revise_at and not self._estimator.behind
+        revise = self._last is not None and self._last.time >= self._revise_at and not self._behind
         if revise and self._last is not None:
             self._revise_at = self._last.time + REVISE_S
-        for sample in self._alignment.ready(self._calibrator, late=revise, all_of_it=finish):
+        for sample in self._alignment.ready(self._calibrator, late=revise, all_of_it=finish, pitch=self._pitch):
             if self._last is None or sample.time > self._last.time:
                 self._newest(sample)
             for identified in self.stretches.take(sample):
-                self._estimator.revise(identified)
+                for estimator in self._estimators:
+                    estimator.revise(identified)
                 if self.watch is not None:
                     self.watch.add(identified)
-        while not self._estimator.work(1000 if finish else WORK) and finish:
-            pass
+        for estimator in self._estimators:
+            while not estimator.work(1000 if finish else WORK) and finish:
+                pass
+
+    def _new_estimators(self) -> list[OrderedEstimator]:
+        return [OrderedEstimator(self.aircraft.airframe, r) for r in self.aircraft.regressions]
+
+    @property
+    def _behind(self) -> int:
+        return max(e.behind for e in self._estimators)
 
     def _begin_watch(self, time: float) -> None:
         """Once the pace of the scans is known."""
@@ -144,20 +157,20 @@ class LiveIdentification:
     def _newest(self, sample: Sample) -> None:
         if self._watched and self.watch is None:
             self._begin_watch(sample.time)
-        if sample.credible:
+        if any(r.credible(sample) for r in self.aircraft.regressions):
             self._last = sample
             for signal, meter in self._meters.items():
                 meter.add(sample.time, getattr(sample, signal))
 
     def _look(self, last: Sample) -> LiveState:
-        estimates = self._estimator.estimates()
-        information = self._estimator.estimator.information()
+        estimates = joined([e.estimates() for e in self._estimators])
+        information = {c: i for e in self._estimators for c, i in e.estimator.information().items()}
         bounds = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
         to_go = self._pace.at(estimates, bounds)
         # Without advice nothing was solved yet, or nothing is left to be done: either may be over by now, and is quickly seen.
         if last.time >= self._advise_at or self._advice is None:
             self._advise_at = last.time + ADVISE_S
-            values = {n: self._value(n, estimates) for n in DERIVATIVES}
+            values = {n: self._value(n, estimates) for n in self.aircraft.derivatives}
             self._advice = next_manoeuvre(self.aircraft.airframe, values, information, bounds, last)
         return LiveState(
             last.time,
@@ -168,7 +181,7 @@ class LiveIdentification:
             {signal: meter.rms for signal, meter in self._meters.items()},
             together(information),
             self._advice,
-            self._alignment.late + self._estimator.behind,
+            self._alignment.late + self._behind,
         )
 
     def _value(self, name: str, estimates: LiveEstimates) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.identification.airframe import DERIVATIVES, Belief
+from daq.identification.airframe import Belief
 from daq.identification.live import EquationInformation, LiveDerivative, LiveEstimates
 
 WEAK = 4.0  # times the wanted share, of the terms that move an aircraft little
@@ -24,7 +24,7 @@ def wanted_bounds(beliefs: Mapping[str, Belief], known: Mapping[str, LiveDerivat
     The size is the larger of what is told and what is believed; constants are not aimed at.
     """
     bounds = {}
-    for name in DERIVATIVES:
+    for name in known:
         if name.endswith("_0"):
             continue
         belief = beliefs.get(name)

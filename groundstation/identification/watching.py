@@ -8,11 +8,12 @@ import threading
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from daq.identification.airframe import LiveAircraft, Sample
+from daq.identification.airframe import Sample
 from daq.identification.monitor.bank import bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor
 from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import calibrated
+from daq.identification.regression import LiveAircraft
 
 SEED = 1
 HOURS = 2.5  # of simulated manoeuvring behind the thresholds

@@ -3,27 +3,26 @@
 import math
 from collections.abc import Iterator
 
-from daq.identification.airframe import CONTROLS, EQUATIONS
 from daq.identification.live import LiveDerivative
 from daq.identification.next_manoeuvre import ManoeuvreAdvice
 from groundstation.identification.session import LiveState
 
-NAMES = tuple(f"{c}_{t}" for c, terms in EQUATIONS.items() for t in terms)
-"""Derivatives in the order in which they are shown; constants are kept, but nobody flies for them."""
 LONGEST_S = 600.0  # to go; beyond, it is said that this flying does not bring it
 SAID = 4  # derivatives in the short line
 EXCITED = math.radians(0.5)  # rad rms of the last seconds from which a control counts as being moved
-CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder"}
+CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
 FIRST = "a doublet of each control: nothing can be told before both have moved"
 
 
 def short_line(state: LiveState) -> str:
     """The most important in one line of the log."""
-    told_derivatives = [state.estimates.derivatives[n] for n in NAMES if state.estimates.derivatives[n].told]
+    told_derivatives = [
+        state.estimates.derivatives[n] for n in state.aircraft.shown if state.estimates.derivatives[n].told
+    ]
     reached_count = sum(state.to_go.get(d.name, math.inf) == 0.0 for d in told_derivatives)
     surest = sorted(told_derivatives, key=lambda d: d.std / max(abs(d.estimate), 1e-12))[:SAID]
     numbers = ", ".join(f"{d.name} {number(d)}" for d in surest)
-    counts = f"{len(told_derivatives)} of {len(NAMES)} told, {reached_count} to the wanted bound"
+    counts = f"{len(told_derivatives)} of {len(state.aircraft.shown)} told, {reached_count} to the wanted bound"
     return f"live: {counts}{': ' + numbers if numbers else ''}; next: {next_words(state)}"
 
 
@@ -32,7 +31,7 @@ def lines(state: LiveState) -> Iterator[str]:
     e = state.estimates
     yield f"{state.aircraft.name}, {e.span:.0f} s of flight in {e.rows} intervals at t = {state.time:.1f} s{_late(state)}"
     yield f"{'':9}{'now':>10}{'bound':>10}{'believed':>11}  {'by whom':<21}{'to go':>7}"
-    for name in NAMES:
+    for name in state.aircraft.shown:
         d = e.derivatives[name]
         value, bound = (f"{d.estimate:.4g}", f"{d.std:.2g}") if d.told else ("-", "-")
         row = f"{name:9}{value:>10}{bound:>10}{_believed(state, name):>11}  {state.aircraft.sources.get(name, ''):<21}"
@@ -49,18 +48,18 @@ def markdown(state: LiveState) -> str:
         "| | now | bound | believed | by | to go |",
         "|---|---|---|---|---|---|",
     ]
-    for name in NAMES:
+    for name in state.aircraft.shown:
         d = e.derivatives[name]
         value, bound = (f"**{d.estimate:.4g}**", f"{d.std:.2g}") if d.told else ("-", "-")
         source = state.aircraft.sources.get(name, "")
         rows.append(f"| {name} | {value} | {bound} | {_believed(state, name)} | {source} | {_to_go(state, name)} |")
-    notes = [f"- {d.name}: {words}" for n in NAMES if (words := _remark(state, d := e.derivatives[n]))]
+    notes = [f"- {d.name}: {words}" for n in state.aircraft.shown if (words := _remark(state, d := e.derivatives[n]))]
     return "\n".join([*rows, "", *(f"- {line}" for line in advice_lines(state)), *notes])
 
 
 def advice_lines(state: LiveState) -> Iterator[str]:
     """Excitation, what is told only together, and what to fly next."""
-    for signal in CONTROLS.values():
+    for signal in state.excitation:
         rms_deg = math.degrees(state.excitation.get(signal, 0.0))
         if signal in state.estimates.still:
             movement = "has not moved yet"

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
+from daq.identification.regression import REGRESSIONS
 from groundstation.live.alarms import Limit
 from groundstation.live.flight_phase import LandingLimits
 from groundstation.live.free_space import FREE, LEFT
@@ -60,7 +61,8 @@ class HandoverConfig(_GroundTable):
 
 class LiveIdentificationConfig(_GroundTable):
     """Live identification. watch: the gap monitor beside it. aircraft: name or file; empty: the one that the recording names or
-    carries. model: file of a model that the gap monitor holds against flight; empty: what the aircraft file believes. wanted:
+    carries. model: what is estimated, lateral (where it is empty), longitudinal, six-dof, or the file of a model; the gap monitor
+    holds a lateral one against flight, in place of what the aircraft file believes. wanted:
     bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get NAMED_VALUE_FLOAT of each
     derivative. lines_every_s: time of flight between two lines in the log."""
 
@@ -137,11 +139,14 @@ def configured(
     else:
         found = load_ground_config(path)
     changes: dict[str, object] = {} if aircraft is None else {"aircraft": aircraft}
-    changes |= {"watch": True} if watch or model is not None else {}
+    changes |= {"watch": True} if watch or (model is not None and str(model) not in REGRESSIONS) else {}
     changes |= {} if model is None else {"model": str(model)}
     found = found.model_copy(update={"identification": found.identification.model_copy(update=changes)})
     held = found.identification.model
-    if held and not Path(held).is_file():
+    if held in REGRESSIONS:
+        handover = found.handover if model is None else found.handover.model_copy(update={"model": held})
+        found = found.model_copy(update={"handover": handover})
+    elif held and not Path(held).is_file():
         raise GroundConfigError(
             f"{held}: no such file; the model that the gap monitor is to hold against flight must be one"
         )

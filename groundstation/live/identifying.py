@@ -11,13 +11,13 @@ from typing import Any
 from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
-from daq.identification.airframe import AircraftSource, LiveAircraft
 from daq.identification.movement import ManoeuvreDetector
+from daq.identification.regression import AircraftSource, LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.watching import LiveWatch
-from groundstation.identification.words import NAMES, number, short_line
+from groundstation.identification.words import number, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import LiveIdentificationConfig
 from groundstation.live.flight_phase import LandingLimits
@@ -121,7 +121,7 @@ class LiveIdentifications:
             run.monitor.calibrator,
             self._config.wanted,
             run.alignment,
-            ManoeuvreDetector(*self._landing),
+            ManoeuvreDetector(*self._landing, aircraft.regressions),
             watched=self._config.watch,
         )
         watched_model = (
@@ -156,7 +156,7 @@ class LiveIdentifications:
         run.monitor.show_identification(state)
         self._forward.send(run.monitor.system, state)
         derivatives = state.estimates.derivatives
-        for name in (n for n in NAMES if n not in run.told and derivatives[n].told):
+        for name in (n for n in state.aircraft.shown if n not in run.told and derivatives[n].told):
             run.told.add(name)
             run.monitor.note("INFO", f"live: {name} is told now: {number(derivatives[name])}")
         if run.told and state.time >= run.line_at:
@@ -194,12 +194,12 @@ class LiveIdentifications:
                 for n, b in state.aircraft.airframe.beliefs.items()
             },
             "final": final_json(e),
-            **({} if watch is None else self._watched(watch)),
+            **({} if watch is None else self._watched(watch, run.live.aircraft)),
             "history": run.live.history.to_json(),
         }
 
-    def _watched(self, watch: LiveWatch) -> dict[str, Any]:
-        watched_model = {"watched_model": self._config.model} if self._config.model else {}
+    def _watched(self, watch: LiveWatch, aircraft: LiveAircraft) -> dict[str, Any]:
+        watched_model = {} if aircraft.modelled is None else {"watched_model": self._config.model}
         return {"watched_s": watch.watched, **watched_model, "alarms": [asdict(a) for a in watch.alarms]}
 
     def close(self) -> None:

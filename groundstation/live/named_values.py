@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from daq.transport.mavlink_codec import FrameEncoder, message_by_name
 from daq.transport.ports import BytePort
 from groundstation.identification.session import LiveState
-from groundstation.identification.words import NAMES
 from groundstation.receiver.ports.link import open_port
 
 COMPONENT = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: a computer of that aircraft, but not the one that flies or logs
@@ -29,7 +28,7 @@ class NamedValues:
         encoder = self._encoders.setdefault(system, FrameEncoder(system, COMPONENT))
         message = message_by_name()["NAMED_VALUE_FLOAT"]
         boot_ms = int(state.time * 1e3) % _MILLISECONDS
-        for name in NAMES:
+        for name in state.aircraft.shown:
             d = state.estimates.derivatives[name]
             if d.told:
                 for key, value in ((name, d.estimate), (name + STD, d.std)):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.rotating_log import RotatingLog
-from daq.identification.airframe import AircraftSource
+from daq.identification.regression import AircraftSource
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import reported
 from groundstation.calibration.schema import CalibrationSet, load_calibration

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import rerun as rr
 
-from daq.identification.airframe import EQUATIONS, Belief
+from daq.identification.airframe import Belief
 from groundstation.identification.history import BELIEVED, DETAIL, history_of
 from groundstation.identification.session import LiveState
 from groundstation.identification.words import markdown
@@ -27,6 +27,14 @@ def entity(coefficient: str) -> str:
     return f"{e.IDENTIFICATION}/{coefficient}"
 
 
+def by_coefficient(names: Iterable[str]) -> dict[str, list[str]]:
+    """Derivatives by the coefficient they are of, both in their order."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(name.partition("_")[0], []).append(name)
+    return groups
+
+
 class DerivativeCurves:
     """Logs into a recording stream; not thread-safe."""
 
@@ -37,10 +45,10 @@ class DerivativeCurves:
     def show(self, state: LiveState) -> None:
         """One live state: a point on each curve, and the text."""
         beliefs = state.aircraft.airframe.beliefs
-        self._name_once(state.aircraft.sources)
+        self._name_once(by_coefficient(state.aircraft.shown), state.aircraft.sources)
         self._stream.set_time(e.TIMELINE, duration=state.time)
-        for coefficient, terms in EQUATIONS.items():
-            known = [state.estimates.derivatives[f"{coefficient}_{t}"] for t in terms]
+        for coefficient, names in by_coefficient(state.aircraft.shown).items():
+            known = [state.estimates.derivatives[n] for n in names]
             rows = [
                 _shown(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0))) for d in known
             ]
@@ -55,9 +63,9 @@ class DerivativeCurves:
             return
         times, series = found
         believed = _believed(detail)
-        self._name_once({})
-        for coefficient, terms in EQUATIONS.items():
-            names = [f"{coefficient}_{t}" for t in terms]
+        groups = by_coefficient(n for n in series if not n.endswith("_0"))
+        self._name_once(groups, {})
+        for coefficient, names in groups.items():
             empty = ([math.nan] * len(times),) * 2
             table = [
                 [_shown(v, s, believed.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
@@ -68,12 +76,11 @@ class DerivativeCurves:
             columns = rr.Scalars.columns(scalars=flat.ravel()).partition([flat.shape[1]] * len(times))
             self._stream.send_columns(entity(coefficient), indexes=[index], columns=columns)
 
-    def _name_once(self, sources: Mapping[str, str]) -> None:
+    def _name_once(self, groups: Mapping[str, Sequence[str]], sources: Mapping[str, str]) -> None:
         if self._named:
             return
         self._named = True
-        for coefficient, terms in EQUATIONS.items():
-            names = [f"{coefficient}_{t}" for t in terms]
+        for coefficient, names in groups.items():
             labels = [x for n in names for x in _labels(n, sources.get(n, ""))]
             colors = [c for i in range(len(names)) for c in (e.PALETTE[i], _faded(e.PALETTE[i]), _faded(e.PALETTE[i]))]
             lines = rr.SeriesLines(

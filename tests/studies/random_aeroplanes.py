@@ -79,6 +79,7 @@ class Situation:
     odd: float = 1.0
     Ixz_share: float = 0.0  # of Ixx
     servo: float = 0.035
+    pitch: bool = False  # elevator is flown in place of aileron and rudder
     causes: tuple[str, ...] = ()
 
 
@@ -123,17 +124,26 @@ def fly(
         for n, s in NOISE.items():
             data[n] = data[n] + situation.noise * s * rng.standard_normal(count)
         data["rho"] = np.full(count, 1.2)
-        data["thrust"] = np.zeros(count)
+        data["thrust"] = np.full(count, _level(craft)[2] if situation.pitch else 0.0)
         made.append(Flight.build(f"f{i}", (np.arange(steps)[::every] * STEP).round(6), data))
     return made
+
+
+def _level(craft: Aeroplane) -> tuple[float, float, float]:
+    """Angle of attack [rad], elevator [rad] and thrust [N] of level flight."""
+    S, d = craft.area, craft.derivatives
+    CL = 2 * craft.mass * G / (1.2 * S * craft.speed**2)
+    alpha = (CL - d["CL_0"]) / d["CL_alpha"]
+    trim_e = -(d["Cm_0"] + d["Cm_alpha"] * alpha) / d["Cm_de"]
+    return alpha, trim_e, 0.5 * 1.2 * S * craft.speed**2 * (d["CD_0"] + d["CD_k"] * CL**2)
 
 
 def _commands(
     craft: Aeroplane, situation: Situation, rng: np.random.Generator, flights: int, steps: int, scale: float
 ) -> Array:
-    """(flights, 2, steps) commanded aileron and rudder [rad]."""
+    """(flights, 3, steps) commanded aileron, rudder and elevator [rad]."""
     t = np.arange(steps) * STEP
-    u = np.zeros((flights, 2, steps))
+    u = np.zeros((flights, 3, steps))
     for i in range(flights):
         sign = 1 if rng.uniform() < 0.5 else -1
         for row, start, widths, size in (
@@ -148,7 +158,7 @@ def _commands(
                         round(a * situation.rate) / situation.rate,
                         max(round(w * situation.rate), 1) / situation.rate,
                     )
-                u[i, row, (t >= a - 1e-9) & (t < a + w - 1e-9)] += sign * size * DEG
+                u[i, 2 if situation.pitch else row, (t >= a - 1e-9) & (t < a + w - 1e-9)] += sign * size * DEG
                 a, sign = a + w, -sign
     return u
 
@@ -160,10 +170,7 @@ def _integrated(
     Ixx, Iyy, Izz, Ixz = craft.inertia
     Ixz = Ixz + s.Ixz_share * Ixx
     S, b, c, m = craft.area, craft.span, craft.chord, craft.mass
-    CL = 2 * m * G / (1.2 * S * craft.speed**2)
-    alpha = (CL - craft.derivatives["CL_0"]) / craft.derivatives["CL_alpha"]
-    trim_e = -(craft.derivatives["Cm_0"] + craft.derivatives["Cm_alpha"] * alpha) / craft.derivatives["Cm_de"]
-    thrust = 0.5 * 1.2 * S * craft.speed**2 * (craft.derivatives["CD_0"] + craft.derivatives["CD_k"] * CL**2)
+    alpha, trim_e, thrust = _level(craft)
     x = np.zeros((flights, 9))  # u v w p q r phi theta psi
     x[:, 0], x[:, 2], x[:, 7] = craft.speed * np.cos(alpha), craft.speed * np.sin(alpha), alpha
     surface = np.zeros((flights, 3))
@@ -234,7 +241,7 @@ def _integrated(
         wanted = np.stack([
             command[:, 0, k] + level,
             command[:, 1, k],
-            trim_e + 0.5 * (x[:, 7] - alpha) + 0.1 * x[:, 4],
+            trim_e + command[:, 2, k] + (0.5 * (x[:, 7] - alpha) + 0.1 * x[:, 4]) * (0.1 if s.pitch else 1.0),
         ], axis=1)  # fmt: skip
         before = surface
         surface = surface + (1 - np.exp(-STEP / s.servo)) * (wanted - surface)

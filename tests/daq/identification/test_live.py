@@ -15,10 +15,10 @@ from daq.identification.in_order import OrderedEstimator
 from daq.identification.live import LiveEstimates, LiveEstimator
 from daq.identification.movement import ControlSignal
 from daq.identification.regression import LATERAL
-from daq.identification.rows import RowMaker, cubic_weights
+from daq.identification.rows import RowMaker
 from daq.identification.simulated_motion import SimulatedMotion
 from daq.identification.solve import Block
-from daq.identification.surfaces import SurfaceCurves, middle_curve
+from daq.identification.surfaces import SurfaceCurves, cubic_weights, middle_curve
 from tests.studies import second_truth
 from tests.studies.live_statistics import EIGHT, Case, airframe_for, samples, through_link
 

@@ -11,7 +11,8 @@ import pytest
 
 import sideslip
 from daq.contract.errors import UserError
-from daq.identification.airframe import DERIVATIVES, LiveAircraft
+from daq.identification.airframe import DERIVATIVES
+from daq.identification.regression import LiveAircraft
 from daq.transport.mavlink_codec import FrameDecoder
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
