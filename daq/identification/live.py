@@ -23,6 +23,10 @@ GAP = 1.0  # s without a whole scan after which a new stretch begins
 SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
 MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
 NONE_MOVED = "no control has moved yet"
+DENSE = 0.06  # s between scans up to which it is known well enough how surfaces move from one to the next
+SHAPE, SHAPE_NO_LAG = 0.035, 0.09
+"""Of a derivative of a moment: what an unknown way of the surfaces between scans 0.1 s apart is worth, where the servos' lag is
+known and where it is not; it grows with the square of the interval. Found by simulation without noise."""
 LEARN = 1.0  # s between two lookings at what the instruments are simulated with
 
 
@@ -92,6 +96,7 @@ class LiveEstimator:
         self._last = -math.inf
         self._learn_at = -math.inf
         self._levels = [np.zeros(regression.total)]
+        self._time, self._intervals = 0.0, 0  # between scans that belong together
         self.scans = 0
         self.skipped = 0
 
@@ -110,6 +115,9 @@ class LiveEstimator:
             return
         if sample.time - self._last > GAP and math.isfinite(self._last):
             self.restart()
+        if math.isfinite(self._last):
+            self._time += sample.time - self._last
+            self._intervals += 1
         self._last = sample.time
         self._take(sample)
         if sample.time >= self._learn_at:
@@ -164,7 +172,7 @@ class LiveEstimator:
         """What was flown so far tells of each equation that can be solved."""
         sums = self._sums()
         information = {}
-        for coefficient, solution in self.solutions().items():
+        for coefficient, solution in self._solved().items():
             if solution is not None:
                 pick = list(solution.columns)
                 normal = sums.instruments[0][np.ix_(pick, pick)]
@@ -175,6 +183,23 @@ class LiveEstimator:
 
     def solutions(self) -> dict[str, RegressionSolution | None]:
         """Each equation as far as the scans so far tell it."""
+        share = self._between_scans
+        return {
+            c: solution
+            if solution is None or not share or c in self._regression.forces_only
+            else solution.widened(share)
+            for c, solution in self._solved().items()
+        }
+
+    @property
+    def _between_scans(self) -> float:
+        """Share of a moment's derivatives by which they may be wrong for what surfaces do between scans."""
+        interval = self._time / max(self._intervals, 1)
+        if interval <= DENSE or (self._airframe.servo_lag is not None and self._regression.name == LATERAL.name):
+            return 0.0  # lateral bounds were found to hold where the lag is known
+        return (SHAPE if self._airframe.servo_lag is not None else SHAPE_NO_LAG) * (interval / 0.1) ** 2
+
+    def _solved(self) -> dict[str, RegressionSolution | None]:
         sums = self._sums()
         return {
             equation.coefficient: solve(sums, self._regression, number, self._names(equation))
@@ -245,7 +270,7 @@ class LiveEstimator:
         all rows that are made with a motion simulated from it.
         """
         doubtful = {c for c, signal in self._controls.items() if signal.doubtful}
-        solutions = self.solutions()
+        solutions = self._solved()
         for equation in self._regression.equations:
             solution = solutions[equation.coefficient]
             if solution is not None and not doubtful.intersection(equation.terms.values()):

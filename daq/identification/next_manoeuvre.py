@@ -6,7 +6,7 @@ noise of a row is that which explains the bounds so far. Bounds of what would be
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import EQUATIONS, GRAVITY, Airframe, Sample
 from daq.identification.live import EquationInformation
+from daq.identification.regression import LATERAL, Regression
 
 Array = NDArray[np.float64]
 
@@ -22,11 +23,13 @@ ROW = 0.05  # s that a row lasts, nominally
 LEAST_SPEED = 3.0  # m/s: below nothing flies that this program knows of, and equations divide by it
 STEEPEST = math.radians(85.0)  # of pitch: the linear motion has tan(theta)
 LONG = 8.0  # s of every manoeuvre, its free motion included: so they are compared at the same price
-AILERON, RUDDER = math.radians(6.0), math.radians(3.5)  # peaks that a pilot flies without thinking
-MOST_SIDESLIP, MOST_BANK = (
-    math.radians(12.0),
-    math.radians(40.0),
-)  # a manoeuvre predicted to go further is flown smaller
+AILERON, RUDDER, ELEVATOR = (
+    math.radians(6.0),
+    math.radians(3.5),
+    math.radians(2.5),
+)  # peaks that a pilot flies without thinking
+# a manoeuvre predicted to go further is flown smaller
+MOST_SIDESLIP, MOST_BANK, MOST_ALPHA = math.radians(12.0), math.radians(40.0), math.radians(5.0)
 NO_LAG = 0.035  # s, servo where the aircraft states none
 
 PULSES: Mapping[str, tuple[tuple[float, float], ...]] = {  # parts of the peak, and how long [s]
@@ -38,11 +41,13 @@ PULSES: Mapping[str, tuple[tuple[float, float], ...]] = {  # parts of the peak, 
 
 @dataclass(frozen=True, slots=True)
 class CandidateManoeuvre:
-    """One manoeuvre of the library. title: as a person says it; aileron, rudder: pulses, empty where it rests; aileron first."""
+    """One manoeuvre of the library. title: as a person says it; aileron, rudder, elevator: pulses, empty where it rests; aileron
+    first."""
 
     title: str
     aileron: str = ""
     rudder: str = ""
+    elevator: str = ""
 
 
 LIBRARY = (
@@ -51,6 +56,7 @@ LIBRARY = (
     CandidateManoeuvre("aileron doublet, then rudder doublet", "doublet", "doublet"),
     CandidateManoeuvre("aileron 3-2-1-1, then rudder doublet", "3-2-1-1", "doublet"),
 )
+PITCH_LIBRARY = tuple(CandidateManoeuvre(f"elevator {kind}", elevator=kind) for kind in PULSES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +77,7 @@ def next_manoeuvre(
     information: Mapping[str, EquationInformation],
     wanted: Mapping[str, float],
     sample: Sample,
+    regression: Regression = LATERAL,
 ) -> ManoeuvreAdvice | None:
     """The manoeuvre that lowers the largest bound / wanted most; None where all are reached, or nothing is solved yet.
 
@@ -78,16 +85,21 @@ def next_manoeuvre(
     """
     if not has_condition(sample):
         return None
-    solved = {c: i for c, i in information.items() if len(i.columns) == len(EQUATIONS[c])}
-    if len(solved) < len(EQUATIONS):
+    terms = {e.coefficient: len(e.terms) for e in regression.equations if e.terms}
+    solved = {c: i for c, i in information.items() if len(i.columns) == terms.get(c)}
+    if len(solved) < len(terms):
         return None
+    pitching = "alpha" in regression.states
     ratios_now = _ratios(solved, dict.fromkeys(solved, 0.0), wanted)
-    worst_name = max(ratios_now, key=lambda n: ratios_now[n])
-    if ratios_now[worst_name] <= 1.0:
+    worst_name = max(ratios_now, key=lambda n: ratios_now[n], default="")
+    if not worst_name:
+        return None
+    if not ratios_now[worst_name] > 1.0:
         return None
     best_candidate: tuple[float, CandidateManoeuvre, float, dict[str, float]] | None = None
-    for candidate in LIBRARY:
-        columns, share = predicted_columns(airframe, values, candidate, sample)
+    for candidate in PITCH_LIBRARY if pitching else LIBRARY:
+        predicted = predicted_pitch_columns if pitching else predicted_columns
+        columns, share = predicted(airframe, values, candidate, sample)
         added_information = {c: _normal(columns, i) / i.noise for c, i in solved.items()}
         ratios_then = _ratios(solved, added_information, wanted)
         largest_ratio = max(ratios_then.values())
@@ -131,14 +143,8 @@ def predicted_columns(
     if not has_condition(sample):
         return np.zeros((round(LONG / ROW), 6)), 1.0  # what cannot be flown adds nothing
     A, B = linear_lateral(airframe, values, sample)
-    surfaces = _surfaces(candidate, NO_LAG if airframe.servo_lag is None else airframe.servo_lag)
-    block = np.zeros((6, 6))
-    block[:4, :4], block[:4, 4:] = A, B
-    discrete = _exponential(STEP * block)
-    Ad, Bd = discrete[:4, :4], discrete[:4, 4:]
-    states = np.zeros((len(surfaces), 4))
-    for k in range(len(surfaces) - 1):
-        states[k + 1] = Ad @ states[k] + Bd @ surfaces[k]
+    surfaces = _surfaces(((candidate.aileron, AILERON), (candidate.rudder, RUDDER)), airframe)
+    states = _response(A, B, surfaces)
     largest = max(np.abs(states[:, 0]).max() / MOST_SIDESLIP, np.abs(states[:, 3]).max() / MOST_BANK)
     share = 1.0 / largest if largest > 1.0 else 1.0
     stride = max(1, round(ROW / STEP))
@@ -150,6 +156,40 @@ def predicted_columns(
     table[:, 1:] *= share
     table[:, 1:] -= table[:, 1:].mean(axis=0)  # the constant is estimated too, and takes the mean with it
     return ROW * pressure * table, float(share)
+
+
+def predicted_pitch_columns(
+    airframe: Airframe, values: Mapping[str, float], candidate: CandidateManoeuvre, sample: Sample
+) -> tuple[Array, float]:
+    """(rows, 5) columns of the pitching plane without their mean [Pa s], and the share of the peak that is flown."""
+    if not has_condition(sample):
+        return np.zeros((round(LONG / ROW), 5)), 1.0  # what cannot be flown adds nothing
+    A, B = linear_pitch(airframe, values, sample)
+    surfaces = _surfaces(((candidate.elevator, ELEVATOR),), airframe)
+    states = _response(A, B, surfaces)
+    largest = np.abs(states[:, 0]).max() / MOST_ALPHA
+    share = 1.0 / largest if largest > 1.0 else 1.0
+    pressure, rate = 0.5 * sample.rho * sample.V**2, airframe.chord / (2.0 * sample.V)
+    d = {n: values.get(n, 0.0) for n in ("CL_alpha", "CL_q", "CL_de")}
+    level = airframe.mass * GRAVITY * math.cos(sample.theta) / (pressure * airframe.area)
+    alpha, q_hat, elevator = share * states[:, 0], share * rate * states[:, 1], share * surfaces[:, 0]
+    lift = level + d["CL_alpha"] * alpha + d["CL_q"] * q_hat + d["CL_de"] * elevator
+    table = np.column_stack([np.ones(len(states)), alpha, q_hat, elevator, lift**2])[:: max(1, round(ROW / STEP))]
+    table[:, 1:] -= table[:, 1:].mean(axis=0)  # the constant is estimated too, and takes the mean with it
+    return ROW * pressure * table, float(share)
+
+
+def linear_pitch(airframe: Airframe, values: Mapping[str, float], sample: Sample) -> tuple[Array, Array]:
+    """A (2, 2), B (2, 1) of d(alpha, q)/dt about level flight at the sample's V [SI, rad]."""
+    a, V = airframe, sample.V
+    q_s, rate = 0.5 * sample.rho * V * V * a.area, a.chord / (2.0 * V)
+    lift, moment = (
+        np.array([values.get(f"{c}_alpha", 0.0), rate * values.get(f"{c}_q", 0.0), values.get(f"{c}_de", 0.0)])
+        for c in ("CL", "Cm")
+    )
+    rows = np.stack([-q_s / (a.mass * V) * lift, q_s * a.chord / a.Iyy * moment])
+    rows[0, 1] += 1.0
+    return rows[:, :2], rows[:, 2:]
 
 
 def linear_lateral(airframe: Airframe, values: Mapping[str, float], sample: Sample) -> tuple[Array, Array]:
@@ -178,11 +218,26 @@ def linear_lateral(airframe: Airframe, values: Mapping[str, float], sample: Samp
     return rows[:, :4], rows[:, 4:]
 
 
-def _surfaces(candidate: CandidateManoeuvre, lag: float) -> Array:
-    """(steps, 2) aileron and rudder [rad] behind a first-order servo; the second control moves when the first is done."""
-    command = np.zeros((round(LONG / STEP), 2))
+def _response(A: Array, B: Array, surfaces: Array) -> Array:
+    """(steps, states) motion of a linear system from rest."""
+    states, controls = B.shape
+    block = np.zeros((states + controls, states + controls))
+    block[:states, :states], block[:states, states:] = A, B
+    discrete = _exponential(STEP * block)
+    Ad, Bd = discrete[:states, :states], discrete[:states, states:]
+    motion = np.zeros((len(surfaces), states))
+    for k in range(len(surfaces) - 1):
+        motion[k + 1] = Ad @ motion[k] + Bd @ surfaces[k]
+    return motion
+
+
+def _surfaces(moves: Sequence[tuple[str, float]], airframe: Airframe) -> Array:
+    """(steps, controls) surfaces [rad] behind a first-order servo; each moves when the one before is done. moves: kind of pulses
+    and peak of each."""
+    lag = NO_LAG if airframe.servo_lag is None else airframe.servo_lag
+    command = np.zeros((round(LONG / STEP), len(moves)))
     start = 0.0
-    for control, (kind, peak) in enumerate(((candidate.aileron, AILERON), (candidate.rudder, RUDDER))):
+    for control, (kind, peak) in enumerate(moves):
         for part, seconds in PULSES[kind] if kind else ():
             command[round(start / STEP) : round((start + seconds) / STEP), control] = part * peak
             start += seconds

@@ -65,6 +65,9 @@ class Regression:
     lags: int = 12
     shortest_row: float = 0.0
 
+    def __deepcopy__(self, memo: object) -> "Regression":
+        return self  # nothing of it changes, and estimators are copied
+
     @cached_property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns."""
@@ -79,6 +82,11 @@ class Regression:
     def total(self) -> int:
         """Numbers of a row: columns of the equations with increments, of those that hold at every instant, left sides."""
         return 2 * self.width + len(self.equations)
+
+    @cached_property
+    def forces_only(self) -> frozenset[str]:
+        """Coefficients of the equations that hold at every instant."""
+        return frozenset(e.coefficient for e in self.equations if e.instant)
 
     @cached_property
     def derivatives(self) -> tuple[str, ...]:

@@ -225,8 +225,8 @@ class SimulatedPitch:
 class SteadiedVane:
     """Angle of attack with the noise of the vane mostly off: gyro and accelerometer carry it to the next scan, the vane draws it.
 
-    What they say of an interval is integrated by the cubic through the four nearest scans, so that it is known one scan late. What
-    is left of the vane's noise, and gusts faster than `VANE_S`, are an error of the columns; it has nothing to do with the
+    What they say of an interval is integrated by the cubic through the four nearest scans, so it is known one scan late. What is
+    left of the vane's noise, and gusts faster than `VANE_S`, are an error of the columns; it has nothing to do with the
     instruments, so that it makes no bias.
     """
 

@@ -6,7 +6,7 @@ which would need more rows than there are.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,10 @@ class RegressionSolution:
     covariance: Array
     white: Array
     scatter: float
+
+    def widened(self, share: float) -> "RegressionSolution":
+        """With a further error of that share of each value."""
+        return replace(self, covariance=self.covariance + np.diag((share * self.values) ** 2))
 
     def constant(self, level: Array) -> tuple[float, float]:
         """The equation's constant and its variance. level: (total,) the constant's row of the crossed sums."""

@@ -73,8 +73,8 @@ def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
     beliefs = {terms.names[p.name]: _belief(p) for p in model.parameters}
     pitching = any(r.name == "longitudinal" for r in terms.regressions)
     try:
-        geometry = [c[n] for n in ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")]
-        return Airframe(*geometry, beliefs, lag, c["c"] if pitching else math.nan)
+        b, S, m, Ixx, Iyy, Izz, Ixz = (c[n] for n in ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz"))
+        return Airframe(b, S, m, Ixx, Iyy, Izz, Ixz, beliefs, lag, c["c"] if pitching else math.nan)
     except KeyError as error:
         raise EstimationError(
             f"model {model.name} has no constant {error}, and method live cannot do without"

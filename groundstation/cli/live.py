@@ -41,7 +41,7 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 @aircraft_option("Name or file, for live identification", "the one the recording names")
 @click.option("--watch", "watched", is_flag=True, help="Say when the aircraft no longer flies as its file believes.")
 @model_option(
-    "MODEL.toml that --watch holds against flight, in place of the aircraft's beliefs.",
+    "What is identified live: lateral, longitudinal, six-dof or MODEL.toml; --watch holds a lateral file against flight.",
     None,
     click.Path(path_type=Path),
 )
@@ -245,7 +245,7 @@ def _views(settings: "GroundConfig", window: str, say: Say) -> "Iterator[Session
         return
     from groundstation.viewer.session import SessionViews
 
-    views = SessionViews(settings.view, "web" if window == "web" else "native", say)
+    views = SessionViews(settings.view, "web" if window == "web" else "native", say, settings.identification.model)
     try:
         yield views
     finally:

@@ -171,7 +171,11 @@ class LiveIdentification:
         if last.time >= self._advise_at or self._advice is None:
             self._advise_at = last.time + ADVISE_S
             values = {n: self._value(n, estimates) for n in self.aircraft.derivatives}
-            self._advice = next_manoeuvre(self.aircraft.airframe, values, information, bounds, last)
+            advice = [
+                next_manoeuvre(self.aircraft.airframe, values, information, bounds, last, r)
+                for r in self.aircraft.regressions
+            ]
+            self._advice = max((a for a in advice if a is not None), key=lambda a: a.now, default=None)
         return LiveState(
             last.time,
             self.aircraft,

@@ -11,7 +11,15 @@ from daq.identification.airframe import Belief
 from daq.identification.live import EquationInformation, LiveDerivative, LiveEstimates
 
 WEAK = 4.0  # times the wanted share, of the terms that move an aircraft little
-WEAK_TERMS = ("CY_p", "CY_r", "Cl_r", "Cl_dr", "Cn_p")  # stay at 6 to 17 % in flights that tell the others to 1 to 2 %
+WEAK_TERMS = (
+    "CY_p",
+    "CY_r",
+    "Cl_r",
+    "Cl_dr",
+    "Cn_p",
+    "CL_q",
+    "CL_de",
+)  # stay at 6 to 17 % in flights that tell the others to 1 to 2 %
 TOGETHER = (
     0.95  # correlation from which two derivatives count as told only together: a combination is three times surer
 )

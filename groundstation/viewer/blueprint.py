@@ -5,7 +5,7 @@ recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rb
 """
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -68,8 +68,14 @@ def _plots(live: bool) -> dict[str, rrb.TimeSeriesView]:
     }
 
 
-def blueprint(layout: Layout = "full", *, live: bool = True, identified: bool = True) -> rrb.Blueprint:
-    """The blueprint for a live or a recorded flight; identified: with a page for live identification."""
+def blueprint(
+    layout: Layout = "full",
+    *,
+    live: bool = True,
+    identified: bool = True,
+    coefficients: Sequence[str] = tuple(EQUATIONS),
+) -> rrb.Blueprint:
+    """The blueprint for a live or a recorded flight; identified: with a page for live identification, of these coefficients."""
     plots = _plots(live)
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     events = rrb.TextLogView(origin=e.EVENTS, name="Events and alarms", columns=columns)
@@ -109,14 +115,14 @@ def blueprint(layout: Layout = "full", *, live: bool = True, identified: bool = 
     flying = rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
     if not identified:
         return rrb.Blueprint(flying, *panels)
-    return rrb.Blueprint(rrb.Tabs(flying, _identification(live), active_tab=0), *panels)
+    return rrb.Blueprint(rrb.Tabs(flying, _identification(live, coefficients), active_tab=0), *panels)
 
 
 IDENTIFICATION = "Live identification"
 IDENTIFIED_SCALE = (-4.0, 4.0)  # standard deviations of what was believed
 
 
-def _identification(live: bool) -> rrb.Horizontal:
+def _identification(live: bool, coefficients: Sequence[str]) -> rrb.Horizontal:
     """Each coefficient's derivatives with their bands since the beginning, beside the numbers in words."""
     plots = [
         rrb.TimeSeriesView(
@@ -125,7 +131,7 @@ def _identification(live: bool) -> rrb.Horizontal:
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
             axis_y=rrb.ScalarAxis(range=IDENTIFIED_SCALE),
         )
-        for coefficient in EQUATIONS
+        for coefficient in coefficients
     ]
     curves = rrb.Vertical(*plots)
     if not live:

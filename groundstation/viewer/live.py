@@ -19,6 +19,7 @@ from pathlib import Path
 import rerun as rr
 
 from daq.contract.errors import UserError
+from daq.identification.airframe import EQUATIONS
 from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
@@ -43,7 +44,8 @@ class ViewOptions:
 
     open_port: whether further viewers of this computer may attach to `port`; else only who is told the address.
     tick_s: how long pictures are collected before they are sent together; None as suits the layout. When flight time
-    runs faster than the clock on the wall it should be as much shorter, or every packet holds minutes.
+    runs faster than the clock on the wall it should be as much shorter, or every packet holds minutes. coefficients: whose
+    derivatives are drawn as they are identified.
     """
 
     layout: Layout = "full"
@@ -53,6 +55,7 @@ class ViewOptions:
     serve: bool = True
     open_port: bool = True
     tick_s: float | None = None
+    coefficients: tuple[str, ...] = tuple(EQUATIONS)
 
 
 def port_is_free(port: int) -> bool:
@@ -103,7 +106,8 @@ class LiveView:
             sinks.append(rr.FileSink(str(options.rrd), write_footer=False))
         if not sinks:
             raise ViewerError("nothing to show to: neither a server nor a file was asked for")
-        self._stream.set_sinks(*sinks, default_blueprint=fitted(blueprint(options.layout, live=True), live=True))
+        page = blueprint(options.layout, live=True, coefficients=options.coefficients)
+        self._stream.set_sinks(*sinks, default_blueprint=fitted(page, live=True))
         self._columns = columns
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from daq.identification.airframe import EQUATIONS
 from groundstation.flight import Flight
 from groundstation.flight.rerun_file import rerun_file
 from groundstation.identification.history import history_of
 from groundstation.live.readouts import READOUTS
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
+from groundstation.viewer.derivatives import by_coefficient
 from groundstation.viewer.derivatives import entity as curves_of
 from groundstation.viewer.glyphs import drawable
 from groundstation.viewer.live import ViewerError
@@ -47,7 +47,8 @@ def write_rrd(
     said, heard = list(events), list(link)
     lanes = {group: list(history) for group, history in (states or {}).items()}
     filled = filled_entities(flight, lanes, said, heard, status)
-    page = blueprint(layout, live=False, identified=any(f.startswith(e.IDENTIFICATION) for f in filled))
+    coefficients = _identified(flight)
+    page = blueprint(layout, live=False, identified=bool(coefficients), coefficients=coefficients)
     try:
         with rerun_file(stream, path, fitted(page, live=False, filled=filled)):
             scene = Scene(stream, tuple(flight.columns), whose)
@@ -103,7 +104,12 @@ def filled_entities(
         e.STATUS: bool(status),
         **{entity: any(map(math.isfinite, values)) for entity, values in heard.items()},
     }
-    kept = history_of(flight.provenance.detail)
-    filled |= {curves_of(c) for c in EQUATIONS} if kept is not None and kept[1] else set()
+    filled |= {curves_of(c) for c in _identified(flight)}
     there[e.MAP_TRACK] = there[e.TRACK]
     return filled | {entity for entity, some in there.items() if some}
+
+
+def _identified(flight: Flight) -> tuple[str, ...]:
+    """Coefficients of the derivatives whose history a flight carries."""
+    history = history_of(flight.provenance.detail)
+    return () if history is None else tuple(by_coefficient(n for n in history[1] if not n.endswith("_0")))

@@ -4,6 +4,7 @@ import secrets
 import time
 from collections.abc import Callable
 
+from daq.identification.regression import REGRESSIONS
 from groundstation.live.config import ViewConfig
 from groundstation.viewer.gate import LOOPBACK
 from groundstation.viewer.live import LiveView, ViewerError, ViewOptions, port_is_free
@@ -14,12 +15,15 @@ _PORTS_TRIED = 100
 
 
 class SessionViews:
-    """Makes views on the configured ports, counted up for further aircraft. say: where addresses and troubles go.
+    """Makes views on the configured ports, counted up for further aircraft. say: where addresses and troubles go. model: of
+    live identification, whose derivatives are drawn.
 
     Raises ViewerError when made, if a configured port is taken: later that costs the picture only.
     """
 
-    def __init__(self, config: ViewConfig, window: Window, say: Callable[[str], None]) -> None:
+    def __init__(self, config: ViewConfig, window: Window, say: Callable[[str], None], model: str = "") -> None:
+        regressions = REGRESSIONS.get(model, REGRESSIONS["lateral"])
+        self._coefficients = tuple(e.coefficient for r in regressions for e in r.equations)
         self._config, self._window, self._say = config, window, say
         self._token = secrets.token_urlsafe(16) if config.token or config.host != LOOPBACK else ""
         self._views: list[LiveView] = []
@@ -36,7 +40,11 @@ class SessionViews:
         try:
             port = _free_from(self._config.port + len(self._views))
             options = ViewOptions(
-                self._config.layout, port, self._config.memory_limit, open_port=not self._token or self._window != "web"
+                self._config.layout,
+                port,
+                self._config.memory_limit,
+                open_port=not self._token or self._window != "web",
+                coefficients=self._coefficients,
             )
             view = LiveView(f"aircraft{system}", options)
             self._views.append(view)

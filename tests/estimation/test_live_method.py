@@ -1,6 +1,7 @@
 """`--method live`: the recursive estimator over a file, through the command and the library."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,14 @@ from daq.identification.live import LiveEstimator
 from estimation.aircraft.library import load_aircraft
 from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
+from estimation.estimators.linear_terms import linear_terms
 from estimation.estimators.recursive import airframe_of, recursive, samples_of
 from estimation.models import load_model
-from estimation.models.base import Model
+from estimation.models.base import Model, Parameter
 from estimation.session.runner import joint_model
+from firmware_sim.runs.direct import direct_flights
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
 
@@ -88,7 +93,8 @@ def test_several_flights_are_one_aircraft_with_constants_of_their_own(flight: Fl
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: load_model("longitudinal", "cdfp"), "knows the derivatives of model lateral only"),
+        (lambda m: m.plus(terms={"Cn": "Cn_b3*beta^3"}, parameters=[Parameter("Cn_b3")]), "Cn_b3 is none of them"),
+        (lambda m: m.with_biases("beta"), "bias_beta is none of them"),
         (lambda m: m.fixed("Cl_dr"), "holds no parameter"),
         (lambda m: replace(m, constants={**m.constants, "Ixx": -0.2}), "Ixx is -0.2"),
         (lambda m: replace(m, constants={k: v for k, v in m.constants.items() if k != "Ixx"}), "Ixx"),
@@ -103,3 +109,52 @@ def test_a_missing_column_is_named(flight: Flight, model: Model) -> None:
     without = replace(flight, columns={k: v for k, v in flight.columns.items() if k != "alpha"})
     with pytest.raises(MissingColumnError, match="alpha"):
         recursive(model, [without], load_aircraft("cdfp"))
+
+
+def pitching_flight() -> tuple[Flight, Mapping[str, float]]:
+    """Half a minute of elevator and throttle manoeuvres, and the derivatives it was flown with."""
+    scenario = load_scenario("longitudinal")
+    (columns,) = direct_flights([scenario], [3])
+    flight = Flight.build("pitch", columns.pop("time"), columns)
+    return flight, derivatives_of(scenario, 3)
+
+
+def test_the_pitching_plane_and_both_at_once() -> None:
+    flight, truth = pitching_flight()
+    craft = load_aircraft("cdfp")
+    alone = recursive(load_model("longitudinal", craft), [flight], craft)
+    assert alone.history is not None
+    assert set(alone.history.estimate) == set(alone.parameters)
+    for name in ("CL_alpha", "CD_0", "CD_k", "Cm_alpha", "Cm_q", "Cm_de"):
+        found = alone.parameters[name]
+        assert found.identifiable
+        assert abs(found.estimate - truth[name]) < 3.5 * found.std_coloured < 0.4 * abs(truth[name])
+    both = recursive(load_model("six-dof", craft), [flight], craft)
+    assert both.parameters["Cm_de"].estimate == alone.parameters["Cm_de"].estimate
+    assert not both.parameters["Cl_da"].identifiable  # neither aileron nor rudder was flown
+
+
+def test_the_pitching_plane_does_without_the_lateral_motion() -> None:
+    flight, _ = pitching_flight()
+    craft = load_aircraft("cdfp")
+    lateral = ("beta", "p", "r", "phi", "ay", "delta_a", "delta_r")
+    bare = replace(flight, columns={k: v for k, v in flight.columns.items() if k not in lateral})
+    found = recursive(load_model("longitudinal", craft), [bare], craft).parameters["Cm_de"]
+    there = recursive(load_model("longitudinal", craft), [flight], craft).parameters["Cm_de"]
+    assert abs(found.estimate - there.estimate) < there.std_coloured
+
+
+@pytest.mark.parametrize("which", ["lateral", "lateral-simple", "longitudinal", "six-dof"])
+def test_terms_of_the_built_in_models_are_found_from_their_text(which: str) -> None:
+    model = load_model(which, "cdfp")
+    assert dict(linear_terms(model).names) == {n: n for n in model.parameter_names}
+
+
+def test_a_term_of_ones_own_is_estimated_by_its_place(flight: Flight, model: Model) -> None:
+    """Whatever it is called; a term that the model lacks is left out."""
+    own = model.plus(terms={"Cn": "yaw_by_aileron*delta_a"}, parameters=[Parameter("yaw_by_aileron", "1/rad")])
+    terms = linear_terms(own)
+    assert terms.names["yaw_by_aileron"] == "Cn_da"
+    craft = load_aircraft("cdfp")
+    found = recursive(own, [flight], craft).parameters["yaw_by_aileron"]
+    assert abs(found.estimate) < 3.5 * found.std_coloured < 0.01  # it flew without

@@ -50,7 +50,7 @@ def _informed(airframe: Airframe, columns: dict[str, np.ndarray], noise: float) 
         pick = tuple(("0", "beta", "p", "r", "da", "dr").index(t) for t in terms)
         own = columns[c][:, list(pick)]
         normal = own.T @ own
-        found[c] = EquationInformation(pick, normal, noise * np.linalg.inv(normal))
+        found[c] = EquationInformation(tuple(f"{c}_{t}" for t in terms), pick, normal, noise * np.linalg.inv(normal))
     return found
 
 

@@ -34,7 +34,6 @@ def checked(plan: CampaignPlan, folder: Path) -> WorkList:
         ({"methods": []}, "^plan test: methods: "),
         ({"methods": ["ls"], "model": "nosuch"}, "model 'nosuch'"),
         ({"model": "nosuch.toml"}, "nosuch.toml: no such file"),
-        ({"methods": ["ml", "live"], "model": "longitudinal"}, "methods: method live knows .* lateral only"),
         ({"methods": ["ngn"], "model": "six-dof"}, "methods: model six-dof: Neural Gauss-Newton has"),
         ({"aircraft": "nosuch"}, "aircraft .*nosuch"),
         ({"groups": ["colour"]}, "groups.0"),
