@@ -30,7 +30,7 @@ from groundstation.flight.quality.noise import noise
 Array = NDArray[np.float64]
 
 FLYING, FLYING_S = 9.0, 2.0  # m/s and s from which on the aircraft flies, as the ground station has them
-FINEST_S = 0.045  # s; scans closer together are left out, for the monitor looks at the 20 Hz of the logger
+GRID_S, FINEST_S = 0.05, 0.045  # s between scans that are looked at, as on board; faster ones are left out in between
 FEWEST_S = 10.0  # s of manoeuvring below which nothing was watched to speak of
 NOISES = {"beta": "beta", "p": "p", "r": "r", "phi": "phi", "ay": "ay", "V": "V"}
 
@@ -90,7 +90,7 @@ def watch(
     values, stds = values_of(model)
     effects = bank(airframe, values, stds)
     derived = with_derived(flight, ["rho"])
-    samples, seconds = _manoeuvring(derived)
+    samples, seconds = _manoeuvring(derived, grid_of(derived))
     _refuse_short(flight, seconds)
     conditions = conditions_of(derived)
     rng = np.random.default_rng([seed, len(effects)])
@@ -101,13 +101,20 @@ def watch(
     return Watched(flight, model.name, tuple(monitor.alarms), history, monitor.watched, calibration)
 
 
-def _manoeuvring(flight: Flight) -> tuple[list[Sample], float]:
+def grid_of(flight: Flight) -> float:
+    """Seconds between scans that are looked at: of fast ones a whole number of intervals, about those on board."""
+    step = float(np.median(_steps(flight)))
+    return step * max(1, round(GRID_S / step)) if step < FINEST_S else GRID_S
+
+
+def _manoeuvring(flight: Flight, grid: float) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
+    least = 0.9 * grid
     stretches, last = ManoeuvreDetector(FLYING, FLYING_S), -math.inf
     samples: list[Sample] = []
     for part in flight.segments:
         for sample in samples_of(flight, part):
-            if sample.time - last < FINEST_S:
+            if sample.time - last < least:
                 continue
             last = sample.time
             samples += stretches.take(sample)
@@ -135,7 +142,8 @@ def conditions_of(flight: Flight) -> NullConditions:
     flying = flight["V"][flight["V"] > FLYING]
     if flying.size:
         levels["speed"] = float(np.median(flying))
-    levels["rate"] = min(20.0, 1.0 / float(np.mean(_steps(flight))))
+    levels["grid"] = grid_of(flight)
+    levels["rate"] = min(1.0 / levels["grid"], 1.0 / float(np.mean(_steps(flight))))
     return replace(defaults, **levels)  # type: ignore[arg-type]
 
 

@@ -18,8 +18,6 @@ from daq.identification.monitor.predictors import FlightsScan, Inputs, LateralMo
 
 Array = NDArray[np.float64]
 
-STEP = 0.025  # s
-GRID = 0.05  # s between scans on board
 LEVEL_BANK, LEVEL_RATE = (
     0.15,
     0.05,
@@ -30,7 +28,8 @@ NO_LAG = 0.035  # s, servo where the aircraft states none
 
 @dataclass(frozen=True)
 class NullConditions:
-    """Air and instruments, one standard deviation [SI, rad]; rate: scans a second that are seen; loss: share of them lost.
+    """Air and instruments, one standard deviation [SI, rad]; rate: scans a second that are seen, of those that are `grid` seconds
+    apart on board; loss: share of them lost.
 
     gust_spread: factors between which each flight's gusts are drawn, evenly in their logarithm: air is not always the usual one.
     """
@@ -48,6 +47,7 @@ class NullConditions:
     speed_spread: float = 1.0
     rate: float = 20.0
     loss: float = 0.0
+    grid: float = 0.05
 
 
 Change = Callable[[float, dict[str, Array]], None]
@@ -69,20 +69,21 @@ def fly(
         e.name: values.get(e.name, 0.0) + e.prior * rng.standard_normal((1, flights)) for e in effects if e.prior > 0.0
     }
     truth |= {n: np.zeros((1, flights)) for n in ("Cn_da", "CY_da")}
-    steps = round(seconds / STEP)
+    step = conditions.grid / 2.0
+    steps = round(seconds / step)
     lowest_factor, highest_factor = conditions.gust_spread
     gusts = conditions.gust * np.exp(rng.uniform(math.log(lowest_factor), math.log(highest_factor), flights))
-    commands = _hands(rng, flights, steps)
+    commands = _hands(rng, flights, steps, step)
     speed = conditions.speed + conditions.speed_spread * rng.uniform(-1.0, 1.0, flights)
     lag = NO_LAG if airframe.servo_lag is None else airframe.servo_lag
-    fade, gust_fade = math.exp(-STEP / lag), math.exp(-STEP / GUST_TIME)
+    fade, gust_fade = math.exp(-step / lag), math.exp(-step / GUST_TIME)
     x = np.zeros((4, 1, flights))
     surfaces, gust = np.zeros((2, flights)), np.zeros(flights)
-    arrives = _seen(conditions, rng, round(seconds / GRID))
+    arrives = _seen(conditions, rng, round(seconds / conditions.grid))
     scans: list[FlightsScan] = []
     motion = LateralMotion(airframe, truth)
     for k in range(steps):
-        time = k * STEP
+        time = k * step
         if change is not None:
             change(time, truth)
             motion = LateralMotion(airframe, truth)
@@ -91,7 +92,7 @@ def fly(
             scans.append(_scan(time, x, inputs, motion, gust, conditions, rng))
         command = commands[k] + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(flights)])
         next_surfaces = command + (surfaces - command) * fade
-        x = motion.advance(x, partial(inputs.between, _inputs(x, next_surfaces, speed)), STEP, gust)
+        x = motion.advance(x, partial(inputs.between, _inputs(x, next_surfaces, speed)), step, gust)
         surfaces = next_surfaces
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
     return scans
@@ -121,22 +122,22 @@ def _scan(
 
 def _seen(c: NullConditions, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
     """Which scans of the grid arrive."""
-    transmitted = np.diff(np.floor(np.arange(count + 1) * min(1.0, c.rate * GRID)), prepend=-1.0)[: count + 1] > 0
+    transmitted = np.diff(np.floor(np.arange(count + 1) * min(1.0, c.rate * c.grid)), prepend=-1.0)[: count + 1] > 0
     return np.asarray(transmitted & (rng.uniform(size=count + 1) >= c.loss))
 
 
-def _hands(rng: np.random.Generator, flights: int, steps: int) -> Array:
+def _hands(rng: np.random.Generator, flights: int, steps: int, step: float) -> Array:
     """(steps, 2, flights) what hands ask for [rad]: now and then a few steps of aileron or rudder."""
     commands = np.zeros((steps, 2, flights))
     for flight in range(flights):
-        start = round(rng.uniform(0.5, 2.0) / STEP)
+        start = round(rng.uniform(0.5, 2.0) / step)
         while start < steps:
             control = int(rng.integers(2))
             peak = math.radians(rng.uniform(3.0, 7.0) if control == 0 else rng.uniform(2.0, 4.5))
             sign = float(rng.choice([-1.0, 1.0]))
             for _ in range(int(rng.integers(2, 5))):
-                length = round(rng.uniform(0.3, 0.9) / STEP)
+                length = round(rng.uniform(0.3, 0.9) / step)
                 commands[start : start + length, control, flight] = sign * peak
                 sign, start = -sign, start + length
-            start += round(rng.uniform(0.8, 3.0) / STEP)
+            start += round(rng.uniform(0.8, 3.0) / step)
     return commands

@@ -98,6 +98,31 @@ def test_scans_in_order_give_the_numbers_of_the_file(
         assert known.std == pytest.approx(there.std_coloured, rel=1e-6)
 
 
+def test_both_planes_are_identified_where_asked_for(recording: tuple[list[Scan], Calibrator, Flight]) -> None:
+    """Numbers of the pitching plane are those of the file too; table, page and history name them."""
+    scans, calibrator, flight = recording
+    alignment, aircraft = ScanAlignment(), live_aircraft("cdfp", model="six-dof")
+    stretches = ManoeuvreDetector(9.0, 2.0, aircraft.regressions)
+    live = LiveIdentification(aircraft, calibrator, 0.05, alignment, stretches)
+    states = fed(live, alignment, iter(scans))
+    final = live.finish()
+    assert final is not None
+    assert not live.trouble
+    used = np.zeros(len(flight), bool)
+    for begin, end in live.stretches.found:
+        used |= (flight.time >= begin - 1e-9) & (flight.time <= end + 1e-9)
+    craft = load_aircraft("cdfp")
+    over_file = recursive(load_model("six-dof", craft), [flight.part(used)], craft)
+    for name in ("CL_alpha", "CD_0", "Cm_de", "Cl_p", "Cn_beta"):
+        known, there = final.estimates.derivatives[name], over_file.parameters[name]
+        assert known.estimate == pytest.approx(there.estimate, rel=1e-5, abs=1e-9)
+        assert known.std == pytest.approx(there.std_coloured, rel=1e-5)
+    shown = "\n".join(lines(final))
+    assert all(word in shown for word in ("CL_alpha", "Cm_q", "Cn_dr", "elevator "))
+    assert short_line(states[-1])
+    assert set(live.history.to_json()) == {"time", *aircraft.derivatives}
+
+
 def test_late_scans_end_in_the_same_numbers(
     recording: tuple[list[Scan], Calibrator, Flight], in_order: InOrder
 ) -> None:
