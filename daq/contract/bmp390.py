@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Protocol, Self, TypeVar
 
+from daq.contract.constants import ZERO_CELSIUS
+
 
 class Arithmetic(Protocol):
     """A number, or an array of them."""
@@ -16,7 +18,6 @@ class Arithmetic(Protocol):
 
 Number = TypeVar("Number", bound=Arithmetic)
 
-ZERO_CELSIUS = 273.15
 NVM_BYTES = 21
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
 from daq.contract.channel_rows import Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType
+from daq.contract.constants import DEGREE, GRAVITY, ZERO_CELSIUS
 
 BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("imu", "accelerometer and gyro", "ICM-20948"),
@@ -24,9 +25,6 @@ BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("capture", "digital inputs and PWM widths", "capture co-processor"),
     ChannelGroup("gnss", "GPS", "u-blox NAV-PVT"),
 )
-
-_G = 9.80665
-_DEG = 0.017453292519943295
 
 
 def _axes(
@@ -71,11 +69,11 @@ _AIR = ("temperature", "rho", "p_static", "altitude", "V")
 
 BUILT_IN_CHANNELS: tuple[Channel, ...] = (
     # ICM-20948 at +-8 g and +-500 deg/s; axes already turned from chip to body axes by the driver's mounting matrix.
-    *_axes("accel_x accel_y accel_z", "imu", "m/s2", "specific force at the IMU", _G / 4096, "ax ay az"),
-    *_axes("gyro_x gyro_y gyro_z", "imu", "rad/s", "angular rate", _DEG / 65.5, "p q r"),
+    *_axes("accel_x accel_y accel_z", "imu", "m/s2", "specific force at the IMU", GRAVITY / 4096, "ax ay az"),
+    *_axes("gyro_x gyro_y gyro_z", "imu", "rad/s", "angular rate", DEGREE / 65.5, "p q r"),
     # die temperature, sensor supply and air temperature are sent with each fast frame (2 + 2 + 4 bytes), because fast columns
     # are corrected with them: a flight from telemetry then equals the onboard one exactly, whichever frames were lost
-    Channel("imu_temperature", "imu", "i16", "K", "IMU die", 1 / 333.87, 21.0 + 273.15),
+    Channel("imu_temperature", "imu", "i16", "K", "IMU die", 1 / 333.87, 21.0 + ZERO_CELSIUS),
     *_axes("mag_x mag_y mag_z", "mag", "T", "magnetic field", 0.15e-6, "mx my mz", "slow"),
     Channel("mag_status", "mag", "u8", "", "AK09916 ST2: bit 3 overflow", downlink="none"),
     _attitude("w", "scalar part"),
@@ -98,7 +96,7 @@ BUILT_IN_CHANNELS: tuple[Channel, ...] = (
         "K",
         "pitot sensor die, 11-bit count",
         200 / 2047,
-        -50 + 273.15,
+        -50 + ZERO_CELSIUS,
         downlink="slow",
     ),
     Channel("static_pressure", "static", "u32", "Pa", "24-bit uncompensated pressure", columns=_STATIC),
