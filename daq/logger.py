@@ -1,7 +1,7 @@
 """The logger: scans on absolute deadlines, handed to the recorder and the downlink.
 
-The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated, and cannot
-tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
+The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, their edges real or simulated, and
+cannot tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
 passed is skipped and its number never used, and the recorder counts it as missed, also before the first scan of a
 recording and after its last.
 
@@ -13,19 +13,21 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from daq.acquisition.air_truth import AirTruth
-from daq.acquisition.health import HealthSummary, as_message, repetitions
-from daq.acquisition.sampler import EventMark, UnfinishedScan
+from daq.acquisition.health import as_message, repetitions
+from daq.acquisition.sampler import EventMark, Sampler, UnfinishedScan
 from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
-from daq.contract.control import Control, Weigh
+from daq.companion.process import Companion
 from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
+from daq.contract.manoeuvre import Weigh
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.recorder import Recorder
 from daq.recorder.timing import LoopTiming
+from daq.telemetry.link import RadioLink
+from daq.telemetry.uplink import Uplink
 
 _LOG = logging.getLogger("sideslip.logger")
 
@@ -35,80 +37,6 @@ _GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # said on th
 _DEAF_NS = NS  # so long the uplink may be passed over because a scan is due, before it has its turn all the same
 
 
-class SensorSource(Protocol):
-    """What makes scans."""
-
-    on_event: Callable[[EventMark], None]
-
-    def start(self) -> HealthSummary:
-        """Set all sensors up."""
-        ...
-
-    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
-        """Read all sensors once, whatever state they are in."""
-        ...
-
-    def finish(self, taken: UnfinishedScan) -> Scan:
-        """Make a scan of what was taken; each once, in order."""
-        ...
-
-    def health(self) -> HealthSummary:
-        """State of all sensors."""
-        ...
-
-    def metadata(self) -> dict[str, str]:
-        """What is needed to use the counts."""
-        ...
-
-
-class DownlinkSink(Protocol):
-    """What sends to the ground. Nothing here waits."""
-
-    def offer(self, scan: Scan) -> None:
-        """A scan that may be sent."""
-        ...
-
-    def service(self, now_ns: int) -> None:
-        """Send what is due."""
-        ...
-
-    def event(self, event: EventMessage) -> None:
-        """An event marker, to be sent soon."""
-        ...
-
-    def text(self, severity: int, words: str, /) -> None:
-        """A sentence for the people on the ground; severity as in syslog, 3 error, 4 warning, 6 information."""
-        ...
-
-    def sequencer(self, frame: SequencerFrame) -> None:
-        """What the sequencer is doing."""
-        ...
-
-
-class Listener(Protocol):
-    """What looks at scans beside the recording. Nothing here waits, or raises."""
-
-    def start(self, details: Mapping[str, str]) -> None:
-        """Begin, once the sensors are set up; details: what is needed to use the counts."""
-        ...
-
-    def scans(self, scans: Iterable[Scan]) -> None:
-        """Scans in order, after recorder and radio have them."""
-        ...
-
-    def close(self) -> None:
-        """The loop has ended; the recording is still open."""
-        ...
-
-
-class UplinkSource(Protocol):
-    """What hears from the ground."""
-
-    def service(self, now_ns: int, control: Control) -> None:
-        """Carry out what has arrived."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Opening:
     """A line for the log at the start of a recording, such as an overridden preflight check."""
@@ -116,10 +44,6 @@ class Opening:
     level: LogLevel
     name: str
     text: str
-
-
-def _nothing() -> None:
-    return
 
 
 class Logger:
@@ -136,15 +60,15 @@ class Logger:
         self,
         rate_hz: float,
         clock: Clock,
-        sampler: SensorSource,
+        sampler: Sampler,
         recorder: Recorder,
-        downlink: DownlinkSink | None = None,
-        uplink: UplinkSource | None = None,
+        downlink: RadioLink | None = None,
+        uplink: Uplink | None = None,
         *,
         together: int = 1,
         timing: LoopTiming | None = None,
         new_recorder: Callable[[], Recorder] | None = None,
-        housekeeping: Callable[[], None] = _nothing,
+        housekeeping: Callable[[], None] = lambda: None,
         opening: Iterable[Opening] = (),
     ) -> None:
         self.timing = timing or LoopTiming()
@@ -173,7 +97,7 @@ class Logger:
         self._newest: UnfinishedScan | None = None
         self._link_fault = ""
         self._actuator: Actuation | None = None
-        self._listener: Listener | None = None
+        self._listener: Companion | None = None
         self._truth: AirTruth | None = None
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
@@ -181,7 +105,7 @@ class Logger:
         self._books_of = 0  # the one of them whose books `_last_books` are
         sampler.on_event = self._switch
 
-    def connect(self, downlink: DownlinkSink, uplink: UplinkSource | None) -> None:
+    def connect(self, downlink: RadioLink, uplink: Uplink | None) -> None:
         """Give the logger its link, before it runs."""
         self._downlink, self._uplink = downlink, uplink
 
@@ -191,7 +115,7 @@ class Logger:
             raise ValueError("controls cannot wait for several scans to be finished together")
         self._actuator = actuator
 
-    def listen(self, listener: Listener) -> None:
+    def listen(self, listener: Companion) -> None:
         """Give the logger somebody who looks at scans, before it runs."""
         self._listener = listener
 

@@ -8,7 +8,7 @@ begin and end at zero.
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,11 @@ class Manoeuvre:
             "predicted": dict(self.predicted),
             "increments": {name: list(values) for name, values in self.increments.items()},
         }
+
+
+Weigh = Callable[[Manoeuvre], Callable[[], str]]
+"""Weighs a manoeuvre against the aircraft's limits, in any thread; raises ManoeuvreError. What it returns puts the manoeuvre in
+place, in the scan loop, and says why not, empty when it is taken."""
 
 
 def checked(manoeuvre: Manoeuvre, where: str = "manoeuvre") -> Manoeuvre:

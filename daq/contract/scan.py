@@ -13,12 +13,12 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES, GROUPS
 from daq.contract.errors import UserError
-from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, seal, seal_holds
+from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, message_class, seal, seal_holds
 
 SCHEMA_NAME = "sideslip.Scan"
 SCAN_TOPIC = "/scan"
@@ -145,10 +145,7 @@ def file_descriptor_set() -> descriptor_pb2.FileDescriptorSet:
 @cache
 def scan_message_class() -> Any:
     """The protobuf message class of `file_descriptor_set`."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in file_descriptor_set().file:
-        pool.Add(file)  # type: ignore[no-untyped-call]
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(SCHEMA_NAME))
+    return message_class(SCHEMA_NAME, file_descriptor_set())
 
 
 def encode_scan(scan: Scan) -> bytes:

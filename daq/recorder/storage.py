@@ -18,23 +18,18 @@ class StorageFile(Protocol):
 
     def write(self, data: bytes) -> int:
         """Write all of `data`."""
-        ...
 
     def tell(self) -> int:
         """Bytes written so far."""
-        ...
 
     def flush(self) -> None:
         """Nothing is held back in the process: everything written has gone to the operating system."""
-        ...
 
     def sync(self) -> None:
         """Return once everything written is on the medium."""
-        ...
 
     def close(self) -> None:
         """Release the file."""
-        ...
 
 
 class Storage(Protocol):
@@ -42,19 +37,15 @@ class Storage(Protocol):
 
     def create(self, path: Path) -> StorageFile:
         """Open a new file for writing, its directory made if need be; FileExistsError when there is one."""
-        ...
 
     def free_bytes(self, directory: Path) -> int:
         """Space left for an ordinary user in the file system of `directory`."""
-        ...
 
     def recordings(self, directory: Path) -> list[Path]:
         """All .mcap files under `directory`, the oldest first."""
-        ...
 
     def remove(self, path: Path) -> None:
         """Remove a file."""
-        ...
 
 
 class RealFile:

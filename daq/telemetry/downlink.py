@@ -15,9 +15,10 @@ from daq.clock import NS, Clock
 from daq.contract.channels import Channel
 from daq.contract.link.scan_map import BLOCK, ScanMap
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
-from daq.contract.recordings.messages import EventMessage, SequencerFrame
+from daq.contract.recordings.messages import EventMessage, SequencerFrame, Statistics
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
+from daq.telemetry.control import Control, NoLogger
 from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.send_queue import Item, SendQueue, item
 from daq.telemetry.standard_messages import StandardMessages, heartbeat
@@ -38,22 +39,6 @@ _FIRST_NS = 3 * NS  # the 600 bytes of one message of each kind take as long bes
 _TEXT_CHARS = 50
 
 
-@dataclass(frozen=True, slots=True)
-class OnboardStatus:
-    """What the logger tells the ground about itself."""
-
-    recording: bool = False
-    slots: int = 0
-    written: int = 0
-    dropped: int = 0
-    lost: int = 0
-    missed: int = 0
-    queue: int = 0
-    free_bytes: int | None = None
-    lateness_p99_us: int = 0
-    write_errors: int = 0
-
-
 @dataclass
 class UplinkCounts:
     """Refusals, as LINK_STATISTICS reports them."""
@@ -65,8 +50,8 @@ class UplinkCounts:
 class Downlink:
     """Sends to one ground link. All methods belong to the scan loop's thread.
 
-    boot: random number of this start of the logger (1 to 255). status: asked at a low rate for the logger's state.
-    facts: run-time facts of the sensors, asked at a low rate.
+    boot: random number of this start of the logger (1 to 255). facts: run-time facts of the sensors, asked at a low rate.
+    logger: whose state is told; its books are asked for at a low rate.
     """
 
     def __init__(
@@ -77,7 +62,6 @@ class Downlink:
         *,
         boot: int,
         signer: Signer | None = None,
-        status: Callable[[], OnboardStatus] = OnboardStatus,
         facts: Callable[[], Mapping[str, str]] = dict,
     ) -> None:
         self.boot = boot & 255 or 1
@@ -88,9 +72,8 @@ class Downlink:
         self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
         self._clock = clock
         self._layouts = layouts()
-        self.status = status
-        self.recording: Callable[[], bool] = lambda: self.status().recording
-        self.messages = StandardMessages(config, lambda: self.recording(), facts)
+        self.logger: Control = NoLogger()
+        self.messages = StandardMessages(config, lambda: self.logger.recording, facts)
         encoder = FrameEncoder(config.system_id, config.component_id, signer, private=config.data_component_id)
         self.send_queue = SendQueue(port, encoder, config.budget_bytes_per_s, config.scan_queue)
         self._wanted_rate = config.rate_hz
@@ -216,7 +199,7 @@ class Downlink:
         if self._next_heartbeat is None or now_ns >= self._next_heartbeat:
             late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
             self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
-            self.send_queue.put_urgent(heartbeat(self.recording()))
+            self.send_queue.put_urgent(heartbeat(self.logger.recording))
         if self._factor < 1.0:
             self._recover(now_ns)
         if self._scans_come:
@@ -270,20 +253,16 @@ class Downlink:
         )
 
     def _logger_status(self) -> Item:
-        s = self.status()
+        books = self.logger.statistics() or Statistics(0, 0, "", 0)
         return item(
             "LOGGER_STATUS",
-            free_bytes=2**64 - 1 if s.free_bytes is None else s.free_bytes,
-            slots=s.slots,
-            written=s.written,
-            dropped=s.dropped,
-            lost=s.lost,
-            missed=s.missed,
+            free_bytes=books.extra.get("free_bytes", 2**64 - 1),
+            **{name: getattr(books, name) for name in ("slots", "written", "dropped", "lost", "missed")},
             boot=self.boot,
-            queue=min(65535, s.queue),
-            lateness_p99_us=min(65535, s.lateness_p99_us),
-            write_errors=min(65535, s.write_errors),
-            recording=int(s.recording),
+            queue=min(65535, books.pending),
+            lateness_p99_us=min(65535, _percentile(books.edges_us, books.lateness, 0.99)),
+            write_errors=min(65535, books.write_errors),
+            recording=int(self.logger.recording),
             in_flight=int(flight_evidence(self.recent) is not None),
         )
 
@@ -380,6 +359,16 @@ class _Turns:
 def _increment(value: float) -> int:
     """An increment of a control [1e-4 rad]."""
     return min(max(round(value * 1e4), -32767), 32767)
+
+
+def _percentile(edges_us: Sequence[int], counts: Sequence[int], share: float) -> int:
+    """Upper edge of the histogram bin in which a percentile lies; the last bin has none and gives 65535."""
+    below, total = 0, sum(counts)
+    for edge, count in zip((*edges_us, 65535), counts, strict=False):
+        below += count
+        if total and below >= share * total:
+            return edge
+    return 0
 
 
 class _Timers:

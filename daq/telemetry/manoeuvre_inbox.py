@@ -11,9 +11,10 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
-from daq.contract import manoeuvre_wire as wire
-from daq.contract.control import Control, Weigh
 from daq.contract.errors import UserError
+from daq.contract.link import manoeuvre_wire as wire
+from daq.contract.manoeuvre import Weigh
+from daq.telemetry.control import Control
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.worker import Worker
 

@@ -16,12 +16,12 @@ from statistics import fmean
 from typing import Any
 
 from daq.clock import NS, Clock
-from daq.contract.control import Control
 from daq.contract.link import commands as c
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_FAST_ID
 from daq.telemetry import gcs_replies
 from daq.telemetry.backfill import BackfillServer
+from daq.telemetry.control import Control
 from daq.telemetry.downlink import Downlink
 from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.log_server import LogServer

@@ -46,15 +46,12 @@ class BytePort(Protocol):
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived, at most `limit`; empty when there are none."""
-        ...
 
     def write(self, data: bytes) -> int:
         """Hand over bytes; returns how many were taken, 0 when the port is busy."""
-        ...
 
     def close(self) -> None:
         """Give the port back."""
-        ...
 
 
 PortKind = Literal["serial", "udp", "udpin", "tcp", "tcpin"]

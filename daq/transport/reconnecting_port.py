@@ -44,7 +44,6 @@ class ClosingPort(BytePort, Protocol):
     @property
     def is_open(self) -> bool:
         """Whether it can still be of use."""
-        ...
 
 
 class ReconnectingPort:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.actuation.servos import ServoManoeuvre, plan_of
-from daq.contract import manoeuvre_wire as wire
+from daq.contract.link import manoeuvre_wire as wire
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.contract.sequencing import State
 from daq.telemetry.manoeuvre_inbox import ManoeuvreInbox

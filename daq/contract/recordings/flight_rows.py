@@ -10,13 +10,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
 from daq.contract.recordings.claims import MAX_COLUMNS, json_object, table_fits
 from daq.contract.recordings.reading import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk
+from daq.contract.seal import message_class
 
 FLIGHT_SCHEMA = "sideslip.FlightSample"
 
@@ -106,9 +107,7 @@ def _message_class(numbers: Mapping[str, int]) -> Any:
             oneof_index=i,
         )
         message.oneof_decl.add(name=f"_{i}_")
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)  # type: ignore[no-untyped-call]
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("sideslip.Row"))
+    return message_class("sideslip.Row", descriptor_pb2.FileDescriptorSet(file=[file]))
 
 
 def described(segment: RecordingWalk) -> tuple[dict[str, Any], str, str]:

@@ -27,10 +27,10 @@ from daq.contract.recordings.messages import (
     LogLine,
     SequencerFrame,
     Statistics,
+    decode,
 )
 from daq.contract.recordings.recording import (
     CHANNELS_ATTACHMENT,
-    DECODERS,
     DETAIL_NAME,
     INFO_ATTACHMENT,
     INFO_NAME,
@@ -160,7 +160,7 @@ class Recording:
         return tuple(dict.fromkeys(s.path for s in self.segments))
 
     def _decoded(self, topic: str) -> Iterator[Any]:
-        return (DECODERS[topic](e.data) for e in self.entries if e.topic == topic)
+        return (decode(topic, e.data) for e in self.entries if e.topic == topic)
 
 
 def read_parts(path: Path) -> list[RecordingWalk]:
@@ -313,7 +313,7 @@ def _copy_of_identity(data: bytes) -> Mapping[str, str] | None:
 def _last_statistics(entries: Iterable[RecordedMessage]) -> Statistics | None:
     told = [e for e in entries if e.topic == STATISTICS_TOPIC]
     last = max(reversed(told), key=lambda e: e.log_time_ns, default=None)  # of the same instant the last written
-    return DECODERS[STATISTICS_TOPIC](last.data) if last else None
+    return decode(STATISTICS_TOPIC, last.data) if last else None
 
 
 def segment_paths(path: Path) -> list[Path]:

@@ -13,11 +13,11 @@ it UTC; publish_time is UTC as well as the message itself knows it, and monotoni
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
@@ -43,14 +43,7 @@ _LONGEST_NAME = 256
 _MOST_SEGMENTS = 2**32 - 1  # what the accounting can count
 _LATEST_NS = 2**64 - 1  # what a message's times can hold
 
-SCHEMA_OF_TOPIC: Mapping[str, str] = {
-    SCAN_TOPIC: SCHEMA_NAME,
-    m.EVENT_TOPIC: m.EVENT_SCHEMA,
-    m.LOG_TOPIC: m.LOG_SCHEMA,
-    m.STATISTICS_TOPIC: m.STATISTICS_SCHEMA,
-    m.HEALTH_TOPIC: m.HEALTH_SCHEMA,
-    m.SEQUENCER_TOPIC: m.SEQUENCER_SCHEMA,
-}
+SCHEMA_OF_TOPIC: Mapping[str, str] = {SCAN_TOPIC: SCHEMA_NAME, **m.SCHEMA_OF_MESSAGES}
 
 
 class RecordingError(UserError):
@@ -207,9 +200,8 @@ def scan_entry(scan: Scan, data: bytes | None = None) -> RecordedMessage:
 
 def message_entry(message: m.Message, sequence: int = 0) -> RecordedMessage:
     """An event, log line, health report, statistics or frame of the sequencer as a message."""
-    topic, encode = _ENCODERS[type(message)]
     utc = message.time_utc_ns or message.time_monotonic_ns
-    return RecordedMessage(topic, message.time_monotonic_ns, utc, sequence, encode(message))
+    return RecordedMessage(m.topic_of(message), message.time_monotonic_ns, utc, sequence, m.encode(message))
 
 
 def entry_of(topic: str, data: bytes) -> RecordedMessage:
@@ -217,7 +209,7 @@ def entry_of(topic: str, data: bytes) -> RecordedMessage:
     if topic == SCAN_TOPIC:
         number, monotonic, utc = scan_stamp(data)
         return RecordedMessage(topic, monotonic, utc or monotonic, number, data)
-    content = DECODERS[topic](data)
+    content = m.decode(topic, data)
     utc = content.time_utc_ns or content.time_monotonic_ns
     if not 0 <= utc <= _LATEST_NS:  # a log line carries seconds of any sign and size
         utc = content.time_monotonic_ns
@@ -230,7 +222,7 @@ def on_monotonic_clock(entry: RecordedMessage) -> RecordedMessage:
         return entry
     if entry.topic == SCAN_TOPIC:
         return entry._replace(log_time_ns=scan_stamp(entry.data)[1])
-    return entry._replace(log_time_ns=DECODERS[entry.topic](entry.data).time_monotonic_ns)
+    return entry._replace(log_time_ns=m.decode(entry.topic, entry.data).time_monotonic_ns)
 
 
 def utc_of(entries: Iterable[RecordedMessage]) -> LogTime:
@@ -243,22 +235,6 @@ def utc_of_scan(entry: RecordedMessage) -> LogTime | None:
     if entry.topic != SCAN_TOPIC or not UTC_FROM_NS <= entry.publish_time_ns < UTC_TO_NS:
         return None
     return LogTime(entry.publish_time_ns - entry.log_time_ns, GPS)
-
-
-_ENCODERS: dict[type, tuple[str, Callable[[Any], bytes]]] = {
-    m.EventMessage: (m.EVENT_TOPIC, m.encode_event),
-    m.LogLine: (m.LOG_TOPIC, m.encode_log),
-    m.Health: (m.HEALTH_TOPIC, m.encode_health),
-    m.Statistics: (m.STATISTICS_TOPIC, m.encode_statistics),
-    m.SequencerFrame: (m.SEQUENCER_TOPIC, m.encode_sequencer),
-}
-DECODERS: dict[str, Callable[[bytes], Any]] = {
-    m.EVENT_TOPIC: m.decode_event,
-    m.LOG_TOPIC: m.decode_log,
-    m.HEALTH_TOPIC: m.decode_health,
-    m.STATISTICS_TOPIC: m.decode_statistics,
-    m.SEQUENCER_TOPIC: m.decode_sequencer,
-}
 
 
 class RecordingWriter:

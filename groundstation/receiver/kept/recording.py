@@ -12,7 +12,7 @@ from typing import IO, Any
 
 from daq.contract.durable import replacing
 from daq.contract.link.scan_map import ScanMap
-from daq.contract.recordings.messages import EventMessage, MessageError, decode_event, encode_event
+from daq.contract.recordings.messages import EVENT_TOPIC, EventMessage, MessageError, decode, encode
 from daq.contract.recordings.recording import (
     LogTime,
     RecordedMessage,
@@ -122,7 +122,7 @@ class SessionRecorder:
 
     def event(self, marked: ev.EventMarked) -> bool:
         """Keep an event, once; False when there have been too many."""
-        data = encode_event(EventMessage(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
+        data = encode(EventMessage(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
         if data in self._events:
             return True
         if len(self._events) >= MAX_EVENTS:
@@ -134,7 +134,7 @@ class SessionRecorder:
     def note(self, text: str) -> None:
         """Keep an event of the reception itself, at the time of the last scan; of very many the first ones."""
         if len(self._notes) < MAX_NOTES:
-            data = encode_event(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))
+            data = encode(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))
             self._notes.append(data)
             self.journal.add(RecordKind.NOTE, data)
 
@@ -157,7 +157,7 @@ class SessionRecorder:
             self.journal.add(RecordKind.PAPERS, data)
         # The papers have every event in full; what came down as it happened may be shortened.
         if papers.events:
-            self._events = {encode_event(e) for e in papers.marks()}
+            self._events = {encode(e) for e in papers.marks()}
         return True
 
     def take_archive(self, data: bytes) -> bool:
@@ -225,7 +225,7 @@ def _decoded(events: Iterable[bytes]) -> list[EventMessage]:
     out = []
     for data in events:
         try:
-            out.append(decode_event(data))
+            out.append(decode(EVENT_TOPIC, data))
         except MessageError:
             continue
     return out
