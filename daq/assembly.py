@@ -29,9 +29,9 @@ from daq.contract.recordings.recording import (
     software_version,
 )
 from daq.logger import Logger, Opening
+from daq.recorder.counts import LoopTiming
 from daq.recorder.recorder import Recorder
 from daq.recorder.storage import Storage
-from daq.recorder.timing import LoopTiming
 from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.telemetry.link import RadioLink, radio_link
 from daq.telemetry.uplink import TURN_NS

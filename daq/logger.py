@@ -24,8 +24,8 @@ from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
 from daq.contract.manoeuvre import Weigh
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
+from daq.recorder.counts import LoopTiming
 from daq.recorder.recorder import Recorder
-from daq.recorder.timing import LoopTiming
 from daq.telemetry.link import RadioLink
 from daq.telemetry.uplink import Uplink
 

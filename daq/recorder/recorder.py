@@ -28,12 +28,10 @@ from daq.contract.recordings.messages import (
 from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder.config import RecorderConfig
-from daq.recorder.log_time import SessionTime
+from daq.recorder.counts import Histogram, LoopTiming, SlotCounts
 from daq.recorder.segment import OpenRecording, Syncer
-from daq.recorder.segment_files import SegmentFiles
-from daq.recorder.slot_counts import SlotCounts
+from daq.recorder.segment_files import SegmentFiles, SessionTime
 from daq.recorder.storage import RealStorage, Storage
-from daq.recorder.timing import Histogram, LoopTiming
 
 _LOG = logging.getLogger("sideslip.recorder")
 

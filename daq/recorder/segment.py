@@ -10,8 +10,8 @@ from typing import IO, cast
 
 from daq.clock import Clock
 from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, RecordingWriter
+from daq.recorder.counts import Histogram
 from daq.recorder.storage import StorageFile
-from daq.recorder.timing import Histogram
 
 _LOG = logging.getLogger("sideslip.recorder")
 

@@ -1,17 +1,28 @@
-"""Where the files of a session go: numbered one after another, in the first directory that takes one.
+"""Where the files of a session go, numbered one after another, in the first directory that takes one, and under which time
+their messages are filed.
 
-A file that cannot be opened or begun is a sentence and another try, never an exception.
+A file that cannot be opened or begun is a sentence and another try, never an exception. A segment has one offset from the
+aircraft's monotonic clock to UTC, chosen with its first message: UTC as soon as anything knows it. So intervals in a file are
+those of the monotonic clock, and log times never jump, whatever GPS or the system's clock do meanwhile.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from daq.clock import NS, Clock
 from daq.contract.recordings.messages import LogLevel
-from daq.contract.recordings.recording import RecordingInfo
+from daq.contract.recordings.recording import COMPUTER, GPS, LogTime, RecordedMessage, RecordingInfo, utc_of_scan
 from daq.recorder.config import RecorderConfig
 from daq.recorder.segment import OpenRecording
 from daq.recorder.storage import Storage, StorageFile
+
+CLOCK_SET_NS = 1_735_689_600 * NS
+"""The system's clock has been set when it stands at 2025 or later: clocks without a battery begin in 1970, or when their
+system was built."""
+TOLERANCE_NS = NS // 10
+"""A clock set from the network agrees with GPS to some 20 ms, the accuracy of a fix over a serial line; one that is off by
+more than this, two scans, was not. The next segment then begins, so that it happens once in a session."""
 
 
 class SegmentFiles:
@@ -105,3 +116,24 @@ class SegmentFiles:
 
     def _fails(self, what: str, error: OSError) -> None:
         self._complain(f"{what} ({error.strerror or error})", LogLevel.ERROR)
+
+
+class SessionTime:
+    """What is known of UTC in a session: at first by the system's clock, if it has been set, later by GPS."""
+
+    def __init__(self, clock: Clock) -> None:
+        utc_ns = clock.utc_ns()
+        known = utc_ns >= CLOCK_SET_NS
+        self.best = LogTime(utc_ns - clock.monotonic_ns(), COMPUTER) if known else LogTime()
+
+    def see(self, entry: RecordedMessage) -> None:
+        """Learn from a scan that knows UTC."""
+        known = utc_of_scan(entry)
+        if known is not None:
+            self.best = known
+
+    def contradicts(self, used: LogTime) -> bool:
+        """Whether GPS says that a segment which began before it had spoken is filed under the wrong time."""
+        if used.source == GPS or self.best.source != GPS:
+            return False
+        return abs(self.best.offset_ns - used.offset_ns) > TOLERANCE_NS

@@ -19,7 +19,7 @@ from daq.contract.recordings.messages import EventMessage, SequencerFrame, Stati
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
 from daq.telemetry.control import Control, NoLogger
-from daq.telemetry.flight_state import flight_evidence
+from daq.telemetry.request_limits import flight_evidence
 from daq.telemetry.send_queue import Item, SendQueue, item
 from daq.telemetry.standard_messages import StandardMessages, heartbeat
 from daq.transport.mavlink_codec import FrameEncoder

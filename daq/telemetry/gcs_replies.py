@@ -5,7 +5,6 @@ refused in the protocol's own words, at once.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from daq.contract.link import commands as c
@@ -28,36 +27,28 @@ _END, _UNKNOWN_COMMAND, _NOT_FOUND = 6, 7, 10
 _FTP_REFUSALS = {_LIST: _END, _OPEN: _NOT_FOUND, _CHECKSUM: _NOT_FOUND}
 
 Fields = Mapping[str, Any]
-Sender = tuple[int, int]
+Parameters = Mapping[str, float]
+Reply = Callable[[Fields, Mapping[str, int], Parameters], Sequence[Item]]
+"""Answers a request by its fields, who asked, and the parameters."""
 
 
-@dataclass(frozen=True, slots=True)
-class AircraftStatus:
-    """What there is to tell: rate_hz: the present downlink rate; has_voltage: whether a supply voltage is sent."""
-
-    rate_hz: float
-    has_voltage: bool = False
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """All parameters and their values, in order of index; they can be read only."""
-        battery = {BATTERY_PARAMETER: _VOLTAGE_ONLY} if self.has_voltage else {}
-        return {RATE_PARAMETER: self.rate_hz, **battery}
+def parameters(rate_hz: float, has_voltage: bool) -> Parameters:
+    """All parameters and their values, in order of index; they can be read only. rate_hz: of the downlink. has_voltage: whether
+    a supply voltage is sent."""
+    return {RATE_PARAMETER: rate_hz, **({BATTERY_PARAMETER: _VOLTAGE_ONLY} if has_voltage else {})}
 
 
-def answers(name: str, fields: Fields, sender: Sender, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    """The answers to one of REQUESTS from `sender` (system, component)."""
+def answers(name: str, fields: Fields, sender: tuple[int, int], known: Parameters) -> Sequence[Item]:
+    """The answers to one of REQUESTS from `sender` (system, component). known: parameters."""
     target = {"target_system": sender[0], "target_component": sender[1]}
-    return REQUESTS[name](fields, target, aircraft)
+    return REQUESTS[name](fields, target, known)
 
 
-def _all_parameters(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    known = aircraft().parameters
+def _all_parameters(fields: Fields, target: Mapping[str, int], known: Parameters) -> Sequence[Item]:
     return [_parameter(known, name) for name in known]
 
 
-def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    known = aircraft().parameters
+def _one_parameter(fields: Fields, target: Mapping[str, int], known: Parameters) -> Sequence[Item]:
     index = fields["param_index"]
     name = fields["param_id"] if index < 0 else next((n for i, n in enumerate(known) if i == index), "")
     if name in known:
@@ -65,8 +56,8 @@ def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], Aircra
     return [_parameter_error(fields["param_id"], index, _DOES_NOT_EXIST, target)]
 
 
-def _set_parameter(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    known, name = aircraft().parameters, fields["param_id"]
+def _set_parameter(fields: Fields, target: Mapping[str, int], known: Parameters) -> Sequence[Item]:
+    name = fields["param_id"]
     if name not in known:
         return [_parameter_error(name, -1, _DOES_NOT_EXIST, target)]
     # What it is says that it was not set, to stations that do not know PARAM_ERROR yet.
@@ -84,19 +75,19 @@ def _parameter(known: Mapping[str, float], name: str) -> Item:
     )
 
 
-def _parameter_error(name: str, index: int, error: int, target: Fields) -> Item:
+def _parameter_error(name: str, index: int, error: int, target: Mapping[str, int]) -> Item:
     return item("PARAM_ERROR", **target, param_id=name, param_index=max(-1, index), error=error)
 
 
-def _no_mission(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+def _no_mission(fields: Fields, target: Mapping[str, int], known: Parameters) -> Sequence[Item]:
     return [item("MISSION_COUNT", **target, count=0, mission_type=fields["mission_type"])]
 
 
-def _mission_answer(result: int) -> Callable[[Fields, Fields, object], Sequence[Item]]:
+def _mission_answer(result: int) -> Reply:
     return lambda fields, target, _: [item("MISSION_ACK", **target, type=result, mission_type=fields["mission_type"])]
 
 
-def _no_file(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+def _no_file(fields: Fields, target: Mapping[str, int], known: Parameters) -> Sequence[Item]:
     """There are no files: listings end at once, nothing can be opened, and sessions that are not open are closed."""
     payload = bytes(fields["payload"])
     sequence = int.from_bytes(payload[:2], "little")
@@ -110,13 +101,13 @@ def _no_file(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]
     return [item("FILE_TRANSFER_PROTOCOL", **target, payload=reply.ljust(_FTP_DATA_AT, b"\0") + data)]
 
 
-def _no_command_int(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+def _no_command_int(fields: Fields, target: Mapping[str, int], known: Parameters) -> Sequence[Item]:
     command = int(fields["command"])
     result = c.COMMAND_LONG_ONLY if command in (*c.KNOWN, *TELLING) else c.UNSUPPORTED
     return [item("COMMAND_ACK", **target, command=command, result=result)]
 
 
-REQUESTS: Mapping[str, Callable[[Fields, Fields, Callable[[], AircraftStatus]], Sequence[Item]]] = {
+REQUESTS: Mapping[str, Reply] = {
     "PARAM_REQUEST_LIST": _all_parameters,
     "PARAM_REQUEST_READ": _one_parameter,
     "PARAM_SET": _set_parameter,

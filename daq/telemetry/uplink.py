@@ -23,13 +23,11 @@ from daq.telemetry import gcs_replies
 from daq.telemetry.backfill import BackfillServer
 from daq.telemetry.control import Control
 from daq.telemetry.downlink import Downlink
-from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.log_server import LogServer
 from daq.telemetry.manoeuvre_inbox import ManoeuvreInbox
-from daq.telemetry.refusals import REPORT_NS, Refusals
+from daq.telemetry.request_limits import REPORT_NS, CommandBudget, Refusals, SenderLimits, flight_evidence
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.standard_messages import autopilot_version
-from daq.telemetry.uplink_limits import CommandBudget, SenderLimits
 from daq.telemetry.worker import Worker
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, MavlinkFrame
 from daq.transport.ports import BytePort
@@ -210,7 +208,9 @@ class Uplink:
             self._manoeuvre(frame, fields, control)
             return
         if frame.name in gcs_replies.REQUESTS:
-            made = gcs_replies.answers(frame.name, fields, sender, self._about)
+            has_voltage = self._downlink.messages.supply_voltage is not None
+            known = gcs_replies.parameters(self._downlink.config.rate_hz, has_voltage)
+            made = gcs_replies.answers(frame.name, fields, sender, known)
             taken = [self._downlink.send_queue.put_asked(reply) for reply in made]
             if not all(taken):
                 self._refuse(frame, _BUSY)
@@ -230,11 +230,6 @@ class Uplink:
 
     def _answer(self, answer: Item | None) -> bool:
         return answer is None or self._downlink.send_queue.put_asked(answer)
-
-    def _about(self) -> gcs_replies.AircraftStatus:
-        return gcs_replies.AircraftStatus(
-            self._downlink.config.rate_hz, self._downlink.messages.supply_voltage is not None
-        )
 
     def _introduce(self, now_ns: int) -> None:
         """Say who is here to a station that asks whoever may hear it: it has not taken us for an aircraft.

@@ -24,10 +24,9 @@ from daq.contract.recordings.recording import RecordingInfo
 from daq.telemetry import backfill
 from daq.telemetry.config import DownlinkConfig, LinkLimits
 from daq.telemetry.link import RadioLink, radio_link
-from daq.telemetry.refusals import Refusals
+from daq.telemetry.request_limits import Bucket, CommandBudget, Refusals, SenderLimits
 from daq.telemetry.send_queue import SendQueue, item
 from daq.telemetry.uplink import FRAMES, READ_BYTES, TURN_NS, Uplink
-from daq.telemetry.uplink_limits import Bucket, CommandBudget, SenderLimits
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of, message_types
 from daq.transport.ports import BytePort, SerialPort, UdpPort
 from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan

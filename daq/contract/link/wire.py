@@ -124,22 +124,14 @@ class ScanLayout:
     channels: tuple[Channel, ...]
     groups: tuple[str, ...]  # groups whose state and read offset travel in this message
     fields: tuple[WireField, ...]  # in wire order: larger types first, as MAVLink sorts them
-    codec: struct.Struct
-    bits: tuple[Channel, ...]
-    split: Mapping[str, int]  # name of a split quantity -> its bits
-    limits: Mapping[str, tuple[float, float]] = field(repr=False)
-    scalars: Mapping[str, int] = field(repr=False)  # field -> its place in the struct's output
-    arrays: Mapping[str, slice] = field(repr=False)
-    plain: tuple[str, ...] = field(repr=False)  # channels that are one field each
-    pick_plain: Callable[[Sequence[RawValue]], tuple[RawValue, ...]] = field(repr=False)
-    packer: "_Packer" = field(repr=False)
-    unpacker: "_Unpacker" = field(repr=False)
+    packer: _Packer = field(repr=False)
+    unpacker: _Unpacker = field(repr=False)
     table: int = 0  # checksum of the channels of SCAN_LABORATORY
 
     @property
     def size(self) -> int:
         """Payload bytes before trailing zeros are left out."""
-        return self.codec.size
+        return self.packer.codec.size
 
 
 _HEADER = (
@@ -193,37 +185,12 @@ def _layout(
         fields.append(WireField("states", "u8", size, f"sensor state, 3 bits each, of groups {listed}"))
     fields.append(WireField("missing", "u8", _bytes_for(len(channels)), "1: channel has no value; table order"))
     ordered = tuple(sorted(fields, key=lambda f: -_SIZE[f.raw_type]))
-    codec = struct.Struct("<" + "".join(f"{f.count or ''}{_CODE[f.raw_type]}" for f in ordered))
     split = {c.name: _CONVERTER_BITS[c.name] for c in channels if c.name in _CONVERTER_BITS}
     split["time_monotonic_ns"] = _TIME_BITS
     limits = {c.name: _limits(c) for c in channels}
-    scalars, arrays, at = {}, {}, 0
-    for f in ordered:
-        if f.count:
-            arrays[f.name] = slice(at, at + f.count)
-        else:
-            scalars[f.name] = at
-        at += f.count or 1
-    plain = tuple(c.name for c in channels if c.name in scalars)
-    pick = itemgetter(*(scalars[n] for n in plain)) if len(plain) > 1 else _pick_all(tuple(scalars[n] for n in plain))
-    return ScanLayout(
-        msg_id,
-        name,
-        meaning,
-        tuple(channels),
-        tuple(groups),
-        ordered,
-        codec,
-        bits,
-        split,
-        limits,
-        scalars,
-        arrays,
-        plain,
-        pick,
-        _packer(ordered, channels, bits, split, limits, len(groups)),
-        _unpacker(ordered, channels, bits, split, limits, groups),
-    )
+    packer = _packer(ordered, channels, bits, split, limits, len(groups))
+    unpacker = _unpacker(ordered, channels, bits, split, limits, groups)
+    return ScanLayout(msg_id, name, meaning, tuple(channels), tuple(groups), ordered, packer, unpacker)
 
 
 def _unpacker(
@@ -253,7 +220,7 @@ def _unpacker(
     return _Unpacker(
         codec=struct.Struct("<" + "".join(codes)),
         names=plain,
-        pick=itemgetter(*where) if len(where) > 1 else _pick_all(where),
+        pick=itemgetter(*where) if len(where) > 1 else lambda numbers: tuple(numbers[i] for i in where),
         split=tuple(parts),
         bits=tuple((c.name, i) for i, c in enumerate(bits)),
         channels=tuple((c.name, i) for i, c in enumerate(channels)),
@@ -290,11 +257,6 @@ def _packer(
         ),
         offsets=struct.Struct(f"<{groups}h"),
     )
-
-
-def _pick_all(places: tuple[int, ...]) -> Callable[[Sequence[RawValue]], tuple[RawValue, ...]]:
-    """What `itemgetter` would be for fewer than two places."""
-    return lambda numbers: tuple(numbers[i] for i in places)
 
 
 @cache
@@ -412,9 +374,9 @@ def unpack_scan(layout: ScanLayout, payload: bytes) -> ScanPart:
 
     Raises ValueError for a payload of the wrong length or mark: a frame made from another channel table.
     """
-    if len(payload) != layout.codec.size:
-        raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {layout.codec.size}")
     u = layout.unpacker
+    if len(payload) != u.codec.size:
+        raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {u.codec.size}")
     numbers = u.codec.unpack(payload)
     if u.table >= 0 and numbers[u.table] != layout.table:
         raise ValueError(f"{layout.name} is of another table of laboratory channels")

@@ -216,29 +216,6 @@ def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
     return {topic: walk.schemas[i] for topic, i in ids if i is not None and i in walk.schemas}
 
 
-def read_segment(path: Path) -> RecordingWalk:
-    """Walk through one file that holds one recording; the parts of a session in one file are put together.
-
-    Raises RecordingError when the file cannot be opened, is not an MCAP file at all, or holds several sessions.
-    """
-    first, *others = parts = read_parts(path)
-    if not others:
-        return first
-    if len(by_session(parts)) > 1:
-        raise RecordingError(_several(path, parts))
-    return replace(
-        first,
-        size=sum(s.size for s in parts),
-        info=next((s.info for s in parts if s.info), None),
-        entries=tuple(e for s in parts for e in s.entries),
-        foreign={k: sum(s.foreign.get(k, 0) for s in parts) for s in parts for k in s.foreign},
-        damages=tuple(d for s in parts for d in s.damages),
-        closed=all(s.closed for s in parts),
-        metadata=tuple(m for s in parts for m in s.metadata),
-        kept={k: tuple(d for s in parts for d in s.kept.get(k, ())) for k in _KEPT},
-    )
-
-
 @dataclass
 class _OpenPart:
     """A recording while it is being read."""

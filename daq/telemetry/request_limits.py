@@ -1,18 +1,28 @@
-"""How much the ground may ask: requests of a sender, recordings, marks. What goes beyond is refused, counted and told.
+"""What the ground may ask: how many requests, recordings and marks, and what only at rest. The rest is refused and told.
 
 Without a key anybody in range can ask; with one, a ground station that has gone wrong can. Neither may fill the card,
 wear it out, or take the scan loop's time.
 """
 
+import logging
 from collections import OrderedDict
+from collections.abc import Callable, Sequence
 
 from daq.clock import NS
+from daq.contract.scan import Scan
+from daq.sensors.standstill import pitot_unrest, unrest
 from daq.telemetry.config import LinkLimits
+
+_LOG = logging.getLogger("sideslip.uplink")
 
 SENDERS = 16
 """Senders told apart; a further one takes the place of the one not heard for longest. A ground has one or two."""
 ALL_SENDERS = 2
 """All senders together may ask this many times what one may: sender ids are free to choose where there is no key."""
+
+REPORT_NS = 5 * NS  # who is refused a thousand times a second is not told so each time
+_KINDS = 3  # sentences told at a time: two STATUSTEXT each, they take under 80 bytes/s of the link
+_WARNING = 4
 
 
 class Bucket:
@@ -91,3 +101,42 @@ class CommandBudget:
     def against_mark(self, now_ns: int) -> str:
         """Why no event may be marked; where nothing speaks against it, the mark counts."""
         return "" if self._marks.take(now_ns) else f"more than {self._limits.marks_per_s:g} marks a second"
+
+
+class Refusals:
+    """Collects sentences and tells each kind once with the number of its repetitions, at most every five seconds.
+
+    Of very many kinds some are told, and the others are in the number of the last. text: takes severity and words for the
+    ground.
+    """
+
+    def __init__(self, text: Callable[[int, str], None]) -> None:
+        self._text = text
+        self._told_ns: int | None = None
+        self._untold: dict[str, int] = {}
+
+    def note(self, words: str) -> None:
+        """Something was refused."""
+        if words not in self._untold and len(self._untold) >= _KINDS:
+            words = next(reversed(self._untold))
+        self._untold[words] = self._untold.get(words, 0) + 1
+
+    def tell(self, now_ns: int) -> None:
+        """Say what has been refused, if it is time to."""
+        if not self._untold or (self._told_ns is not None and now_ns - self._told_ns < REPORT_NS):
+            return
+        for words, count in self._untold.items():
+            told = words + (f" (and {count - 1} more)" if count > 1 else "")
+            _LOG.warning("%s", told)
+            self._text(_WARNING, told)
+        self._told_ns, self._untold = now_ns, {}
+
+
+def flight_evidence(scans: Sequence[Scan]) -> str | None:
+    """Why the aircraft may not be standing still, in words; None when nothing speaks for motion.
+
+    Too little data speaks for motion: a command that must not act in flight then does nothing.
+    """
+    pitot = [s.values["pitot_pressure"] for s in scans if "pitot_pressure" in s.values]
+    without_imu = not any("gyro_x" in s.values for s in scans)
+    return (unrest(scans) if scans else None) or pitot_unrest(pitot, level_tells=without_imu)
