@@ -73,7 +73,7 @@ def recover(recording: Path, out: Path, json_path: Path | None) -> None:
     Of several sessions in one FILE the first goes to OUT.mcap, the others to OUT_2.mcap and so on.
     Exit status as with 'sideslip verify': 1 when FILE is not sound, though all that can be saved is in the new recording.
     """
-    from daq.contract.recordings.accounting import recover as salvage
+    from daq.contract.recordings.recovery import recover as salvage
 
     result = salvage(recording, out)
     _write_json(json_path, result.to_dict())

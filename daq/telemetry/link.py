@@ -15,20 +15,14 @@ from daq.telemetry.control import Control, NoLogger
 from daq.telemetry.downlink import Downlink
 from daq.telemetry.log_server import LogServer
 from daq.telemetry.uplink import TURN_NS, Uplink
-from daq.transport.ports import BytePort, SerialPort, UdpPort
+from daq.transport.ports import BytePort, UdpPort
 from daq.transport.reconnecting_port import open_lasting
 from daq.transport.signing import Signer, load_key
 
 
 def open_port(text: str) -> BytePort:
     """Open a port by its description, at once or when it comes; PortError says what is wrong with the description."""
-    return open_lasting(text, _serial, wait=True)
-
-
-def _serial(device: str, baud: int) -> SerialPort:
-    import serial
-
-    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
+    return open_lasting(text, wait=True)
 
 
 def signer_for(config: DownlinkConfig, clock: Clock) -> Signer | None:

@@ -82,20 +82,25 @@ def parse_port(text: str) -> PortSpec:
     raise PortError(f"port {text!r} cannot be understood; {usage}")
 
 
+def connected(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
+    """A UDP or TCP port; OSError when the address is taken or nobody answers."""
+    match spec.kind:
+        case "udp":
+            return UdpPort(remote=(spec.address, spec.number))
+        case "udpin":
+            return UdpPort(local=(spec.address, spec.number))
+        case "tcp":
+            return TcpClientPort(spec.address, spec.number)
+        case "tcpin":
+            return TcpServerPort(spec.address, spec.number)
+        case _:
+            raise PortError(f"{spec.kind}:{spec.address} is not a network port")
+
+
 def open_socket_port(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
-    """Open a UDP or TCP port; PortError when the address is taken or nobody answers."""
+    """`connected`, but PortError with advice when it cannot be opened."""
     try:
-        match spec.kind:
-            case "udp":
-                return UdpPort(remote=(spec.address, spec.number))
-            case "udpin":
-                return UdpPort(local=(spec.address, spec.number))
-            case "tcp":
-                return TcpClientPort(spec.address, spec.number)
-            case "tcpin":
-                return TcpServerPort(spec.address, spec.number)
-            case _:
-                raise PortError(f"{spec.kind}:{spec.address} is not a network port")
+        return connected(spec)
     except OSError as error:
         what = error.strerror or str(error)
         raise PortError(
@@ -390,6 +395,13 @@ class SerialPort:
 
     def close(self) -> None:
         self._device.close()
+
+
+def open_serial_port(device: str, baud: int) -> SerialPort:
+    """Open a serial device; OSError or ValueError where it cannot be had."""
+    import serial
+
+    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
 
 
 class MemoryPort:

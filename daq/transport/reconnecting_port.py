@@ -14,11 +14,9 @@ from typing import Protocol
 from daq.transport.ports import (
     BytePort,
     PortError,
-    PortSpec,
     SerialPort,
-    TcpClientPort,
-    TcpServerPort,
-    UdpPort,
+    connected,
+    open_serial_port,
     open_socket_port,
     parse_port,
 )
@@ -174,15 +172,19 @@ class _Attempt:
                 self.port = port
 
 
-def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort], *, wait: bool = False) -> BytePort:
+def open_lasting(
+    text: str, open_serial: Callable[[str, int], SerialPort] = open_serial_port, *, wait: bool = False
+) -> BytePort:
     """Open a port by its description. PortError says what is wrong with the description or the port.
 
     A TCP peer that is not there yet is no error: it is tried again. wait: nor is anything else that may come later, as a serial
-    adapter, a network or a name on it: on an aircraft everything starts in some order. open_serial: opens a device at a baud
-    rate, for the contract itself knows no hardware library; raises OSError or ValueError.
+    adapter, a network or a name on it: on an aircraft everything starts in some order.
     """
     spec = parse_port(text)
-    again = partial(_opened, spec, open_serial)
+    if spec.kind == "serial":
+        again: Callable[[], ClosingPort] = partial(open_serial, spec.address, spec.number)
+    else:
+        again = partial(connected, spec)
     first = _Attempt(again)
     first.thread.join(PATIENCE_S if wait else None)
     port, error = first.port, first.error
@@ -199,21 +201,6 @@ def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort], *, wa
 
 def _words(error: Exception | None) -> str:
     return (getattr(error, "strerror", None) or str(error)) if error is not None else "no answer yet"
-
-
-def _opened(spec: PortSpec, open_serial: Callable[[str, int], SerialPort]) -> ClosingPort:
-    """A port of any kind; OSError or ValueError where it cannot be had."""
-    match spec.kind:
-        case "serial":
-            return open_serial(spec.address, spec.number)
-        case "udp":
-            return UdpPort(remote=(spec.address, spec.number))
-        case "udpin":
-            return UdpPort(local=(spec.address, spec.number))
-        case "tcp":
-            return TcpClientPort(spec.address, spec.number)
-        case "tcpin":
-            return TcpServerPort(spec.address, spec.number)
 
 
 def _refused(error: OSError) -> bool:

@@ -10,10 +10,13 @@ import pytest
 import zstandard
 
 from daq import commands
-from daq.contract.recordings.accounting import info_mcap, recover, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.mcap_records import ATTACHMENT_INDEX, CHUNK, METADATA_INDEX, STATISTICS, SUMMARY_OFFSET
-from daq.contract.recordings.reading import read_parts, read_recording, read_recordings
+from daq.contract.recordings.reading import read_recording, read_recordings
 from daq.contract.recordings.recording import LogTime, RecordingError, RecordingWriter
+from daq.contract.recordings.recovery import recover
+from daq.contract.recordings.segments import read_parts
+from daq.contract.recordings.summary import info_mcap
 from daq.contract.scan import encode_scan
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.receiver.kept.recording import ReceivedWriter

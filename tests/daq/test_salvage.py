@@ -13,9 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from daq.contract.recordings.accounting import recover, verify
-from daq.contract.recordings.reading import read_parts, read_recording
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError
+from daq.contract.recordings.recovery import recover
+from daq.contract.recordings.segments import read_parts
 from daq.contract.scan import encode_scan
 from tests.daq.synthetic import PER_CHUNK, SCANS, make_scan
 

@@ -20,7 +20,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("daq/contract/durable.py", "os.open:w"): "the one place",
     ("daq/contract/durable.py", "write_bytes"): "the one place",
     ("daq/contract/link/dialect/generate.py", "write_text"): "makes source text of this program, run by its developers",
-    ("daq/contract/recordings/accounting.py", "open:wb"): GIVEN,
+    ("daq/contract/recordings/recovery.py", "open:wb"): GIVEN,
     ("daq/recorder/storage.py", "os.open:w"): "the card: segments that grow, unbuffered",
     ("daq/transport/signing.py", "os.open:w"): "a file that no link planted beside it leads elsewhere",
     ("estimation/campaign/workers/limits.py", "open:w"): "the null device",

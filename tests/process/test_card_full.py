@@ -9,7 +9,8 @@ import pytest
 
 from daq.clock import SimulatedClock
 from daq.contract.recordings.accounting import verify
-from daq.contract.recordings.reading import read_parts, read_recording
+from daq.contract.recordings.reading import read_recording
+from daq.contract.recordings.segments import read_parts
 from daq.contract.scan import encode_scan
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder

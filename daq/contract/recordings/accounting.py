@@ -1,4 +1,4 @@
-"""Does a recording hold every scan it should? Verification, recovery, and the summary `info` prints.
+"""Does a recording hold every scan it should?
 
 The books: scan numbers run from the first to the last slot the logger used. Each number is present, or the logger
 itself said that it is absent (dropped, lost, or missed), or it lies in a damaged stretch or after the last flush.
@@ -6,25 +6,19 @@ itself said that it is absent (dropped, lost, or missed), or it lies in a damage
 Several sessions in one file are accounted for one by one.
 """
 
-import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import make_directories, replacing
-from daq.contract.plain_words import visible
 from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
-from daq.contract.recordings.reading import Recording, RecordingWalk, by_session, join, read_segments
-from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter, utc_of
+from daq.contract.recordings.reading import Recording, by_session, join
 from daq.contract.recordings.salvage import Damage
-from daq.contract.recordings.summary import info_mcap
+from daq.contract.recordings.segments import RecordingWalk, read_segments
 
-__all__ = ["Recovery", "Verification", "info_mcap", "recover", "verify", "verify_recording", "verify_segments"]
-
-_LOST_TO_DAMAGE = "lost_to_damage"
+LOST_TO_DAMAGE = "lost_to_damage"
 
 
 @dataclass(frozen=True)
@@ -135,7 +129,7 @@ def verify_recording(recording: Recording) -> Verification:
     first, end = _span(numbers, books, whole_session)
     missing = subtract([(first, end - 1)], ranges(numbers))
     not_told = subtract(missing, books.absent if books else ())
-    unexplained = subtract(not_told, _lost_before(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
+    unexplained = subtract(not_told, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
     closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not _goes_on(
         recording, books
@@ -254,82 +248,3 @@ def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
     what = f"{samples} messages, no raw scans"
     state = "every checksum holds" if ok else f"damaged at byte {damages[0][1].at_byte} ({damages[0][1].what})"
     return Verification(ok, samples, samples, samples, 0, 0, 0, (), (), damages, closed, f"{what}; {state}")
-
-
-# ------------------------------------------------------------------------------------------------------- recovery
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What `recover` saved and where the original was damaged. sessions: name, file and scans of each session saved."""
-
-    path: Path
-    recovered: int
-    verification: Verification  # of the damaged original
-    sessions: tuple[tuple[str, Path, int], ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `recover --json`."""
-        fields = self.verification.to_dict()
-        to = self.path if len(self.sessions) < 2 else ", ".join(f"{p} (session {s}, {n})" for s, p, n in self.sessions)
-        text = f"{self.recovered} scans recovered to {to}; original {self.verification.text}"
-        found: dict[str, Any] = {**fields, "recovered": self.recovered, "out": str(self.path), "text": text}
-        if len(self.sessions) > 1:
-            found["outs"] = [{"session": s, "out": str(p), "recovered": n} for s, p, n in self.sessions]
-        return found
-
-
-def recover(path: str | Path, out: str | Path) -> Recovery:
-    """Write everything in a recording that is surely right to a new, sound recording.
-
-    Of a file that holds several sessions the first is written to `out`, the others beside it as OUT_2.mcap and so on.
-    Raises RecordingError when nothing can be saved, or when `out` exists or is not a .mcap name.
-    """
-    path, out = Path(path), Path(out)
-    if out.suffix != ".mcap":
-        raise RecordingError(f"{out}: name the recovered recording .mcap")
-    if out.exists():
-        raise RecordingError(f"{out}: exists already; name a new file")
-    segments = read_segments(path)
-    recordings = _with_messages(path, segments)
-    outs = [out, *(out.with_stem(f"{out.stem}_{i}") for i in range(2, len(recordings) + 1))]
-    for other in outs[1:]:
-        if other.exists():
-            raise RecordingError(
-                f"{other}: exists already, and {path} holds {len(recordings)} sessions; name another OUT"
-            )
-    for recording, target in zip(recordings, outs, strict=True):
-        _write_recovered(recording, target)
-    saved = tuple((r.info.session, o, len(r.numbers)) for r, o in zip(recordings, outs, strict=True))
-    return Recovery(out, sum(n for *_, n in saved), verify_segments(path, segments), saved)
-
-
-def _with_messages(path: Path, segments: list[RecordingWalk]) -> list[Recording]:
-    """The recordings in a file or directory that hold a message."""
-    groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
-    raw = [g for g in groups if any(s.entries for s in g)]
-    if not raw:
-        join(path, segments)  # says so where it is no raw recording at all
-        raise RecordingError(f"{path}: not a single message in it is intact; there is nothing to recover")
-    return [join(path, g) for g in raw]
-
-
-def _write_recovered(recording: Recording, out: Path) -> None:
-    info = _recovered_info(recording, verify_recording(recording))
-    make_directories(out.parent)
-    with replacing(out) as partial, partial.open("wb") as stream:
-        writer = RecordingWriter(stream, info, log_time=utc_of(recording.entries))
-        for i, entry in enumerate(recording.entries, start=1):
-            writer.write(entry)
-            if i % 1000 == 0:
-                writer.flush()
-        writer.finish()
-
-
-def _recovered_info(recording: Recording, verification: Verification) -> RecordingInfo:
-    origin = "; ".join(
-        f"{visible(p.name)} sha256 {hashlib.sha256(p.read_bytes()).hexdigest()}" for p in recording.files
-    )
-    lost = json.dumps([list(r) for r in verification.unexplained])
-    details = {**recording.info.details, "recovered_from": origin, _LOST_TO_DAMAGE: lost}
-    return replace(recording.info, details=details)

@@ -34,14 +34,15 @@ from daq.contract.recordings.mcap_records import (
     Cursor,
     McapRecord,
     Metadata,
+    begins,
     check_structure,
     chunk_content,
     chunk_plausible,
+    next_candidate,
     read_attachment,
     read_metadata,
 )
 from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_NAME, SCHEMA_OF_TOPIC, RecordedMessage
-from daq.contract.recordings.trust import begins, next_candidate
 from daq.contract.seal import seal_holds
 
 MAX_DAMAGES = 1000

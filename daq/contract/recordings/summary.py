@@ -4,17 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.channels import CHANNELS, COLUMNS
-from daq.contract.recordings.claims import mapping, texts
-from daq.contract.recordings.reading import (
-    FLIGHT_METADATA,
-    FLIGHT_TOPIC,
-    Recording,
-    RecordingWalk,
-    by_session,
-    join,
-    read_segments,
-)
+from daq.contract.recordings.reading import Recording, by_session, join
 from daq.contract.recordings.recording import RecordingError
+from daq.contract.recordings.segments import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk, read_segments
 
 _SHOWN = 5  # topics named in a sentence; a file may have thousands
 
@@ -106,7 +98,7 @@ def _raw_info(path: Path, recording: Recording) -> dict[str, Any]:
 
 def _flight_info(path: Path, segment: RecordingWalk) -> dict[str, Any]:
     """Summary of a calibrated flight, its columns read with the schema in the file."""
-    from daq.contract.recordings.flight_rows import described, flight_rows
+    from daq.contract.recordings.flight_rows import described, flight_rows, mapping, texts
 
     flight = flight_rows(segment)
     provenance, _, _ = described(segment)

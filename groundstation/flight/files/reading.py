@@ -11,7 +11,7 @@ import numpy as np
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import check_file
 from daq.contract.plain_words import listed, one_line, plain_name
-from daq.contract.recordings.claims import json_object, mapping
+from daq.contract.recordings.flight_rows import json_object, mapping
 from groundstation.flight.credible_columns import credible_values, plain_names
 from groundstation.flight.errors import FlightError
 from groundstation.flight.files.csv_columns import read_csv
@@ -93,8 +93,8 @@ def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
 
 def _read_mcap(path: Path) -> _Read:
     from daq.contract.recordings.flight_rows import described, flight_rows
-    from daq.contract.recordings.reading import read_parts
     from daq.contract.recordings.recording import RecordingError
+    from daq.contract.recordings.segments import read_parts
 
     try:
         flights = read_parts(path)

@@ -78,8 +78,8 @@ def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
 
 def read_link(path: Path) -> list[dict[str, Any]]:
     """Link reports of a received recording, as `link_json` made them; those that are intact. Empty for other files."""
-    from daq.contract.recordings.reading import read_parts
     from daq.contract.recordings.recording import RecordingError
+    from daq.contract.recordings.segments import read_parts
 
     try:
         reports = [data for part in read_parts(path) for data in part.kept.get(LINK_TOPIC, ())]
