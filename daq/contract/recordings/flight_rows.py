@@ -131,16 +131,16 @@ def table_fits(rows: int, columns: int, file_size: int) -> bool:
 def json_object(text: str | bytes) -> dict[str, Any]:
     """A JSON object; empty for any other text."""
     try:
-        return mapping(json.loads(text))
+        return as_mapping(json.loads(text))
     except (ValueError, RecursionError):
         return {}
 
 
-def mapping(value: object) -> dict[str, Any]:
+def as_mapping(value: object) -> dict[str, Any]:
     """A value of somebody's JSON where an object belongs."""
     return {str(k): v for k, v in value.items()} if isinstance(value, dict) else {}
 
 
-def texts(value: object) -> list[str]:
+def as_texts(value: object) -> list[str]:
     """A value of somebody's JSON where a list of sentences belongs."""
     return [str(v) for v in value] if isinstance(value, list) else []

@@ -98,7 +98,7 @@ def _raw_info(path: Path, recording: Recording) -> dict[str, Any]:
 
 def _flight_info(path: Path, segment: RecordingWalk) -> dict[str, Any]:
     """Summary of a calibrated flight, its columns read with the schema in the file."""
-    from daq.contract.recordings.flight_rows import described, flight_rows, mapping, texts
+    from daq.contract.recordings.flight_rows import as_mapping, as_texts, described, flight_rows
 
     flight = flight_rows(segment)
     provenance, _, _ = described(segment)
@@ -119,8 +119,8 @@ def _flight_info(path: Path, segment: RecordingWalk) -> dict[str, Any]:
             for n, k in flight.samples.items()
             if n not in ("time", "segment")
         ],
-        "notes": texts(provenance.get("notes")),
-        "calibration": sorted(mapping(provenance.get("calibration"))),
+        "notes": as_texts(provenance.get("notes")),
+        "calibration": sorted(as_mapping(provenance.get("calibration"))),
         "sound": segment.sound,
         "software": str(provenance.get("software", "")),
     }
