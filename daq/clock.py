@@ -107,7 +107,6 @@ class SimulatedClock:
         self._followers.append(busy)
 
     def drive(self) -> None:
-        """Make the calling thread the driver."""
         self._driver = threading.get_ident()
 
     def _wait_for_followers(self) -> None:

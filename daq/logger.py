@@ -276,7 +276,7 @@ class Logger:
         self._next_health_ns = now + _HEALTH_PAUSE_NS
         summary = self._sampler.health()
         if self._recorder is not None:
-            self._recorder.health(as_message(summary, self._clock.utc_ns(), self._number))
+            self._recorder.message(as_message(summary, self._clock.utc_ns(), self._number))
             self._recorder.detail(self._sampler.metadata())
         if summary.words != self._words:
             self._words = summary.words
@@ -340,7 +340,7 @@ class Logger:
         """Record a frame of the sequencer, False when it cannot be, and with `send` tell the ground."""
         if send and self._downlink is not None:
             self._downlink.sequencer(frame)
-        return self._recorder is not None and self._recorder.sequencer(frame)
+        return self._recorder is not None and self._recorder.message(frame)
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
         """Put a line into the recording, the journal, and, from warnings up, on the downlink."""
@@ -356,7 +356,7 @@ class Logger:
     def _mark(self, time_ns: int, number: int, text: str, origin: str) -> EventMessage:
         event = EventMessage(time_ns, self._utc(time_ns), number, origin, text)
         if self._recorder is not None:
-            self._recorder.event(event)
+            self._recorder.message(event)
         if self._downlink is not None:
             self._downlink.event(event)
         return event
@@ -372,7 +372,7 @@ class Logger:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             summary = self._sampler.health()
-            recorder.health(as_message(summary, self._clock.utc_ns(), self._number))
+            recorder.message(as_message(summary, self._clock.utc_ns(), self._number))
             recorder.log(LogLevel.INFO, "logger", f"recording ends{repetitions(summary)}")
             recorder.reach(self._number)
             self._ended += 1

@@ -103,12 +103,10 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, as `whole` says."""
     write_bytes(path, text.encode("utf-8", NO_TEXT))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, as `whole` says."""
     with whole(path) as new:
         new.write_bytes(data)
 

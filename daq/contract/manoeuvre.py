@@ -48,7 +48,6 @@ class Manoeuvre:
 
     @property
     def samples(self) -> int:
-        """Number of samples of each control."""
         return len(next(iter(self.increments.values())))
 
     @property
@@ -64,7 +63,6 @@ class Manoeuvre:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:
-        """As the file holds it."""
         return {
             "version": VERSION,
             "kind": self.kind,

@@ -62,7 +62,6 @@ class VisibleStream:
         self._stream = stream
 
     def flush(self) -> None:
-        """Hand everything over."""
         self._stream.flush()
 
     @property
@@ -71,7 +70,6 @@ class VisibleStream:
         return self._stream
 
     def write(self, text: str) -> int:
-        """Write the text with `visible`."""
         parts = text.split("\r") if "\r" in text else [text]
         self._stream.write("\r".join(visible(part) for part in parts))
         return len(text)

@@ -47,7 +47,6 @@ def subtract(these: Iterable[Range], those: Iterable[Range]) -> tuple[Range, ...
 
 
 def count(these: Iterable[Range]) -> int:
-    """How many numbers the ranges hold."""
     return sum(b - a + 1 for a, b in these)
 
 

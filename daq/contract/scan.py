@@ -40,7 +40,6 @@ class SensorState(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state in words."""
         return self.name.lower().replace("_", " ")
 
     @property

@@ -19,7 +19,6 @@ class State(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state in words."""
         return self.name.lower()
 
     @property
@@ -71,7 +70,6 @@ class Reason(IntEnum):
 
     @property
     def words(self) -> str:
-        """The reason for a person."""
         return _WORDS[self]
 
 

@@ -42,18 +42,15 @@ class SafeStream:
         self.trouble: OSError | None = None
 
     def write(self, text: str) -> int:
-        """Write, or drop what cannot be written."""
         if self.trouble is None:
             self._tried(lambda: self._stream.write(text))
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:
-        """Write each."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Hand everything over, as far as it can be."""
         if self.trouble is None:
             self._tried(self._stream.flush)
 
@@ -87,7 +84,6 @@ class Speaker:
         self._thread.start()
 
     def say(self, line: str) -> None:
-        """One line, or several."""
         data = (line + "\n").encode("utf-8", "backslashreplace")
         self._put(data)
 

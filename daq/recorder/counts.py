@@ -73,7 +73,6 @@ class SlotCounts:
 
     @property
     def pending(self) -> int:
-        """Scans in memory."""
         return self.offered - self.written - self.dropped - self.lost
 
     def counts(self) -> dict[str, Any]:

@@ -16,15 +16,7 @@ from pathlib import Path
 from typing import cast
 
 from daq.clock import NS, Clock
-from daq.contract.recordings.messages import (
-    EventMessage,
-    Health,
-    LogLevel,
-    LogLine,
-    Message,
-    SequencerFrame,
-    Statistics,
-)
+from daq.contract.recordings.messages import LogLevel, LogLine, Message, Statistics
 from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder.config import RecorderConfig
@@ -104,7 +96,6 @@ class Recorder:
     # ------------------------------------------------------------------------------------------ for the scan loop
 
     def start(self) -> None:
-        """Begin to record."""
         self._syncer.start()
         self._thread.start()
 
@@ -131,21 +122,17 @@ class Recorder:
         with self._lock:
             self._books.reach(number)
 
-    def event(self, event: EventMessage) -> None:
-        """Record an event marker."""
-        self._take_message(event)
-
-    def health(self, health: Health) -> None:
-        """Record a health report."""
-        self._take_message(health)
-
-    def sequencer(self, frame: SequencerFrame) -> bool:
-        """Record what the sequencer did in one frame; False when the memory is full."""
-        return self._take_message(frame)
+    def message(self, message: Message) -> bool:
+        """Record an event, a health report or what the sequencer did in one frame; False when the memory is full."""
+        with self._news:
+            room = len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up
+            if room:
+                self._inbox.append(message)
+            return room
 
     def log(self, level: LogLevel, name: str, text: str) -> None:
         """Record a log line, stamped now."""
-        self._take_message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
+        self.message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
 
     def detail(self, details: Mapping[str, str]) -> None:
         """Add facts to the identity, in this segment and all later ones (a sensor's factory data)."""
@@ -212,15 +199,6 @@ class Recorder:
                     return False
                 self._clock.sleep_until(now + NS // 10)
         return True
-
-    # ------------------------------------------------------------------------------------------ bookkeeping
-
-    def _take_message(self, message: Message) -> bool:
-        with self._news:
-            room = len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up
-            if room:
-                self._inbox.append(message)
-            return room
 
     # ------------------------------------------------------------------------------------------ the writer's thread
 

@@ -93,7 +93,6 @@ class Syncer:
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
 
     def start(self) -> None:
-        """Begin to work."""
         self._thread.start()
 
     def request(self, segment: OpenRecording) -> None:

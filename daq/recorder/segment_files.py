@@ -62,7 +62,6 @@ class SegmentFiles:
         return None
 
     def free_bytes(self, segment: OpenRecording) -> int:
-        """Space left where a segment is."""
         return self._storage.free_bytes(segment.path.parent)
 
     def remove(self, path: Path, file: StorageFile) -> None:

@@ -259,7 +259,6 @@ class BackfillServer:
         self._events_so_far = 0
 
     def event(self, event: EventMessage) -> None:
-        """Keep an event for the papers."""
         self._events.append(event)
         self._events_so_far += 1
 
@@ -337,7 +336,6 @@ class BackfillServer:
 
     @property
     def busy(self) -> bool:
-        """Whether anything waits to be sent."""
         return bool(self._queue or self._jobs)
 
     def next_item(self) -> Item | None:
@@ -352,5 +350,4 @@ class BackfillServer:
         return self._fragment(first, wanted, waiting.answer, index)
 
     def close(self) -> None:
-        """End the worker."""
         self._worker.close(_PATIENCE_S)

@@ -278,7 +278,6 @@ class Downlink:
             self.send_queue.put_urgent(item("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=i))
 
     def event(self, event: EventMessage) -> None:
-        """Tell the ground of a recorded event."""
         self.send_queue.put_urgent(
             item(
                 "SCAN_EVENT",
@@ -291,7 +290,6 @@ class Downlink:
         )
 
     def sequencer(self, frame: SequencerFrame) -> None:
-        """Tell the ground what the sequencer is doing."""
         self.send_queue.put_urgent(
             item(
                 "SEQUENCER_STATUS",

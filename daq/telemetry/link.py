@@ -44,25 +44,20 @@ class RadioLink:
     port: BytePort
 
     def offer(self, scan: Scan) -> None:
-        """Take a scan."""
         self.store.add(scan)
         self.downlink.offer(scan)
 
     def service(self, now_ns: int) -> None:
-        """Send what is due."""
         self.downlink.service(now_ns)
 
     def event(self, event: EventMessage) -> None:
-        """Tell the ground of an event."""
         self.backfill.event(event)
         self.downlink.event(event)
 
     def text(self, severity: int, words: str, /) -> None:
-        """Send a sentence to the ground."""
         self.downlink.text(severity, words)
 
     def sequencer(self, frame: SequencerFrame) -> None:
-        """Tell the ground what the sequencer is doing."""
         self.downlink.sequencer(frame)
 
     def idle(self, now_ns: int) -> None:

@@ -52,12 +52,10 @@ class LogServer:
         self._transfer = _Transfer(number, offset, min(offset + count, _UINT32 + 1))
 
     def request_end(self) -> None:
-        """Stop sending."""
         self._transfer = self._wanted = self._telling = None
 
     @property
     def busy(self) -> bool:
-        """Whether a list or a download is under way."""
         return self._transfer is not None or self._wanted is not None or self._telling is not None
 
     def next_item(self) -> Item | None:
@@ -100,7 +98,6 @@ class LogServer:
         return item("LOG_DATA", id=t.number, ofs=offset, count=len(data), data=data)
 
     def close(self) -> None:
-        """End the worker."""
         self.request_end()
         self._closing = True
         self._worker.close(_PATIENCE_S)

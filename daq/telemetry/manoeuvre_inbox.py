@@ -76,7 +76,6 @@ class ManoeuvreInbox:
         return self._status()
 
     def close(self) -> None:
-        """End the thread."""
         self._worker.close(_PATIENCE_S)
 
     def _check(self, data: bytes, control: Control) -> None:

@@ -94,7 +94,6 @@ class CommandBudget:
         return ""
 
     def started(self, now_ns: int) -> None:
-        """A recording has been begun by command."""
         self._begun += 1
         self._begun_ns = now_ns
 
@@ -116,7 +115,6 @@ class Refusals:
         self._untold: dict[str, int] = {}
 
     def note(self, words: str) -> None:
-        """Something was refused."""
         if words not in self._untold and len(self._untold) >= _KINDS:
             words = next(reversed(self._untold))
         self._untold[words] = self._untold.get(words, 0) + 1

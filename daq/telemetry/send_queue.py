@@ -75,7 +75,6 @@ class SendQueue:
 
     @property
     def budget(self) -> float:
-        """Bytes a second."""
         return self._budget
 
     @budget.setter
@@ -83,7 +82,6 @@ class SendQueue:
         self._budget = value
 
     def put_urgent(self, message: Item) -> None:
-        """Send before everything else."""
         self._urgent.append(message)
 
     def put_scan(self, messages: Sequence[Item]) -> None:
@@ -109,7 +107,6 @@ class SendQueue:
 
     @property
     def has_low(self) -> bool:
-        """Whether low-rate messages are still waiting."""
         return bool(self._low)
 
     def service(self, now_ns: int) -> None:

@@ -90,7 +90,6 @@ class StandardMessages:
         self._named: OrderedDict[str, float] = OrderedDict()  # the one to be sent next first
 
     def offer(self, scan: Scan) -> None:
-        """Take a scan."""
         self.last = scan
         if "gnss_fix" not in scan.values:
             return
@@ -129,7 +128,6 @@ class StandardMessages:
 
     @property
     def names(self) -> Collection[str]:
-        """The messages that `make` knows."""
         return self._makers.keys()
 
     def make(self, name: str) -> Item | None:

@@ -97,17 +97,6 @@ class Uplink:
         self._worker = Worker("uplink-signing")
         self._manoeuvres = ManoeuvreInbox(downlink.text)
         downlink.send_queue.bulk = self._next_bulk
-        self._handlers: Mapping[str, Callable[[Fields, int], bool]] = {
-            "RADIO_STATUS": self._on_radio_status,
-            "TIMESYNC": self._on_timesync,
-            "SENT_MAP_REQUEST": self._on_sent_map_request,
-            "BACKFILL_REQUEST": self._on_backfill_request,
-            "BACKFILL_SUMMARY_REQUEST": self._on_backfill_summary_request,
-            "LOG_REQUEST_LIST": self._on_log_request_list,
-            "LOG_REQUEST_DATA": self._on_log_request_data,
-            "LOG_REQUEST_END": self._on_log_request_end,
-            "LOG_ERASE": self._on_log_erase,
-        }
 
     def _next_bulk(self) -> Item | None:
         """The next message of one of the servers; they take turns."""
@@ -215,8 +204,7 @@ class Uplink:
             if not all(taken):
                 self._refuse(frame, _BUSY)
             return
-        handler = self._handlers.get(frame.name)
-        if handler is not None and not handler(fields, now_ns):
+        if not self._serve(frame.name, fields, now_ns):
             self._refuse(frame, _BUSY)
 
     def _manoeuvre(self, frame: MavlinkFrame, fields: Fields, control: Control) -> None:
@@ -254,53 +242,30 @@ class Uplink:
         self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {why}")
 
     # ----------------------------------------------------------------------------------------- messages
-    # Each handler says whether the message could be taken; False when too much waits already.
 
-    def _on_radio_status(self, fields: Fields, now_ns: int) -> bool:
-        self._downlink.radio_status(min(100, fields["txbuf"]), now_ns)
-        return True
-
-    def _on_timesync(self, fields: Fields, now_ns: int) -> bool:
-        if fields["tc1"] != 0:
-            return True
-        now = self._clock.monotonic_ns()
-        return self._downlink.send_queue.put_answer(item("TIMESYNC", tc1=now, ts1=fields["ts1"]))
-
-    def _on_sent_map_request(self, fields: Fields, now_ns: int) -> bool:
-        if fields["boot"] != self._downlink.boot:
-            return True
-        return self._downlink.send_queue.put_asked(self._downlink.sent_map(fields["first_number"] // BLOCK))
-
-    def _on_backfill_request(self, fields: Fields, now_ns: int) -> bool:
-        if self._backfill is None or fields["boot"] != self._downlink.boot:
-            return True
-        return self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
-
-    def _on_backfill_summary_request(self, fields: Fields, now_ns: int) -> bool:
-        if self._backfill is None or fields["boot"] not in (0, self._downlink.boot):
-            return True
-        send_queue = self._downlink.send_queue
-        return send_queue.put_asked(self._backfill.summary(fields["through_number"])) and send_queue.put_asked(
-            self._downlink.statistics()
-        )
-
-    def _on_log_request_list(self, fields: Fields, now_ns: int) -> bool:
-        if self._logs is not None:
-            self._logs.request_list(fields["start"], fields["end"])
-        return True
-
-    def _on_log_request_data(self, fields: Fields, now_ns: int) -> bool:
-        if self._logs is not None:
-            self._logs.request_data(fields["id"], fields["ofs"], fields["count"])
-        return True
-
-    def _on_log_request_end(self, fields: Fields, now_ns: int) -> bool:
-        if self._logs is not None:
-            self._logs.request_end()
-        return True
-
-    def _on_log_erase(self, fields: Fields, now_ns: int) -> bool:
-        self._refusals.note("LOG_ERASE refused: recordings are not erased from the ground")
+    def _serve(self, name: str, fields: Fields, now_ns: int) -> bool:
+        """Act on a message that is neither command nor manoeuvre; False when too much waits already."""
+        downlink, queue = self._downlink, self._downlink.send_queue
+        match name:
+            case "RADIO_STATUS":
+                downlink.radio_status(min(100, fields["txbuf"]), now_ns)
+            case "TIMESYNC" if fields["tc1"] == 0:
+                return queue.put_answer(item("TIMESYNC", tc1=self._clock.monotonic_ns(), ts1=fields["ts1"]))
+            case "SENT_MAP_REQUEST" if fields["boot"] == downlink.boot:
+                return queue.put_asked(downlink.sent_map(fields["first_number"] // BLOCK))
+            case "BACKFILL_REQUEST" if self._backfill is not None and fields["boot"] == downlink.boot:
+                return self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
+            case "BACKFILL_SUMMARY_REQUEST" if self._backfill is not None and fields["boot"] in (0, downlink.boot):
+                summary = self._backfill.summary(fields["through_number"])
+                return queue.put_asked(summary) and queue.put_asked(downlink.statistics())
+            case "LOG_REQUEST_LIST" if self._logs is not None:
+                self._logs.request_list(fields["start"], fields["end"])
+            case "LOG_REQUEST_DATA" if self._logs is not None:
+                self._logs.request_data(fields["id"], fields["ofs"], fields["count"])
+            case "LOG_REQUEST_END" if self._logs is not None:
+                self._logs.request_end()
+            case "LOG_ERASE":
+                self._refusals.note("LOG_ERASE refused: recordings are not erased from the ground")
         return True
 
     # ----------------------------------------------------------------------------------------- commands

@@ -107,7 +107,6 @@ def padded(payload: bytes, size: int) -> bytes:
 
 @cache
 def message_types() -> Mapping[int, MessageType]:
-    """All messages of the dialect by id."""
     out = {}
     for msg_id, made in sideslip_dialect.mavlink_map.items():
         types = dict(zip(made.fieldnames, made.fieldtypes, strict=True))
@@ -121,7 +120,6 @@ def message_types() -> Mapping[int, MessageType]:
 
 @cache
 def message_by_name() -> Mapping[str, MessageType]:
-    """All messages of the dialect by name."""
     return {m.name: m for m in message_types().values()}
 
 
@@ -316,7 +314,6 @@ class FrameEncoder:
         return self.frame(made.msg_id, made.pack(values))
 
     def frame(self, msg_id: int, payload: bytes) -> bytes:
-        """A frame of a packed payload."""
         payload = payload.rstrip(b"\0") or payload[:1]
         flags = SIGNED if self._signer else 0
         component = self._private if msg_id >= FIRST_OWN_ID else self.component

@@ -149,7 +149,6 @@ class UdpPort:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Local host and port."""
         name = self._socket.getsockname()
         return str(name[0]), int(name[1])
 
@@ -285,7 +284,6 @@ class TcpClientPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether the peer is still there."""
         return self._stream.open
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
@@ -313,7 +311,6 @@ class TcpServerPort:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Local host and port."""
         name = self._listener.getsockname()
         return str(name[0]), int(name[1])
 

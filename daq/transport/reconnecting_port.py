@@ -70,7 +70,6 @@ class ReconnectingPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether the other end is there at present."""
         return self._port is not None
 
     @property

@@ -11,7 +11,6 @@ import hmac
 import json
 import logging
 import os
-import secrets
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import make_directories, sync_directory
+from daq.contract.durable import make_directories, replacing
 from daq.contract.errors import UserError
 
 KEY_BYTES = 32
@@ -56,7 +55,6 @@ class SignatureVerdict(Enum):
 
     @property
     def accepted(self) -> bool:
-        """Whether the frame may be acted on."""
         return self is SignatureVerdict.GOOD
 
 
@@ -170,26 +168,16 @@ def _whole(value: object, most: int) -> int:
 
 
 def save_state(state: SigningState, path: Path) -> None:
-    """Write the state so that either the old or the new one is on disk at any instant.
+    """Write the state so that either the old or the new one is on disk at any instant, and a power cut brings no old one back.
 
     It is written under a name that nobody can foresee, into a file that must not be there yet: a link planted in a folder
     that others may write to is not followed. Raises OSError.
     """
     rows = [[*stream, stamp] for stream, stamp in sorted(state.streams.items())]
-    text = json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows})
     make_directories(path.parent)
-    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    try:
-        with os.fdopen(os.open(new, flags, 0o600), "w") as handle:
-            handle.write(text)
-            handle.flush()
-            os.fsync(handle.fileno())
-        new.replace(path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
-    sync_directory(path.parent)  # or a power cut brings the old state back, and with it timestamps used since
+    with replacing(path) as new:
+        new.chmod(0o600)
+        new.write_text(json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows}))
 
 
 class Signer:

@@ -42,7 +42,7 @@ def record(folder: Path, system_utc_ns: int, gps: Any, scans: int = SCANS) -> li
     for n in range(scans):
         clock.sleep_until(n * PERIOD_NS)
         recorder.scan(scan_of(n, gps(n)))
-    recorder.event(EventMessage(scans * PERIOD_NS, 0, scans - 1, "switch", "mark"))
+    recorder.message(EventMessage(scans * PERIOD_NS, 0, scans - 1, "switch", "mark"))
     recorder.close()
     return sorted(folder.glob("*.mcap"))
 

@@ -22,7 +22,6 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("daq/contract/link/dialect/generate.py", "write_text"): "makes source text of this program, run by its developers",
     ("daq/contract/recordings/recovery.py", "open:wb"): GIVEN,
     ("daq/recorder/storage.py", "os.open:w"): "the card: segments that grow, unbuffered",
-    ("daq/transport/signing.py", "os.open:w"): "a file that no link planted beside it leads elsewhere",
     ("estimation/campaign/workers/limits.py", "open:w"): "the null device",
     ("estimation/campaign/workers/work.py", "write_bytes"): "a temporary folder, removed at once",
     ("estimation/engine/compiled.py", "write_text"): "a temporary folder, removed at once",

@@ -69,7 +69,6 @@ def unpack(data: bytes) -> Manoeuvre:
 
 
 def fragments(data: bytes) -> list[bytes]:
-    """The pieces in which packed bytes are sent."""
     return [data[i : i + FRAGMENT_BYTES] for i in range(0, len(data), FRAGMENT_BYTES)]
 
 

@@ -48,7 +48,6 @@ class Verification:
     sessions: tuple[tuple[str, "Verification"], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `verify --json`."""
         many = len({p for p, _ in self.damages}) > 1
         return {
             "ok": self.ok,

@@ -67,7 +67,6 @@ class Effort:
         self.checks -= size
 
     def expand(self, size: int) -> None:
-        """Pay for `size` bytes of content."""
         self.content -= size
         if self.content < 0:
             raise Bad(f"it holds more content than {_EXPANSION} times the file: not a recording's")

@@ -50,17 +50,14 @@ class Recording:
 
     @property
     def events(self) -> tuple[EventMessage, ...]:
-        """Event markers in order of time."""
         return tuple(self._decoded(EVENT_TOPIC))
 
     @property
     def log(self) -> tuple[LogLine, ...]:
-        """Log lines in order of time."""
         return tuple(self._decoded(LOG_TOPIC))
 
     @property
     def statistics(self) -> tuple[Statistics, ...]:
-        """Accounting and timing reports in order of time."""
         return tuple(self._decoded(STATISTICS_TOPIC))
 
     @cached_property
@@ -70,12 +67,10 @@ class Recording:
 
     @property
     def health(self) -> tuple[Health, ...]:
-        """Sensor health reports in order of time."""
         return tuple(self._decoded(HEALTH_TOPIC))
 
     @property
     def sequencer(self) -> tuple[SequencerFrame, ...]:
-        """Frames of the sequencer in order of time."""
         return tuple(self._decoded(SEQUENCER_TOPIC))
 
     @property

@@ -55,7 +55,6 @@ LOG_TIME_NAME = "sideslip.log_time"
 """Name of the metadata record that says what log times are."""
 UTC_FROM_NS, UTC_TO_NS = 10**18, 4 * 10**18
 """Log times from here on (September 2001) are UTC: no computer runs for 31 years. From 2096 on, nobody believes it."""
-_LAST_NS = 2**64 - 1  # that a file can hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,6 @@ class RecordingInfo:
 
     @property
     def calibration(self) -> dict[str, bytes]:
-        """The embedded calibration files by name."""
         start = len(CALIBRATION_PREFIX)
         return {k[start:]: v for k, v in self.attachments.items() if k.startswith(CALIBRATION_PREFIX)}
 
@@ -267,23 +265,17 @@ class RecordingWriter:
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
 
     def write(self, entry: RecordedMessage) -> None:
-        """Add a message to the chunk in progress."""
-        self._add(self._channels[entry.topic], entry)
-
-    def _add(self, channel: int, entry: RecordedMessage) -> None:
+        """Add a message to the chunk in progress; before the first one, say what log times are."""
         if not self._begun:
             self._begun = True
-            self._say_log_time()
-        log_time_ns = min(_LAST_NS, max(0, entry.log_time_ns + self.log_time.offset_ns))
+            if self.log_time.source:
+                fields = {"utc_minus_monotonic_ns": str(self.log_time.offset_ns), "known_by": self.log_time.source}
+                self._writer.add_metadata(LOG_TIME_NAME, with_digest(fields))
+        log_time_ns = min(_LATEST_NS, max(0, entry.log_time_ns + self.log_time.offset_ns))
+        channel = self._channels[entry.topic]
         self._writer.add_message(channel, log_time_ns, entry.data, entry.publish_time_ns, entry.sequence)
 
-    def _say_log_time(self) -> None:
-        if self.log_time.source:
-            fields = {"utc_minus_monotonic_ns": str(self.log_time.offset_ns), "known_by": self.log_time.source}
-            self._writer.add_metadata(LOG_TIME_NAME, with_digest(fields))
-
     def write_scan(self, scan: Scan) -> None:
-        """Add a scan."""
         self.write(scan_entry(scan))
 
     def write_message(self, message: m.Message) -> None:
@@ -291,7 +283,6 @@ class RecordingWriter:
         self.write(message_entry(message))
 
     def add_detail(self, details: Mapping[str, str]) -> None:
-        """Add facts found after the start."""
         self._writer.add_metadata(DETAIL_NAME, with_digest(dict(details)))
 
     def flush(self) -> None:

@@ -24,7 +24,6 @@ class Recovery:
     sessions: tuple[tuple[str, Path, int], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `recover --json`."""
         fields = self.verification.to_dict()
         to = self.path if len(self.sessions) < 2 else ", ".join(f"{p} (session {s}, {n})" for s, p, n in self.sessions)
         text = f"{self.recovered} scans recovered to {to}; original {self.verification.text}"

@@ -40,7 +40,6 @@ Found = tuple[int, int, str]
 
 @cache
 def _byte_table() -> Keys:
-    """State after one byte from state 0."""
     return np.array([zlib.crc32(bytes([b]), 0xFFFFFFFF) ^ 0xFFFFFFFF for b in range(256)], np.uint32)
 
 

@@ -61,13 +61,11 @@ class ReceivedWriter(RecordingWriter):
         properties = {n: {"type": ["number", "null"]} for n in _LINK_FIELDS}
         schema = json.dumps({"type": "object", "properties": properties}).encode()
         schema_id = self._writer.register_schema(LINK_SCHEMA, "jsonschema", schema)
-        self._link_channel = self._writer.register_channel(LINK_TOPIC, "json", schema_id)
+        self._channels[LINK_TOPIC] = self._writer.register_channel(LINK_TOPIC, "json", schema_id)
 
     def write_link(self, data: bytes, time_ns: int, sequence: int) -> None:
         """Add a report of link quality."""
-        self._add(
-            self._link_channel, RecordedMessage(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data)
-        )
+        self.write(RecordedMessage(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data))
 
 
 def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
