@@ -21,6 +21,9 @@ from daq.contract.recordings.segments import RecordingWalk, read_segments
 LOST_TO_DAMAGE = "lost_to_damage"
 
 
+COUNTS = ("scans", "written", "dropped", "lost", "missed", "slots")
+
+
 @dataclass(frozen=True)
 class Verification:
     """What `verify` found. Ranges are inclusive (first, last) scan numbers.
@@ -51,12 +54,7 @@ class Verification:
         many = len({p for p, _ in self.damages}) > 1
         return {
             "ok": self.ok,
-            "scans": self.scans,
-            "written": self.written,
-            "dropped": self.dropped,
-            "lost": self.lost,
-            "missed": self.missed,
-            "slots": self.slots,
+            **{n: getattr(self, n) for n in COUNTS},
             "missing": [list(r) for r in self.missing],
             "unexplained": [list(r) for r in self.unexplained],
             "damaged": [
@@ -75,20 +73,14 @@ def verify(path: str | Path) -> Verification:
 
     Raises RecordingError when there is no recording to check.
     """
-    path = Path(path)
-    return verify_segments(path, read_segments(path))
+    return verify_segments(Path(path), read_segments(path))
 
 
 def verify_segments(path: Path, segments: list[RecordingWalk]) -> Verification:
     """`verify` of segments that have been walked through already."""
-    if path.is_dir() or len(segments) == 1:
-        groups = [segments]
-    else:
-        groups = list(by_session(segments).values())
+    groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
     found = [_verify_group(path, g) for g in groups]
-    if len(found) == 1:
-        return found[0][1]
-    return _together(found)
+    return found[0][1] if len(found) == 1 else _together(found)
 
 
 def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verification]:
@@ -101,21 +93,15 @@ def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verif
 def _together(found: Sequence[tuple[str, Verification]]) -> Verification:
     """The sessions of one file: sums, and each for itself."""
     parts = [v for _, v in found]
-    said = "; ".join(f"session {name}: {v.text}" for name, v in found)
+    texts = "; ".join(f"session {name}: {v.text}" for name, v in found)
+    ranges_and_files = ("missing", "unexplained", "damages", "given_up")
+    fields: dict[str, Any] = {n: tuple(r for v in parts for r in getattr(v, n)) for n in ranges_and_files}
     return Verification(
         ok=all(v.ok for v in parts),
-        scans=sum(v.scans for v in parts),
-        slots=sum(v.slots for v in parts),
-        written=sum(v.written for v in parts),
-        dropped=sum(v.dropped for v in parts),
-        lost=sum(v.lost for v in parts),
-        missed=sum(v.missed for v in parts),
-        missing=tuple(r for v in parts for r in v.missing),
-        unexplained=tuple(r for v in parts for r in v.unexplained),
-        damages=tuple(d for v in parts for d in v.damages),
+        **{n: sum(getattr(v, n) for v in parts) for n in COUNTS},
+        **fields,
         closed=all(v.closed for v in parts),
-        text=f"{len(found)} sessions in one file; {said}",
-        given_up=tuple(p for v in parts for p in v.given_up),
+        text=f"{len(found)} sessions in one file; {texts}",
         sessions=tuple(found),
     )
 

@@ -120,17 +120,8 @@ def channel_table() -> bytes:
     rows = {
         "groups": [{"name": g.name, "title": g.title, "device": g.device} for g in GROUPS],
         "channels": [
-            {
-                "name": c.name,
-                "group": c.group,
-                "raw_type": c.raw_type,
-                "unit": c.unit,
-                "meaning": c.meaning,
-                "scale": c.scale,
-                "offset": c.offset,
-                "rate": c.rate.value,
-                "columns": list(c.columns),
-            }
+            {k: getattr(c, k) for k in ("name", "group", "raw_type", "unit", "meaning", "scale", "offset")}
+            | {"rate": c.rate.value, "columns": list(c.columns)}
             for c in CHANNELS
         ],
         "columns": [{"name": c.name, "unit": c.unit, "meaning": c.meaning} for c in COLUMNS],
