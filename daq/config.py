@@ -58,9 +58,9 @@ class ScanConfig(ConfigSection):
     @property
     def together(self) -> int:
         """How many scans are finished and handed over at a time: as `hand_over_s` says, and no more than a scan has room for."""
-        wished = round(self.hand_over_s * self.rate_hz)
+        requested = round(self.hand_over_s * self.rate_hz)
         room = _ROOM_TO_FINISH * self.period_ns // _FINISHING_NS
-        return max(1, int(min(wished, room)))
+        return max(1, int(min(requested, room)))
 
 
 class PreflightConfig(ConfigSection):
@@ -144,11 +144,11 @@ def check_sequencer(sequencer: SequencerConfig, sensors: SensorsConfig, rate_hz:
                 f"sequencer.autopilot and sensors.capture both read {capture.device}; give the sequencer a port of its own"
             )
         return
-    taken = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}
+    addresses = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}
     for name, address in (("chip", sequencer.chip.address), ("pilot", sequencer.pilot.address)):
-        if address in taken or sequencer.chip.address == sequencer.pilot.address:
-            other = taken.get(address, "the other chip of the sequencer")
-            raise ValueError(f"sequencer.{name} and {other} share the I2C address 0x{address:02x}")
+        if address in addresses or sequencer.chip.address == sequencer.pilot.address:
+            owner = addresses.get(address, "the other chip of the sequencer")
+            raise ValueError(f"sequencer.{name} and {owner} share the I2C address 0x{address:02x}")
 
 
 def load_config(path: str | Path) -> tuple[LoggerConfig, str]:
@@ -184,8 +184,8 @@ def _one(error: Any) -> str:
     if error["type"] == "missing":
         return f"key {key} is missing"
     value = error["input"]
-    shown = f" is {value!r}" if isinstance(value, (str, int, float, bool)) else ""
-    return f"key {key}{shown}: {error['msg'][0].lower()}{error['msg'][1:]}"
+    value_text = f" is {value!r}" if isinstance(value, (str, int, float, bool)) else ""
+    return f"key {key}{value_text}: {error['msg'][0].lower()}{error['msg'][1:]}"
 
 
 def _anchor(config: LoggerConfig, base: Path) -> LoggerConfig:

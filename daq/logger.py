@@ -184,21 +184,21 @@ class Logger:
         self._tried = self._number
         started = self._clock.monotonic_ns()
         self._newest = self._sampler.take(self._number, deadline)
-        ended = self._clock.monotonic_ns()
-        self._note_timing(deadline, started, ended)
+        ended_ns = self._clock.monotonic_ns()
+        self._note_timing(deadline, started, ended_ns)
         self._taken.append(self._newest)
         if len(self._taken) >= self._together:
             self._hand_over()
-            if ended >= self._next_housekeeping_ns:
-                self._next_housekeeping_ns = ended + _HOUSEKEEPING_NS
+            if ended_ns >= self._next_housekeeping_ns:
+                self._next_housekeeping_ns = ended_ns + _HOUSEKEEPING_NS
                 self._housekeeping()
 
     def _hand_over(self) -> None:
         """Finish what was taken and give it to recorder and radio."""
-        taken, self._taken = self._taken, []
-        if not taken:
+        unfinished, self._taken = self._taken, []
+        if not unfinished:
             return
-        scans = [self._sampler.finish(t) for t in taken]
+        scans = [self._sampler.finish(t) for t in unfinished]
         for scan in scans:
             if self._actuator is not None:
                 self._actuator.frame(scan, self)
@@ -245,10 +245,10 @@ class Logger:
 
     def _may_listen(self) -> bool:
         """Whether the uplink has its turn now: not while a scan is due already, but now and then in any case."""
-        now = self._clock.monotonic_ns()
-        if now >= self._deadline(self._tried + 1) and now - self._heard_ns < _DEAF_NS:
+        now_ns = self._clock.monotonic_ns()
+        if now_ns >= self._deadline(self._tried + 1) and now_ns - self._heard_ns < _DEAF_NS:
             return False
-        self._heard_ns = now
+        self._heard_ns = now_ns
         return True
 
     # ------------------------------------------------------------------------------------------ health and books
@@ -280,8 +280,8 @@ class Logger:
             self._recorder.detail(self._sampler.metadata())
         if summary.words != self._words:
             self._words = summary.words
-            gone = any(g.state in _GONE for g in summary.failing)
-            self.say(LogLevel.WARNING if gone or not summary.ready else LogLevel.INFO, "sensors", summary.words)
+            any_gone = any(g.state in _GONE for g in summary.failing)
+            self.say(LogLevel.WARNING if any_gone or not summary.ready else LogLevel.INFO, "sensors", summary.words)
 
     # ------------------------------------------------------------------------------------------ control
 

@@ -60,8 +60,8 @@ class Interrupts:
     @property
     def words(self) -> str:
         """The line that goes with it."""
-        how = "interrupted" if self.ended_by is None else f"ended by {self.ended_by.name}"
-        return f"sideslip: {how}; files are closed"
+        ending = "interrupted" if self.ended_by is None else f"ended by {self.ended_by.name}"
+        return f"sideslip: {ending}; files are closed"
 
     def _leave(self, number: int, frame: FrameType | None) -> None:
         os.write(2, SAID)

@@ -119,13 +119,13 @@ def read_rows(file: Path, package: str) -> TableRows:
             f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}; see docs/sensors.md"
         ) from error
     channels = tuple(_channel(row, package) for row in read.channel)
-    named = tuple(FlightColumn(**row.model_dump()) for row in read.column)
-    known = {c.name for c in named}
+    columns = tuple(FlightColumn(**row.model_dump()) for row in read.column)
+    column_names = {c.name for c in columns}
     implied = tuple(_column(c) for r, c in zip(read.channel, channels, strict=True) if r.columns is None)
     return TableRows(
         tuple(ChannelGroup(**row.model_dump(), package=package) for row in read.group),
         channels,
-        (*named, *(c for c in implied if c.name not in known)),
+        (*columns, *(c for c in implied if c.name not in column_names)),
     )
 
 
@@ -152,9 +152,9 @@ def _mistakes(table: TableRows) -> Iterator[str]:
     columns = [c.name for c in table.columns]
     fields_of_scan = [c.name for c in table.channels] + [g + end for g in groups for end in ("_state", "_offset_us")]
     for kind, names in (("group", groups), ("channel or state", fields_of_scan), ("column", columns)):
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            yield f"{kind} {twice[0]} is already in the channel table; choose another name"
+        repeated = sorted({n for n in names if names.count(n) > 1})
+        if repeated:
+            yield f"{kind} {repeated[0]} is already in the channel table; choose another name"
     for channel in table.channels:
         if channel.group not in groups:
             yield f"channel {channel.name}: no group {channel.group!r}; add [[group]] name = {channel.group!r}"

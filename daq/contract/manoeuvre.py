@@ -115,13 +115,13 @@ def load_manoeuvre(path: str | Path) -> Manoeuvre:
     if data.get("version") != VERSION:
         raise ManoeuvreError(f"{path}: not a manoeuvre of version {VERSION}; design it with this release")
     try:
-        made = _manoeuvre(data)
+        manoeuvre = _manoeuvre(data)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ManoeuvreError(f"{path}: not what 'sideslip design' writes ({error!r}); design it again") from error
-    checked(made, str(path))
-    if data.get("digest") != made.digest:
+    checked(manoeuvre, str(path))
+    if data.get("digest") != manoeuvre.digest:
         raise ManoeuvreError(f"{path}: its digest does not fit its values: it was changed; design it again")
-    return made
+    return manoeuvre
 
 
 def _manoeuvre(data: Mapping[str, Any]) -> Manoeuvre:

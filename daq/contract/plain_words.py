@@ -15,8 +15,8 @@ _KEPT = frozenset("\n\t")
 
 def meant(word: str, known: Iterable[str]) -> str:
     """What somebody may have meant by a name that is not among those known, to end a sentence with; "" where nothing is alike."""
-    alike = get_close_matches(word.lower(), list(known), n=1)
-    return f"; did you mean {alike[0]}?" if alike else ""
+    matches = get_close_matches(word.lower(), list(known), n=1)
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def comma_separated(names: str | Iterable[str]) -> tuple[str, ...]:
@@ -85,9 +85,9 @@ def printed(value: object) -> object:
 
 def listed(names: Iterable[str], most: int = 30) -> str:
     """Names one after the other, the first `most` and how many more there are."""
-    shown = [plain_name(name) for name in names]
-    more = [f"and {len(shown) - most} more"] if len(shown) > most else []
-    return ", ".join(shown[:most] + more)
+    plain_names = [plain_name(name) for name in names]
+    rest = [f"and {len(plain_names) - most} more"] if len(plain_names) > most else []
+    return ", ".join(plain_names[:most] + rest)
 
 
 def _shown(character: str) -> str:

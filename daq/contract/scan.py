@@ -171,8 +171,8 @@ def decode_scan(data: bytes) -> Scan:
     message = _message(data)
     # A field takes two bytes and more: of few bytes the few fields are listed, which beats asking for each of seventy where
     # a hostile file holds scans by the hundred thousand; of a usual scan asking is faster.
-    few = len(data) < 2 * len(CHANNELS)
-    is_set = {field.name for field, _ in message.ListFields()}.__contains__ if few else message.HasField
+    sparse = len(data) < 2 * len(CHANNELS)
+    is_set = {field.name for field, _ in message.ListFields()}.__contains__ if sparse else message.HasField
     try:
         groups = _groups(message, is_set)
     except ValueError as error:

@@ -101,8 +101,8 @@ class Speaker:
             if self._descriptor is None:
                 continue
             try:
-                for at in range(0, len(data), _LARGEST_LINE):
-                    os.write(self._descriptor, data[at : at + _LARGEST_LINE])
+                for offset in range(0, len(data), _LARGEST_LINE):
+                    os.write(self._descriptor, data[offset : offset + _LARGEST_LINE])
             except OSError:
                 self._descriptor = None  # closed, full, or its terminal is gone: the log has it all
 

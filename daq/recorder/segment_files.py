@@ -102,10 +102,10 @@ class SegmentFiles:
         """Remove the oldest recordings, never those of this session, if that is allowed and space is short."""
         if not self._config.remove_oldest:
             return
-        wanted = self._config.keep_free_mb * 1e6
+        least_bytes = self._config.keep_free_mb * 1e6
         try:
             for path in self._storage.recordings(root):
-                if self._storage.free_bytes(root) >= wanted:
+                if self._storage.free_bytes(root) >= least_bytes:
                     return
                 if not path.name.startswith(f"{self._info.session}_"):
                     self._storage.remove(path)
@@ -122,14 +122,14 @@ class SessionTime:
 
     def __init__(self, clock: Clock) -> None:
         utc_ns = clock.utc_ns()
-        known = utc_ns >= CLOCK_SET_NS
-        self.best = LogTime(utc_ns - clock.monotonic_ns(), COMPUTER) if known else LogTime()
+        is_set = utc_ns >= CLOCK_SET_NS
+        self.best = LogTime(utc_ns - clock.monotonic_ns(), COMPUTER) if is_set else LogTime()
 
     def see(self, entry: RecordedMessage) -> None:
         """Learn from a scan that knows UTC."""
-        known = utc_of_scan(entry)
-        if known is not None:
-            self.best = known
+        log_time = utc_of_scan(entry)
+        if log_time is not None:
+            self.best = log_time
 
     def contradicts(self, used: LogTime) -> bool:
         """Whether GPS says that a segment which began before it had spoken is filed under the wrong time."""

@@ -127,10 +127,10 @@ class ScanStore:
             if self._newest is None:
                 self._newest = (self.last, self.count, self._digest_of_all())
             return self._newest
-        at = bisect_right(self._snapshot_numbers, through) - 1
-        if at < 0:
+        index = bisect_right(self._snapshot_numbers, through) - 1
+        if index < 0:
             return self.first or 0, 0, hashlib.sha256().digest()
-        return self._snapshot_numbers[at], *self._snapshots[at]
+        return self._snapshot_numbers[index], *self._snapshots[index]
 
     def _digest_of_all(self) -> bytes:
         digest = self._hash.copy()
@@ -140,13 +140,13 @@ class ScanStore:
 
 
 def _rows(data: bytes) -> dict[int, bytes]:
-    out: dict[int, bytes] = {}
-    at = 0
-    while at < len(data):
-        number, size = struct.unpack_from("<II", data, at)
-        out[number] = data[at + 8 : at + 8 + size]
-        at += 8 + size
-    return out
+    rows: dict[int, bytes] = {}
+    offset = 0
+    while offset < len(data):
+        number, size = struct.unpack_from("<II", data, offset)
+        rows[number] = data[offset + 8 : offset + 8 + size]
+        offset += 8 + size
+    return rows
 
 
 def papers_of(info: RecordingInfo, events: Sequence[EventMessage] = ()) -> tuple[bytes, bytes]:
@@ -197,13 +197,13 @@ class _Preparation:
             self._answers.move_to_end(key)
             return self._answers[key]
         numbers = [first + i for i in range(64) if wanted >> i & 1]
-        here = list(kept.encoded(numbers).values())
-        made = _answer(pack_scans(here) if here else b"")
-        if len(here) == len(numbers):  # else not offered yet, or given up: an answer that may change is not kept
-            self._answers[key] = made
+        encoded = list(kept.encoded(numbers).values())
+        answer = _answer(pack_scans(encoded) if encoded else b"")
+        if len(encoded) == len(numbers):  # else not offered yet, or given up: an answer that may change is not kept
+            self._answers[key] = answer
             if len(self._answers) > _MAX_REQUESTS:
                 self._answers.popitem(last=False)
-        return made
+        return answer
 
     def part(self, part: int, events_so_far: int, events: tuple[EventMessage, ...]) -> _Answer:
         """A part of the papers: 0 the identity, then the archive."""
@@ -282,8 +282,8 @@ class BackfillServer:
         if not wanted:
             events = tuple(self._events)
             return self._worker.submit(self._preparation.part, first, self._events_so_far, events)
-        kept = self._store.kept([first + i for i in range(64) if wanted >> i & 1])
-        return self._worker.submit(self._preparation.scans, first, wanted, kept)
+        stored = self._store.kept([first + i for i in range(64) if wanted >> i & 1])
+        return self._worker.submit(self._preparation.scans, first, wanted, stored)
 
     @property
     def preparing(self) -> bool:
@@ -300,12 +300,12 @@ class BackfillServer:
             answer = job.future.result()
             if answer.fragments > MAX_FRAGMENTS:
                 continue
-            waiting = self._queue.setdefault(key, _Waiting(answer))
-            if waiting.answer.data != answer.data:
-                waiting = self._queue[key] = _Waiting(answer)
-            wanted = (i for i in range(max(1, answer.fragments)) if job.fragments >> i & 1 or not answer.fragments)
-            waiting.indices.extend(i for i in wanted if i not in waiting.indices)
-            if not waiting.indices:
+            pending = self._queue.setdefault(key, _Waiting(answer))
+            if pending.answer.data != answer.data:
+                pending = self._queue[key] = _Waiting(answer)
+            indices = (i for i in range(max(1, answer.fragments)) if job.fragments >> i & 1 or not answer.fragments)
+            pending.indices.extend(i for i in indices if i not in pending.indices)
+            if not pending.indices:
                 del self._queue[key]
 
     def _fragment(self, first: int, wanted: int, answer: _Answer, index: int) -> Item:
@@ -343,11 +343,11 @@ class BackfillServer:
         self._take_prepared()
         if not self._queue:
             return None
-        (first, wanted), waiting = next(iter(self._queue.items()))
-        index = waiting.indices.popleft()
-        if not waiting.indices:
-            del self._queue[first, wanted]
-        return self._fragment(first, wanted, waiting.answer, index)
+        (first, mask), pending = next(iter(self._queue.items()))
+        index = pending.indices.popleft()
+        if not pending.indices:
+            del self._queue[first, mask]
+        return self._fragment(first, mask, pending.answer, index)
 
     def close(self) -> None:
         self._worker.close(_PATIENCE_S)

@@ -209,10 +209,10 @@ class WindMean:
             self._since, self._mean, self._square = time, wind, (0.0, 0.0, 0.0)
         else:
             share = 1 - math.exp(-max(0.0, time - self._last) / self._time_s)
-            off = tuple(w - m for w, m in zip(wind, self._mean, strict=True))
-            north, east, down = (m + share * d for m, d in zip(self._mean, off, strict=True))
+            deviation = tuple(w - m for w, m in zip(wind, self._mean, strict=True))
+            north, east, down = (m + share * d for m, d in zip(self._mean, deviation, strict=True))
             self._mean = north, east, down
-            n, e, d = ((1 - share) * (s + share * d * d) for s, d in zip(self._square, off, strict=True))
+            n, e, d = ((1 - share) * (s + share * d * d) for s, d in zip(self._square, deviation, strict=True))
             self._square = n, e, d
         self._last = time
 

@@ -83,9 +83,9 @@ class Downlink:
         self._next_fast = 0.0
         self._next_slow = 0.0
         self._rare = _Turns(self._layouts[SCAN_RARE_ID].channels)
-        own = self._layouts[SCAN_LABORATORY_ID].channels if SCAN_LABORATORY_ID in self._layouts else ()
-        self._laboratory = _Turns(own)
-        self._laboratory_always = any(c.downlink == "fast" for c in own)
+        laboratory_channels = self._layouts[SCAN_LABORATORY_ID].channels if SCAN_LABORATORY_ID in self._layouts else ()
+        self._laboratory = _Turns(laboratory_channels)
+        self._laboratory_always = any(c.downlink == "fast" for c in laboratory_channels)
         self._first: int | None = None
         self._last = 0
         self._text_id = 0
@@ -141,8 +141,8 @@ class Downlink:
         if time < self._next_fast - 1e-6:
             return
         period = 1.0 / self.rate_hz
-        late = time - self._next_fast > period
-        self._next_fast = (time if late else self._next_fast) + period
+        is_late = time - self._next_fast > period
+        self._next_fast = (time if is_late else self._next_fast) + period
         self._send_scan(scan, time)
 
     def _send_scan(self, scan: Scan, time: float) -> None:
@@ -181,8 +181,8 @@ class Downlink:
 
     def sent_map(self, block: int) -> Item:
         """The SENT_MAP message of a block of scan numbers."""
-        every = (1 << BLOCK) - 1
-        absent = (~self.offered.word(block) & every).to_bytes(BLOCK // 8, "little")
+        full_block = (1 << BLOCK) - 1
+        absent = (~self.offered.word(block) & full_block).to_bytes(BLOCK // 8, "little")
         return item(
             "SENT_MAP",
             first_number=block * BLOCK,
@@ -197,8 +197,8 @@ class Downlink:
     def service(self, now_ns: int) -> None:
         """Send what is due at `now_ns` (monotonic)."""
         if self._next_heartbeat is None or now_ns >= self._next_heartbeat:
-            late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
-            self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
+            is_late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
+            self._next_heartbeat = (now_ns if is_late else self._next_heartbeat or now_ns) + NS
             self.send_queue.put_urgent(heartbeat(self.logger.recording))
         if self._factor < 1.0:
             self._recover(now_ns)
@@ -221,9 +221,9 @@ class Downlink:
 
     def _queue_due(self, now_ns: int) -> None:
         name = self._timers.due(now_ns, self._factor)
-        made = self._build(name) if name else None
-        if made is not None:
-            self.send_queue.put_low(made)
+        message = self._build(name) if name else None
+        if message is not None:
+            self.send_queue.put_low(message)
 
     def _build(self, name: str) -> Item | None:
         match name:
@@ -323,8 +323,8 @@ class Downlink:
             self._set_factor(self._factor * _STEP_UP)
 
     def _set_factor(self, factor: float) -> None:
-        least = MIN_RATE_HZ / self._wanted_rate
-        self._factor = min(1.0, max(least, factor))
+        lowest = MIN_RATE_HZ / self._wanted_rate
+        self._factor = min(1.0, max(lowest, factor))
         self.send_queue.budget = self.config.budget_bytes_per_s * self._factor
 
 
@@ -346,11 +346,11 @@ class _Turns:
         """Whether the message goes with this scan."""
         if not self._sent or scan.time < self.next:
             return False
-        waiting = min(self._sent, key=lambda g: self._sent[g])
+        next_group = min(self._sent, key=lambda g: self._sent[g])
         present = {g for g, names in self._names.items() if not names.isdisjoint(scan.values)}
-        if waiting not in present and scan.time < self.next + 1.0:
+        if next_group not in present and scan.time < self.next + 1.0:
             return False
-        self._sent.update(dict.fromkeys((*present, waiting), scan.time))
+        self._sent.update(dict.fromkeys((*present, next_group), scan.time))
         return True
 
 
@@ -361,10 +361,10 @@ def _increment(value: float) -> int:
 
 def _percentile(edges_us: Sequence[int], counts: Sequence[int], share: float) -> int:
     """Upper edge of the histogram bin in which a percentile lies; the last bin has none and gives 65535."""
-    below, total = 0, sum(counts)
+    cumulative, total = 0, sum(counts)
     for edge, count in zip((*edges_us, 65535), counts, strict=False):
-        below += count
-        if total and below >= share * total:
+        cumulative += count
+        if total and cumulative >= share * total:
             return edge
     return 0
 
@@ -382,13 +382,13 @@ class _Timers:
             # Spread, so that they do not come in a bunch for ever; but a station shall not wait long for the rarest.
             count = len(self._periods)
             self._next = {n: now_ns + min(p, _FIRST_NS) * i / count for i, (n, p) in enumerate(self._periods.items())}
-        best, most = None, -math.inf
+        due_name, largest = None, -math.inf
         for name, due in self._next.items():
             overdue = (now_ns - due) / self._periods[name]
-            if overdue >= 0 and overdue > most:
-                best, most = name, overdue
-        if best is not None:
-            period = self._periods[best] / factor
-            self._next[best] = max(self._next[best] + period, now_ns)
+            if overdue >= 0 and overdue > largest:
+                due_name, largest = name, overdue
+        if due_name is not None:
+            period = self._periods[due_name] / factor
+            self._next[due_name] = max(self._next[due_name] + period, now_ns)
         self.soonest = min(self._next.values())
-        return best
+        return due_name

@@ -70,18 +70,18 @@ class LogFiles:
             return b""  # removed meanwhile: the client sees the end of the log
 
     def _refresh(self) -> None:
-        found = _in_order(p for p in self._found() if p not in self._known)
+        new_paths = _in_order(p for p in self._found() if p not in self._known)
         room = MAX_FILES - len(self._paths)
-        new = found[-room:] if room else []
+        new = new_paths[-room:] if room else []
         self._paths += new
         self._known.update(new)
 
     def _found(self) -> Iterator[str]:
         self._real = tuple(os.path.realpath(d) for d in self._directories)
         looked_at = 0
-        waiting = [(str(d), 0) for d in self._directories]
-        while waiting and not self._given_up():
-            directory, depth = waiting.pop()
+        queue = [(str(d), 0) for d in self._directories]
+        while queue and not self._given_up():
+            directory, depth = queue.pop()
             for entry in _entries(directory):
                 looked_at += 1
                 self._make_way(looked_at)
@@ -89,7 +89,7 @@ class LogFiles:
                     return
                 kind = _kind(entry)
                 if kind == "directory" and depth < _MAX_DEPTH:
-                    waiting.append((entry.path, depth + 1))
+                    queue.append((entry.path, depth + 1))
                 elif entry.name.endswith(".mcap") and (
                     kind == "file" or (kind == "link" and self._leads_within(entry))
                 ):

@@ -63,9 +63,9 @@ class LogServer:
         if self._wanted is not None:
             self._begin_to_tell(*self._wanted)
         if self._telling is not None:
-            made = next(self._telling, None)
-            if made is not None:
-                return made
+            entry = next(self._telling, None)
+            if entry is not None:
+                return entry
             self._telling = None
         return self._next_data()
 

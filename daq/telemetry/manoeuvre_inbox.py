@@ -51,8 +51,8 @@ class ManoeuvreInbox:
             return None
         if not last and length != wire.FRAGMENT_BYTES:
             return None
-        again = self._result == wire.REFUSED and number == 0  # sent anew: what spoke against it may be over
-        if again or (checksum, count) != (self._checksum, self._wanted):
+        is_retry = self._result == wire.REFUSED and number == 0  # sent anew: what spoke against it may be over
+        if is_retry or (checksum, count) != (self._checksum, self._wanted):
             if self._checking is not None:
                 return self._status()  # one at a time; the sender tries again
             self._checksum, self._wanted, self._pieces, self._result = checksum, count, {}, wire.RECEIVING
@@ -66,13 +66,13 @@ class ManoeuvreInbox:
         """Hand on what has been checked; the word for the ground about it, if it is time for one."""
         if self._checking is None or not self._checking.done():
             return None
-        found, self._checking = self._checking.result(), None
-        why = found if isinstance(found, str) else found.put()
-        if why:
-            self._refuse(why)
-        elif isinstance(found, _Weighed):
+        result, self._checking = self._checking.result(), None
+        refusal = result if isinstance(result, str) else result.put()
+        if refusal:
+            self._refuse(refusal)
+        elif isinstance(result, _Weighed):
             self._result = wire.TAKEN
-            control.mark_event(f"manoeuvre {found.digest[:6]} taken from the ground", "ground")
+            control.mark_event(f"manoeuvre {result.digest[:6]} taken from the ground", "ground")
         return self._status()
 
     def close(self) -> None:
@@ -94,8 +94,8 @@ class ManoeuvreInbox:
         self._text(_WARNING, f"manoeuvre from the ground refused: {why}")
 
     def _status(self) -> Item:
-        held = sum(1 << i for i in self._pieces)
-        return item("MANOEUVRE_STATUS", held=held, checksum=self._checksum, result=self._result)
+        received_mask = sum(1 << i for i in self._pieces)
+        return item("MANOEUVRE_STATUS", held=received_mask, checksum=self._checksum, result=self._result)
 
 
 def _weighed(weigh: Weigh, data: bytes) -> _Weighed | str:

@@ -80,11 +80,11 @@ class CommandBudget:
 
     def against_stop(self, now_ns: int) -> str:
         """Why the recording may not be ended."""
-        least = self._limits.recording_s
+        shortest_s = self._limits.recording_s
         if self._begun >= self._limits.recordings:
             return f"all {self._limits.recordings} recordings that may be begun by command have been"
-        if self._begun_ns is not None and now_ns - self._begun_ns < least * NS:
-            return f"a recording begun by command lasts at least {least:g} s"
+        if self._begun_ns is not None and now_ns - self._begun_ns < shortest_s * NS:
+            return f"a recording begun by command lasts at least {shortest_s:g} s"
         return ""
 
     def against_start(self) -> str:
@@ -124,9 +124,9 @@ class Refusals:
         if not self._untold or (self._told_ns is not None and now_ns - self._told_ns < REPORT_NS):
             return
         for words, count in self._untold.items():
-            told = words + (f" (and {count - 1} more)" if count > 1 else "")
-            _LOG.warning("%s", told)
-            self._text(_WARNING, told)
+            sentence = words + (f" (and {count - 1} more)" if count > 1 else "")
+            _LOG.warning("%s", sentence)
+            self._text(_WARNING, sentence)
         self._told_ns, self._untold = now_ns, {}
 
 

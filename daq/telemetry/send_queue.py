@@ -37,8 +37,8 @@ class Item:
 
 def item(name: str, /, **values: object) -> Item:
     """A message of the dialect by name and fields."""
-    made = message_by_name()[name]
-    return Item(made.msg_id, made.pack(values))
+    message_type = message_by_name()[name]
+    return Item(message_type.msg_id, message_type.pack(values))
 
 
 class SendQueue:
@@ -131,9 +131,9 @@ class SendQueue:
     def _push(self) -> bool:
         """Hand the rest of the present frame to the port; whether it is gone."""
         if self._partial:
-            taken = self._port.write(self._partial)
-            self.bytes_sent += taken
-            self._partial = self._partial[taken:]
+            count = self._port.write(self._partial)
+            self.bytes_sent += count
+            self._partial = self._partial[count:]
             if self._partial:
                 return False
         if self._current is not None:
@@ -164,8 +164,8 @@ class SendQueue:
     def _asked_or_bulk(self) -> Item | None:
         """Neither keeps the other waiting: they take turns."""
         bulk_first, self._bulk_next = self._bulk_next, False
-        if bulk_first and (made := self.bulk()) is not None:
-            return made
+        if bulk_first and (message := self.bulk()) is not None:
+            return message
         if self._asked:
             self._bulk_next = True
             return self._asked.popleft()

@@ -259,18 +259,18 @@ class StandardMessages:
         )
 
     def _wind_cov(self, scan: Scan) -> Item | None:
-        found = self._wind.estimate(scan.time)
-        if found is None:
+        wind = self._wind.estimate(scan.time)
+        if wind is None:
             return None
         fix = self._fresh_fix(scan)
         return item(
             "WIND_COV",
             time_usec=_usec(scan),
-            wind_x=found.mean[0],
-            wind_y=found.mean[1],
-            wind_z=found.mean[2],
-            var_horiz=found.horizontal,
-            var_vert=found.vertical,
+            wind_x=wind.mean[0],
+            wind_y=wind.mean[1],
+            wind_z=wind.mean[2],
+            var_horiz=wind.horizontal,
+            var_vert=wind.vertical,
             wind_alt=_NAN if fix is None else fix.values.get("height_msl_mm", 0) * 1e-3,
         )
 
@@ -327,19 +327,19 @@ def sys_status(scan: Scan, recording: bool, volts: float | None) -> Item:
     at its geofence) would report a breach otherwise. volts: the main supply, None where it is not known.
     """
     present = _LOGGING_BIT | (0 if volts is None else _BATTERY_BIT)
-    wrong = 0 if recording else _LOGGING_BIT
+    unhealthy = 0 if recording else _LOGGING_BIT
     for group, bits in _SENSOR_BITS.items():
         state = scan.groups.get(group)
         if state is None or state.state is SensorState.OFF:
             continue
         present |= bits
         if state.state not in (SensorState.OK, SensorState.STALE):
-            wrong |= bits
+            unhealthy |= bits
     return item(
         "SYS_STATUS",
         onboard_control_sensors_present=present,
         onboard_control_sensors_enabled=present,
-        onboard_control_sensors_health=_ALL_BITS & ~wrong,
+        onboard_control_sensors_health=_ALL_BITS & ~unhealthy,
         voltage_battery=_UNKNOWN_16 if volts is None else _millivolts(volts),
         current_battery=-1,
         battery_remaining=-1,

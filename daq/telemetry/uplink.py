@@ -103,8 +103,8 @@ class Uplink:
         for _ in range(len(self._servers)):
             server = self._servers[0]
             self._servers.rotate(-1)
-            if server.busy and (made := server.next_item()) is not None:
-                return made
+            if server.busy and (message := server.next_item()) is not None:
+                return message
         return None
 
     def service(self, now_ns: int, control: Control) -> None:
@@ -124,23 +124,23 @@ class Uplink:
 
     def _arriving(self, until_ns: int) -> Iterator[MavlinkFrame]:
         """Frames that were left from the last turn, then those of what is read in this one."""
-        left = READ_BYTES
+        bytes_left = READ_BYTES
         while True:
             while self._frames:
                 yield self._frames.popleft()
-            if left <= 0 or self._clock.monotonic_ns() >= until_ns:
+            if bytes_left <= 0 or self._clock.monotonic_ns() >= until_ns:
                 return
-            data = self._port.read(min(left, _PIECE_BYTES))
+            data = self._port.read(min(bytes_left, _PIECE_BYTES))
             if not data:
                 return
-            left -= len(data)
+            bytes_left -= len(data)
             self._frames.extend(f for f in self._decoder.feed(data) if isinstance(f, MavlinkFrame) and f.known)
 
     def _note_dropped(self) -> None:
-        dropped = self._dropped()
-        more, self._dropped_told = dropped - self._dropped_told, dropped
-        if more:
-            self._refusals.note(f"{more} datagrams dropped unread: too long, or too many to be read")
+        total = self._dropped()
+        new, self._dropped_told = total - self._dropped_told, total
+        if new:
+            self._refusals.note(f"{new} datagrams dropped unread: too long, or too many to be read")
 
     def silence_s(self, now_ns: int) -> float | None:
         """Seconds since a frame of the ground was last taken; None when none ever was. A radio's own report does not count."""
@@ -198,10 +198,10 @@ class Uplink:
             return
         if frame.name in gcs_replies.REQUESTS:
             has_voltage = self._downlink.messages.supply_voltage is not None
-            known = gcs_replies.parameters(self._downlink.config.rate_hz, has_voltage)
-            made = gcs_replies.answers(frame.name, fields, sender, known)
-            taken = [self._downlink.send_queue.put_asked(reply) for reply in made]
-            if not all(taken):
+            parameters = gcs_replies.parameters(self._downlink.config.rate_hz, has_voltage)
+            replies = gcs_replies.answers(frame.name, fields, sender, parameters)
+            queued = [self._downlink.send_queue.put_asked(reply) for reply in replies]
+            if not all(queued):
                 self._refuse(frame, _BUSY)
             return
         if not self._serve(frame.name, fields, now_ns):
@@ -227,9 +227,9 @@ class Uplink:
         """
         if self._introduced_ns is None or now_ns - self._introduced_ns >= _INTRODUCE_NS:
             self._introduced_ns = now_ns
-            made = self._downlink.messages.make("HIGH_LATENCY2")
-            if made is not None:
-                self._downlink.send_queue.put_asked(made)
+            summary = self._downlink.messages.make("HIGH_LATENCY2")
+            if summary is not None:
+                self._downlink.send_queue.put_asked(summary)
 
     def _refuse_unproven(self, frame: MavlinkFrame, verdict: SignatureVerdict) -> None:
         if frame.name in _HARMLESS and verdict is SignatureVerdict.UNSIGNED:
@@ -277,11 +277,11 @@ class Uplink:
             self._acknowledge(frame, command, self._tell(command, parameters[0]))
             return
         key = (frame.system, frame.component, command, *(p.hex() for p in parameters))
-        known = self._done.get(key)
+        previous = self._done.get(key)
         # The same request again, its acknowledgement lost: the answer is repeated, the action is not.
         repeated = fields["confirmation"] > 0 or command == c.EVENT_MARK
-        if known is not None and repeated and now_ns - known[0] < _REPEAT_NS:
-            result = known[1]
+        if previous is not None and repeated and now_ns - previous[0] < _REPEAT_NS:
+            result = previous[1]
         else:
             result = self._obey(frame, command, parameters, now_ns, control)
             if result != c.TEMPORARILY_REJECTED:  # which may be another answer the next time
@@ -307,12 +307,12 @@ class Uplink:
         """Send the message that a command asks for, and say what came of it; nothing of it is a refusal worth a word."""
         name = gcs_replies.message_asked_for(command, parameter)
         if name == "AUTOPILOT_VERSION":
-            made: Item | None = autopilot_version()
+            message: Item | None = autopilot_version()
         elif name is None or name not in self._downlink.messages.names:
             return c.UNSUPPORTED
         else:
-            made = self._downlink.messages.make(name)
-        if made is None or not self._downlink.send_queue.put_asked(made):
+            message = self._downlink.messages.make(name)
+        if message is None or not self._downlink.send_queue.put_asked(message):
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
@@ -321,9 +321,9 @@ class Uplink:
     ) -> int:
         match command:
             case c.LOGGING_START | c.LOGGING_STOP | c.EVENT_MARK:
-                why = self._change_recording(command, parameters, now_ns, control)
-                if why:
-                    self._refusals.note(f"refused command {command} from {frame.system}/{frame.component}: {why}")
+                refusal = self._change_recording(command, parameters, now_ns, control)
+                if refusal:
+                    self._refusals.note(f"refused command {command} from {frame.system}/{frame.component}: {refusal}")
                     return c.TEMPORARILY_REJECTED
                 return c.FAILED if command == c.LOGGING_START and not control.recording else c.ACCEPTED
             case c.SET_MESSAGE_INTERVAL:
@@ -337,20 +337,20 @@ class Uplink:
 
     def _change_recording(self, command: int, parameters: tuple[float, ...], now_ns: int, control: Control) -> str:
         """Begin, end or mark the recording; why not, where the budget speaks against it."""
-        why = ""
+        refusal = ""
         if command == c.EVENT_MARK:
-            why = self._budget.against_mark(now_ns)
-            if not why:
+            refusal = self._budget.against_mark(now_ns)
+            if not refusal:
                 control.mark_event(f"mark {_whole(parameters[0])}", "ground")
         elif command == c.LOGGING_STOP and control.recording:
-            why = self._budget.against_stop(now_ns)
-            if not why:
+            refusal = self._budget.against_stop(now_ns)
+            if not refusal:
                 control.stop_recording()
         elif command == c.LOGGING_START and not control.recording:
-            why = self._budget.against_start()
-            if not why and control.start_recording():
+            refusal = self._budget.against_start()
+            if not refusal and control.start_recording():
                 self._budget.started(now_ns)
-        return why
+        return refusal
 
     def _sequence(self, frame: MavlinkFrame, parameters: tuple[float, ...], control: Control) -> int:
         """Start or stop the sequencer. To start moves the controls: only a frame that a key has proven may."""
@@ -360,9 +360,9 @@ class Uplink:
         if start and self._signer is None:
             self._refusals.note("refused to start the sequencer: this link has no key; set downlink.key_file")
             return c.DENIED
-        why = control.ask_sequencer(int(parameters[1]) if start else None)
-        if why:
-            self._downlink.text(_WARNING, f"sequencer does not {'start' if start else 'stop'}: {why}")
+        refusal = control.ask_sequencer(int(parameters[1]) if start else None)
+        if refusal:
+            self._downlink.text(_WARNING, f"sequencer does not {'start' if start else 'stop'}: {refusal}")
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
@@ -377,8 +377,8 @@ class Uplink:
         return c.ACCEPTED
 
     def _zero_pitot(self, parameters: tuple[float, ...], now_ns: int, control: Control) -> int:
-        others = [p for i, p in enumerate(parameters[:6]) if i != c.AIRSPEED_PARAMETER - 1]
-        if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(others):
+        unused_parameters = [p for i, p in enumerate(parameters[:6]) if i != c.AIRSPEED_PARAMETER - 1]
+        if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(unused_parameters):
             return c.UNSUPPORTED
         scans = list(self._downlink.recent)
         evidence = flight_evidence(scans) or self._budget.against_mark(now_ns)

@@ -102,9 +102,9 @@ def open_socket_port(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort
     try:
         return connected(spec)
     except OSError as error:
-        what = error.strerror or str(error)
+        cause = error.strerror or str(error)
         raise PortError(
-            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({what}); {_advice(spec, error)}"
+            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({cause}); {_advice(spec, error)}"
         ) from error
 
 
@@ -166,22 +166,22 @@ class UdpPort:
         One that does not fit into what is left of the limit comes with the next call; only one longer than the
         limit itself is given in parts.
         """
-        out: list[tuple[str, bytes]] = []
+        datagrams: list[tuple[str, bytes]] = []
         for _ in range(DATAGRAMS):
             name, data = self._held or self._next_datagram()
             self._held = None
-            if len(data) > limit and not out:
+            if len(data) > limit and not datagrams:
                 data, rest = data[:limit], data[limit:]
                 self._held = (name, rest)
             elif len(data) > limit:
                 self._held = (name, data)
                 break
             if data:
-                out.append((name, data))
+                datagrams.append((name, data))
                 limit -= len(data)
             if not name or not limit:
                 break
-        return out
+        return datagrams
 
     def _next_datagram(self) -> tuple[str, bytes]:
         """The next datagram and its sender's name; no data for one that is of no use, no name when none has arrived."""
@@ -210,8 +210,8 @@ class UdpPort:
         """Send one datagram to each peer; with nobody to send to it is taken and gone, as on a radio."""
         if self._fixed:
             return self._send(data, None)
-        taken = [self._send(data, peer) for peer in list(self._peers)]
-        return min(taken, default=len(data))
+        counts = [self._send(data, peer) for peer in list(self._peers)]
+        return min(counts, default=len(data))
 
     def _send(self, data: bytes, peer: Any) -> int:
         try:
@@ -266,8 +266,8 @@ class _Stream:
 
     def push(self, data: bytes) -> None:
         """Hand over all of `data`; a peer that falls too far behind is disconnected."""
-        taken = self.write(data)
-        self._backlog += data[taken:]
+        count = self.write(data)
+        self._backlog += data[count:]
         if len(self._backlog) > _CLIENT_BACKLOG:
             self.close()
 
@@ -317,14 +317,14 @@ class TcpServerPort:
     def receive(self, limit: int = _READ_BYTES) -> list[tuple[str, bytes]]:
         """What has arrived, by peer, at most `limit` bytes together; peers take turns at being first."""
         self._accept()
-        out: list[tuple[str, bytes]] = []
-        for waiting, stream in zip(range(len(self._streams), 0, -1), tuple(self._streams), strict=True):
-            data = stream.read(limit // waiting)  # its fair share of what those before it left
+        pieces: list[tuple[str, bytes]] = []
+        for remaining, stream in zip(range(len(self._streams), 0, -1), tuple(self._streams), strict=True):
+            data = stream.read(limit // remaining)  # its fair share of what those before it left
             if data:
-                out.append((stream.name, data))
+                pieces.append((stream.name, data))
                 limit -= len(data)
         self._streams = [s for s in (*self._streams[1:], *self._streams[:1]) if s.open]
-        return out
+        return pieces
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         return b"".join(data for _, data in self.receive(limit))
@@ -409,14 +409,14 @@ class MemoryPort:
         self._outbox = outbox
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
-        out = bytearray()
-        while self._inbox and len(out) < limit:
+        data_read = bytearray()
+        while self._inbox and len(data_read) < limit:
             data = self._inbox.popleft()
-            room = limit - len(out)
-            out += data[:room]
+            room = limit - len(data_read)
+            data_read += data[:room]
             if len(data) > room:
                 self._inbox.appendleft(data[room:])
-        return bytes(out)
+        return bytes(data_read)
 
     def write(self, data: bytes) -> int:
         self._outbox.append(memoryview(bytes(data)))  # what is left of it is not copied at every read
@@ -428,6 +428,6 @@ class MemoryPort:
 
 def memory_pair() -> tuple[MemoryPort, MemoryPort]:
     """Two connected ports: what one writes the other reads."""
-    left: deque[memoryview] = deque()
+    one_way: deque[memoryview] = deque()
     right: deque[memoryview] = deque()
-    return MemoryPort(left, right), MemoryPort(right, left)
+    return MemoryPort(one_way, right), MemoryPort(right, one_way)

@@ -94,12 +94,12 @@ class ReconnectingPort:
         """Hand over bytes; OSError while the port is away."""
         port = self._usable()
         try:
-            taken = port.write(data)
+            count = port.write(data)
         except OSError as error:
             raise self._lost(error.strerror or str(error)) from error
         if not port.is_open:
             raise self._lost("the other end has gone")
-        return taken
+        return count
 
     def close(self) -> None:
         """Give the port back; an attempt to open it that is still under way gives its own back when it is done."""
@@ -181,18 +181,18 @@ def open_lasting(
     """
     spec = parse_port(text)
     if spec.kind == "serial":
-        again: Callable[[], ClosingPort] = partial(open_serial, spec.address, spec.number)
+        open_again: Callable[[], ClosingPort] = partial(open_serial, spec.address, spec.number)
     else:
-        again = partial(connected, spec)
-    first = _Attempt(again)
+        open_again = partial(connected, spec)
+    first = _Attempt(open_again)
     first.thread.join(PATIENCE_S if wait else None)
     port, error = first.port, first.error
     if port is not None:
-        return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(again, port)
+        return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(open_again, port)
     if wait and (error is None or (isinstance(error, OSError) and not _refused(error))):
-        return ReconnectingPort(again, None, why=_words(error), attempt=first if error is None else None)
+        return ReconnectingPort(open_again, None, why=_words(error), attempt=first if error is None else None)
     if spec.kind == "tcp" and (isinstance(error, TimeoutError) or getattr(error, "errno", None) in _NOBODY_THERE):
-        return ReconnectingPort(again, None, why=_words(error))
+        return ReconnectingPort(open_again, None, why=_words(error))
     if spec.kind != "serial":
         return open_socket_port(spec)  # says in words why it cannot be had
     raise PortError(f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it") from error

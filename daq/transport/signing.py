@@ -207,18 +207,18 @@ class Signer:
         try:
             return load_state(path)
         except SigningError as error:
-            now = stamp_of(self._now())
+            now_stamp = stamp_of(self._now())
             if path is None or not path.is_file():
                 raise
-            if now < CLOCK_KNOWN:
+            if now_stamp < CLOCK_KNOWN:
                 raise SigningError(f"{error}; it is not replaced, because this computer's clock is not set") from error
-            aside = path.with_name(path.name + ".unusable")
-            path.replace(aside)
+            unusable = path.with_name(path.name + ".unusable")
+            path.replace(unusable)
             self.notice = (
-                f"{path}: not a signing state; set aside as {aside}, timestamps begin with this computer's clock"
+                f"{path}: not a signing state; set aside as {unusable}, timestamps begin with this computer's clock"
             )
             _LOG.warning("%s", self.notice)
-            return SigningState(now, now)
+            return SigningState(now_stamp, now_stamp)
 
     def sign(self, frame: bytes) -> bytes:
         """The 13 signature bytes of a frame (magic to checksum, signed flag set)."""
@@ -234,11 +234,11 @@ class Signer:
         if not hmac.compare_digest(signature_hash(self._key, frame, link, stamp), signature[7:13]):
             return SignatureVerdict.FORGED
         key = (*stream, link)
-        known = self.state.streams.get(key)
-        floor = self.state.heard - NEW_STREAM_MARGIN if known is None else known + 1
+        last_stamp = self.state.streams.get(key)
+        floor = self.state.heard - NEW_STREAM_MARGIN if last_stamp is None else last_stamp + 1
         if stamp < floor:
             return SignatureVerdict.REPLAYED
-        if known is None and len(self.state.streams) >= MAX_STREAMS:
+        if last_stamp is None and len(self.state.streams) >= MAX_STREAMS:
             return SignatureVerdict.REPLAYED
         self.state.streams[key] = stamp
         self.state.heard = max(self.state.heard, stamp)
@@ -251,7 +251,7 @@ class Signer:
     def save(self) -> None:
         """Save the state; a file-system call, so not for a loop that must not wait."""
         reserved = max(self._last, stamp_of(self._now())) + RESERVE
-        heard = self.state.heard
+        heard_stamp = self.state.heard
         if self._path is not None:
-            save_state(SigningState(reserved, heard, dict(self.state.streams)), self._path)
-        self._reserved, self._saved_heard = reserved, heard
+            save_state(SigningState(reserved, heard_stamp, dict(self.state.streams)), self._path)
+        self._reserved, self._saved_heard = reserved, heard_stamp

@@ -51,14 +51,14 @@ class Verification:
     sessions: tuple[tuple[str, "Verification"], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        many = len({p for p, _ in self.damages}) > 1
+        several_files = len({p for p, _ in self.damages}) > 1
         return {
             "ok": self.ok,
             **{n: getattr(self, n) for n in COUNTS},
             "missing": [list(r) for r in self.missing],
             "unexplained": [list(r) for r in self.unexplained],
             "damaged": [
-                {"at_byte": d.at_byte, "what": d.what, "length": d.length} | ({"file": str(p)} if many else {})
+                {"at_byte": d.at_byte, "what": d.what, "length": d.length} | ({"file": str(p)} if several_files else {})
                 for p, d in self.damages
             ],
             "closed": self.closed,
@@ -79,8 +79,8 @@ def verify(path: str | Path) -> Verification:
 def verify_segments(path: Path, segments: list[RecordingWalk]) -> Verification:
     """`verify` of segments that have been walked through already."""
     groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
-    found = [_verify_group(path, g) for g in groups]
-    return found[0][1] if len(found) == 1 else _together(found)
+    verifications = [_verify_group(path, g) for g in groups]
+    return verifications[0][1] if len(verifications) == 1 else _together(verifications)
 
 
 def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verification]:
@@ -90,10 +90,10 @@ def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verif
     return recording.info.session, verify_recording(recording)
 
 
-def _together(found: Sequence[tuple[str, Verification]]) -> Verification:
+def _together(verifications: Sequence[tuple[str, Verification]]) -> Verification:
     """The sessions of one file: sums, and each for itself."""
-    parts = [v for _, v in found]
-    texts = "; ".join(f"session {name}: {v.text}" for name, v in found)
+    parts = [v for _, v in verifications]
+    texts = "; ".join(f"session {name}: {v.text}" for name, v in verifications)
     ranges_and_files = ("missing", "unexplained", "damages", "given_up")
     fields: dict[str, Any] = {n: tuple(r for v in parts for r in getattr(v, n)) for n in ranges_and_files}
     return Verification(
@@ -101,8 +101,8 @@ def _together(found: Sequence[tuple[str, Verification]]) -> Verification:
         **{n: sum(getattr(v, n) for v in parts) for n in COUNTS},
         **fields,
         closed=all(v.closed for v in parts),
-        text=f"{len(found)} sessions in one file; {texts}",
-        sessions=tuple(found),
+        text=f"{len(verifications)} sessions in one file; {texts}",
+        sessions=tuple(verifications),
     )
 
 
@@ -113,17 +113,17 @@ def verify_recording(recording: Recording) -> Verification:
     whole_session = _is_whole(recording)
     first, end = _span(numbers, books, whole_session)
     missing = subtract([(first, end - 1)], ranges(numbers))
-    not_told = subtract(missing, books.absent if books else ())
-    unexplained = subtract(not_told, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
+    unreported = subtract(missing, books.absent if books else ())
+    unexplained = subtract(unreported, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
     closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not _goes_on(
         recording, books
     )
     gaps_expected = recording.info.role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
-    dropped, lost, missed = _counts(books, count(missing) - count(not_told))
+    dropped, lost, missed = _counts(books, count(missing) - count(unreported))
     written = len(numbers) + count(unexplained)
-    lost += count(not_told) - count(unexplained)
+    lost += count(unreported) - count(unexplained)
     text = _sentence(recording, ok, numbers, missing, unexplained, damages, closed)
     if given_up:
         names = ", ".join(s.path.name for s in given_up)
@@ -154,8 +154,8 @@ def _is_whole(recording: Recording) -> bool:
 def _lost_before(text: str) -> list[Range]:
     """Numbers that an earlier recovery could not save, as its recording states them; none where it states nothing usable."""
     try:
-        stated = json.loads(text)
-        return [(int(first), int(last)) for first, last in stated]
+        ranges_text = json.loads(text)
+        return [(int(first), int(last)) for first, last in ranges_text]
     except (ValueError, TypeError, OverflowError, RecursionError):
         return []
 
@@ -206,15 +206,15 @@ def _sentence(
     elif recording.info.role == "received":
         parts.append(f"{count(missing)} not received")
     else:
-        known = count(missing) - count(unexplained)
-        if known:
-            parts.append(f"{known} absent and accounted for")
+        accounted = count(missing) - count(unexplained)
+        if accounted:
+            parts.append(f"{accounted} absent and accounted for")
         if unexplained:
             parts.append(f"{count(unexplained)} missing without account: {shown(unexplained)}")
     if damages:
-        path, worst = damages[0]
-        more = f" and {len(damages) - 1} more" if len(damages) > 1 else ""
-        parts.append(f"damaged at byte {worst.at_byte} of {path.name} ({worst.what}){more}")
+        path, first_damage = damages[0]
+        rest = f" and {len(damages) - 1} more" if len(damages) > 1 else ""
+        parts.append(f"damaged at byte {first_damage.at_byte} of {path.name} ({first_damage.what}){rest}")
     if not closed:
         parts.append(
             "not closed in order: at most the time since the last flush is lost, after a power cut since the last sync"
@@ -230,6 +230,6 @@ def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
     closed = all(s.closed for s in segments)
     samples = sum(n for s in segments for n in s.foreign.values())
     ok = closed and not damages
-    what = f"{samples} messages, no raw scans"
+    content = f"{samples} messages, no raw scans"
     state = "every checksum holds" if ok else f"damaged at byte {damages[0][1].at_byte} ({damages[0][1].what})"
-    return Verification(ok, samples, samples, samples, 0, 0, 0, (), (), damages, closed, f"{what}; {state}")
+    return Verification(ok, samples, samples, samples, 0, 0, 0, (), (), damages, closed, f"{content}; {state}")

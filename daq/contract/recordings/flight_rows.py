@@ -83,8 +83,8 @@ def _columns(segment: RecordingWalk) -> dict[str, int]:
     except DecodeError as error:
         raise FlightRowsError(f"{segment.path}: the schema of the flight is none ({error})") from error
     package, _, kind = FLIGHT_SCHEMA.partition(".")
-    found = [m for f in files.file if f.package == package for m in f.message_type if m.name == kind]
-    fields = found[0].field if name == FLIGHT_SCHEMA and found else []
+    messages = [m for f in files.file if f.package == package for m in f.message_type if m.name == kind]
+    fields = messages[0].field if name == FLIGHT_SCHEMA and messages else []
     numbers = {f.name: f.number for f in fields}
     usable = all(
         f.type == f.TYPE_DOUBLE

@@ -77,11 +77,11 @@ class Cursor:
 
     def texts(self) -> dict[str, str]:
         part = Cursor(self.take(self.number(4)))
-        out: dict[str, str] = {}
+        texts: dict[str, str] = {}
         while part.at < len(part.body):
             key = part.text()
-            out[key] = part.text()
-        return out
+            texts[key] = part.text()
+        return texts
 
     def finish(self) -> None:
         if self.at != len(self.body):
@@ -92,8 +92,8 @@ def chunk_plausible(body: memoryview) -> bool:
     """Whether the lengths within a chunk fit each other and its checksum is stated: cheap, before anything is computed."""
     if len(body) < CHUNK_HEAD:
         return False
-    _, _, size, stated, name = _CHUNK_FIXED.unpack_from(body)
-    if not stated or name not in (0, 3, 4) or len(body) < CHUNK_HEAD + name:
+    _, _, size, checksum, name = _CHUNK_FIXED.unpack_from(body)
+    if not checksum or name not in (0, 3, 4) or len(body) < CHUNK_HEAD + name:
         return False
     stored = len(body) - CHUNK_HEAD - name
     if int.from_bytes(body[_CHUNK_FIXED.size + name : CHUNK_HEAD + name], "little") != stored:
@@ -105,7 +105,7 @@ def chunk_content(body: memoryview, effort: Effort) -> bytes | memoryview:
     """The records in a chunk, proven by its checksum (where the writer gave one)."""
     cursor = Cursor(body)
     cursor.take(16)
-    size, stated = cursor.number(8), cursor.number(4)
+    size, checksum = cursor.number(8), cursor.number(4)
     compression = cursor.text()
     stored = cursor.take(cursor.number(8))
     cursor.finish()
@@ -113,7 +113,7 @@ def chunk_content(body: memoryview, effort: Effort) -> bytes | memoryview:
     content = expand(compression, stored, size, effort) if compression else stored
     if len(content) != size:
         raise Bad("its size does not match")
-    if stated and zlib.crc32(content) != stated:
+    if checksum and zlib.crc32(content) != checksum:
         raise Bad("checksum does not match")
     return content
 
@@ -125,11 +125,11 @@ def read_attachment(body: memoryview, effort: Effort) -> Attachment:
     name = cursor.text()
     cursor.text()
     data = cursor.take(cursor.number(8))
-    covered = body[: cursor.at]
-    stated = cursor.number(4)
+    checked_bytes = body[: cursor.at]
+    checksum = cursor.number(4)
     cursor.finish()
-    effort.check(len(covered))
-    if stated and stated != zlib.crc32(covered):
+    effort.check(len(checked_bytes))
+    if checksum and checksum != zlib.crc32(checked_bytes):
         raise Bad("checksum does not match")
     return Attachment(name, bytes(data))
 

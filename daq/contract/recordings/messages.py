@@ -275,8 +275,12 @@ def _fields(message: Message, schema: str) -> dict[str, Any]:
     match message:
         case LogLine():  # its timestamp is UTC, or monotonic time while UTC is unknown
             stamp = message.time_utc_ns or message.time_monotonic_ns
-            stated = {name: getattr(message, name) for name in ("message", "name", "time_monotonic_ns")}
-            return {"timestamp": {"seconds": stamp // _NS, "nanos": stamp % _NS}, "level": int(message.level), **stated}
+            plain_fields = {name: getattr(message, name) for name in ("message", "name", "time_monotonic_ns")}
+            return {
+                "timestamp": {"seconds": stamp // _NS, "nanos": stamp % _NS},
+                "level": int(message.level),
+                **plain_fields,
+            }
         case Health():
             special: dict[str, Any] = {
                 name: [getattr(e, name) for e in message.entries] for name, _, _, repeated in _ROWS[schema] if repeated

@@ -101,8 +101,8 @@ class Recording:
 
 
 def _last_statistics(entries: Iterable[RecordedMessage]) -> Statistics | None:
-    told = [e for e in entries if e.topic == STATISTICS_TOPIC]
-    last = max(reversed(told), key=lambda e: e.log_time_ns, default=None)  # of the same instant the last written
+    reports = [e for e in entries if e.topic == STATISTICS_TOPIC]
+    last = max(reversed(reports), key=lambda e: e.log_time_ns, default=None)  # of the same instant the last written
     return decode(STATISTICS_TOPIC, last.data) if last else None
 
 
@@ -112,19 +112,19 @@ def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWal
     A part that has lost its identity tells its session by its accounting, or is counted to the only session whose scan
     numbers and times it continues without contradiction; else it stands for itself.
     """
-    known: dict[str, list[RecordingWalk]] = {}
-    lost: list[RecordingWalk] = []
+    sessions: dict[str, list[RecordingWalk]] = {}
+    unidentified: list[RecordingWalk] = []
     for segment in segments:
         session = _session_told(segment)
         if session is None:
-            lost.append(segment)
+            unidentified.append(segment)
         else:
-            known.setdefault(session, []).append(segment)
-    for segment in lost:
-        homes = [k for k, group in known.items() if _continues(group, segment)]
-        alone = f"{visible(segment.path.stem)}@{segment.at_byte}" if segment.at_byte else visible(segment.path.stem)
-        known.setdefault(homes[0] if len(homes) == 1 else alone, []).append(segment)
-    return known
+            sessions.setdefault(session, []).append(segment)
+    for segment in unidentified:
+        homes = [k for k, group in sessions.items() if _continues(group, segment)]
+        own_name = f"{visible(segment.path.stem)}@{segment.at_byte}" if segment.at_byte else visible(segment.path.stem)
+        sessions.setdefault(homes[0] if len(homes) == 1 else own_name, []).append(segment)
+    return sessions
 
 
 def _session_told(segment: RecordingWalk) -> str | None:
@@ -175,22 +175,22 @@ def join(path: Path, segments: list[RecordingWalk]) -> Recording:
 
     Raises RecordingError when the segments belong to different sessions or hold no raw recording.
     """
-    known = [s.info for s in segments if s.info is not None]
-    sessions = sorted({i.session for i in known})
+    infos = [s.info for s in segments if s.info is not None]
+    sessions = sorted({i.session for i in infos})
     if len(sessions) > 1:
         raise RecordingError(
             f"{path}: recordings of {len(sessions)} sessions ({', '.join(sessions)}); name one of the files"
         )
     entries = unique(e for s in segments for e in s.entries)
-    if not known and not entries:
+    if not infos and not entries:
         raise RecordingError(f"{path}: {_why_not_raw(segments)}")
     info = (
-        known[0]
-        if known
+        infos[0]
+        if infos
         else RecordingInfo(session=visible(path.stem), source="unknown", role="recovered", software="unknown")
     )
-    details = {k: v for i in known for k, v in i.details.items()}
-    attachments = {k: v for i in reversed(known) for k, v in i.attachments.items()}
+    details = {k: v for i in infos for k, v in i.details.items()}
+    attachments = {k: v for i in reversed(infos) for k, v in i.attachments.items()}
     info = replace(info, details=details, attachments=attachments)
     return Recording(path, info, tuple(segments), entries)
 
@@ -205,14 +205,14 @@ def _why_not_raw(segments: list[RecordingWalk]) -> str:
 
 def unique(entries: Iterable[RecordedMessage]) -> tuple[RecordedMessage, ...]:
     """Entries in order of time, scans with a number seen before and repeated messages left out."""
-    seen: set[tuple[str, int] | tuple[str, bytes]] = set()
-    out = []
+    keys: set[tuple[str, int] | tuple[str, bytes]] = set()
+    kept_entries = []
     for entry in sorted(entries, key=lambda e: e.log_time_ns):
         key = (entry.topic, entry.sequence) if entry.topic == SCAN_TOPIC else (entry.topic, entry.data)
-        if key not in seen:
-            seen.add(key)
-            out.append(entry)
-    return tuple(out)
+        if key not in keys:
+            keys.add(key)
+            kept_entries.append(entry)
+    return tuple(kept_entries)
 
 
 def read_recording(path: str | Path, *, salvage: bool = False) -> Recording:

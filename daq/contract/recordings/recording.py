@@ -176,8 +176,8 @@ def with_digest(fields: Mapping[str, str]) -> dict[str, str]:
 
 def metadata_digest(fields: Mapping[str, str]) -> str:
     """Digest of metadata fields, the digest itself left out."""
-    plain = {k: v for k, v in fields.items() if k != "sha256"}
-    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+    content = {k: v for k, v in fields.items() if k != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def scan_entry(scan: Scan, data: bytes | None = None) -> RecordedMessage:
@@ -216,7 +216,7 @@ def on_monotonic_clock(entry: RecordedMessage) -> RecordedMessage:
 
 def utc_of(entries: Iterable[RecordedMessage]) -> LogTime:
     """The offset to UTC as the first scan knows it that knows any; nothing where none does."""
-    return next((known for known in map(utc_of_scan, entries) if known is not None), LogTime())
+    return next((log_time for log_time in map(utc_of_scan, entries) if log_time is not None), LogTime())
 
 
 def utc_of_scan(entry: RecordedMessage) -> LogTime | None:

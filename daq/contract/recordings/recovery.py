@@ -25,12 +25,14 @@ class Recovery:
 
     def to_dict(self) -> dict[str, Any]:
         fields = self.verification.to_dict()
-        to = self.path if len(self.sessions) < 2 else ", ".join(f"{p} (session {s}, {n})" for s, p, n in self.sessions)
-        text = f"{self.recovered} scans recovered to {to}; original {self.verification.text}"
-        found: dict[str, Any] = {**fields, "recovered": self.recovered, "out": str(self.path), "text": text}
+        target = (
+            self.path if len(self.sessions) < 2 else ", ".join(f"{p} (session {s}, {n})" for s, p, n in self.sessions)
+        )
+        text = f"{self.recovered} scans recovered to {target}; original {self.verification.text}"
+        result: dict[str, Any] = {**fields, "recovered": self.recovered, "out": str(self.path), "text": text}
         if len(self.sessions) > 1:
-            found["outs"] = [{"session": s, "out": str(p), "recovered": n} for s, p, n in self.sessions]
-        return found
+            result["outs"] = [{"session": s, "out": str(p), "recovered": n} for s, p, n in self.sessions]
+        return result
 
 
 def recover(path: str | Path, out: str | Path) -> Recovery:
@@ -47,10 +49,10 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
     segments = read_segments(path)
     recordings = _with_messages(path, segments)
     outs = [out, *(out.with_stem(f"{out.stem}_{i}") for i in range(2, len(recordings) + 1))]
-    for other in outs[1:]:
-        if other.exists():
+    for further_path in outs[1:]:
+        if further_path.exists():
             raise RecordingError(
-                f"{other}: exists already, and {path} holds {len(recordings)} sessions; name another OUT"
+                f"{further_path}: exists already, and {path} holds {len(recordings)} sessions; name another OUT"
             )
     for recording, target in zip(recordings, outs, strict=True):
         _write_recovered(recording, target)
@@ -84,6 +86,6 @@ def _recovered_info(recording: Recording, verification: Verification) -> Recordi
     origin = "; ".join(
         f"{visible(p.name)} sha256 {hashlib.sha256(p.read_bytes()).hexdigest()}" for p in recording.files
     )
-    lost = json.dumps([list(r) for r in verification.unexplained])
-    details = {**recording.info.details, "recovered_from": origin, LOST_TO_DAMAGE: lost}
+    lost_ranges = json.dumps([list(r) for r in verification.unexplained])
+    details = {**recording.info.details, "recovered_from": origin, LOST_TO_DAMAGE: lost_ranges}
     return replace(recording.info, details=details)

@@ -95,35 +95,39 @@ def read_parts(path: Path) -> list[RecordingWalk]:
         else:
             parts[-1].take(item)
     parts[-1].schemas = _schemas(walk)
-    found: list[RecordingWalk] = []
+    segments: list[RecordingWalk] = []
     for part, end in zip(parts, [*(p.at_byte for p in parts[1:]), len(data)], strict=True):
         segment = part.segment(end - part.at_byte)
-        if segment.empty and found:  # stray bytes behind a recording: a damage of it
+        if segment.empty and segments:  # stray bytes behind a recording: a damage of it
             stray = tuple(d for d in segment.damages if d.length)
-            found[-1] = replace(found[-1], size=found[-1].size + segment.size, damages=(*found[-1].damages, *stray))
-        elif found and found[-1].empty:
-            found[-1] = replace(segment, at_byte=found[-1].at_byte, damages=(*found[-1].damages, *segment.damages))
+            segments[-1] = replace(
+                segments[-1], size=segments[-1].size + segment.size, damages=(*segments[-1].damages, *stray)
+            )
+        elif segments and segments[-1].empty:
+            segments[-1] = replace(
+                segment, at_byte=segments[-1].at_byte, damages=(*segments[-1].damages, *segment.damages)
+            )
         else:
-            found.append(segment)
-    found = [piece for segment in found for piece in _by_line(segment)]
-    if all(s.empty for s in found) and not data.startswith(b"\x89MCAP"):
+            segments.append(segment)
+    segments = [piece for segment in segments for piece in _by_line(segment)]
+    if all(s.empty for s in segments) and not data.startswith(b"\x89MCAP"):
         raise RecordingError(f"{path}: not an MCAP file, and nothing of ours in it")
-    return found
+    return segments
 
 
 def _by_line(segment: RecordingWalk) -> list[RecordingWalk]:
     """A segment as it is, or taken apart where scans of another session stand among its own: those have lost their head."""
-    own, *others = sessions_apart(segment.entries) or [()]
-    if not others:
+    main_entries, *foreign_entries = sessions_apart(segment.entries) or [()]
+    if not foreign_entries:
         return [segment]
-    at = next((d.at_byte for d in segment.damages if d.at_byte > segment.at_byte), segment.at_byte)
-    strange = [
-        replace(segment, info=None, metadata=(), entries=e, at_byte=at + n, size=0, kept={}, foreign={}, closed=False, damages=(
-            Damage(at, 0, f"{sum(x.topic == SCAN_TOPIC for x in e)} scans of another session stand here"),
-        ))
-        for n, e in enumerate(others, start=1)
-    ]  # fmt: skip
-    return [replace(segment, entries=own), *strange]
+    damage_byte = next((d.at_byte for d in segment.damages if d.at_byte > segment.at_byte), segment.at_byte)
+    headless = replace(segment, info=None, metadata=(), size=0, kept={}, foreign={}, closed=False)
+    parts = [replace(segment, entries=main_entries)]
+    for n, entries in enumerate(foreign_entries, start=1):
+        scans = sum(e.topic == SCAN_TOPIC for e in entries)
+        damage = Damage(damage_byte, 0, f"{scans} scans of another session stand here")
+        parts.append(replace(headless, at_byte=damage_byte + n, entries=entries, damages=(damage,)))
+    return parts
 
 
 def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
@@ -171,9 +175,18 @@ class _OpenPart:
         info = _identity(self.metadata, self.attachments)
         metadata = self.metadata or ([Metadata("attachment", {})] if self.attachments else [])
         return RecordingWalk(
-            self.path, size, info, tuple(self.entries), self.foreign, tuple(self.damages), self.closed, tuple(metadata),
-            self.at_byte, {k: tuple(v) for k, v in self.kept.items()}, self.schemas,
-        )  # fmt: skip
+            self.path,
+            size,
+            info,
+            tuple(self.entries),
+            self.foreign,
+            tuple(self.damages),
+            self.closed,
+            metadata=tuple(metadata),
+            at_byte=self.at_byte,
+            kept={k: tuple(v) for k, v in self.kept.items()},
+            schemas=self.schemas,
+        )
 
 
 def _identity(metadata: Iterable[Metadata], attachments: Mapping[str, bytes]) -> RecordingInfo | None:
@@ -188,8 +201,8 @@ def _identity(metadata: Iterable[Metadata], attachments: Mapping[str, bytes]) ->
     except (KeyError, ValueError):
         return None  # a digest that holds over fields that are none of ours: another program's, or a forger's
     details = {k: v for i in metadata if i.name == DETAIL_NAME for k, v in i.fields.items() if k != "sha256"}
-    own = {k: v for k, v in attachments.items() if k not in (INFO_ATTACHMENT, CHANNELS_ATTACHMENT)}
-    return replace(info, details={**info.details, **details}, attachments=own)
+    own_attachments = {k: v for k, v in attachments.items() if k not in (INFO_ATTACHMENT, CHANNELS_ATTACHMENT)}
+    return replace(info, details={**info.details, **details}, attachments=own_attachments)
 
 
 def _copy_of_identity(data: bytes) -> Mapping[str, str] | None:
@@ -232,8 +245,8 @@ def _parts_or_blank(path: Path) -> list[RecordingWalk]:
         if isinstance(error.__cause__, OSError):
             raise
         size = path.stat().st_size
-        what = "the file is empty" if size == 0 else "nothing in it was written by the logger"
-        return [RecordingWalk(path, size, None, (), {}, (Damage(0, size, what),), False)]
+        damage_text = "the file is empty" if size == 0 else "nothing in it was written by the logger"
+        return [RecordingWalk(path, size, None, (), {}, (Damage(0, size, damage_text),), False)]
 
 
 # ----------------------------------------------------------------------------------------- sessions in one another
@@ -251,26 +264,26 @@ def sessions_apart(entries: Sequence[RecordedMessage]) -> list[tuple[RecordedMes
     current = 0
     for entry in entries:
         if entry.topic == SCAN_TOPIC:
-            at = entry.log_time_ns - entry.sequence * period
-            near = [i for i, line in enumerate(lines) if abs(at - line) <= NEAR_NS]
-            current = min(near, key=lambda i: abs(at - lines[i])) if near else min(len(lines), MOST - 1)
+            intercept = entry.log_time_ns - entry.sequence * period
+            nearby = [i for i, line in enumerate(lines) if abs(intercept - line) <= NEAR_NS]
+            current = min(nearby, key=lambda i: abs(intercept - lines[i])) if nearby else min(len(lines), MOST - 1)
             if current == len(lines):
-                lines.append(at)
+                lines.append(intercept)
                 groups.append([])
-            lines[current] = at
+            lines[current] = intercept
         if groups:
             groups[current].append(entry)
-    before = entries[: next(i for i, e in enumerate(entries) if e.topic == SCAN_TOPIC)]
-    groups[0][:0] = before
+    preamble = entries[: next(i for i, e in enumerate(entries) if e.topic == SCAN_TOPIC)]
+    groups[0][:0] = preamble
     return [tuple(group) for group in groups]
 
 
 def _contradict(scans: Sequence[RecordedMessage]) -> bool:
     """Whether a number stands for two scans, or time does not rise with it."""
-    seen: dict[int, RecordedMessage] = {}
-    if any(seen.setdefault(e.sequence, e).data != e.data for e in scans):
+    by_number: dict[int, RecordedMessage] = {}
+    if any(by_number.setdefault(e.sequence, e).data != e.data for e in scans):
         return True
-    return any(seen[a].log_time_ns >= seen[b].log_time_ns for a, b in pairwise(sorted(seen)))
+    return any(by_number[a].log_time_ns >= by_number[b].log_time_ns for a, b in pairwise(sorted(by_number)))
 
 
 def _period(scans: Sequence[RecordedMessage]) -> float:
