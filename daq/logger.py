@@ -82,18 +82,18 @@ class Logger:
         self._housekeeping = housekeeping
         self._opening = tuple(opening)
         self._number = 0
-        self._tried = -1  # number of the last slot in which a scan was begun
+        self._last_begun = -1  # number of the last slot in which a scan was begun
         self._first = 0  # number of the slot at `_start_ns`
         self._start_ns: int | None = None  # None before the first slot
         self._heard_ns = clock.monotonic_ns()
         self._states: dict[str, SensorState] = {}
         self._health_due = True
-        self._words = ""
+        self._health_words = ""
         self._next_health_ns = 0
         self._next_housekeeping_ns = 0
         self._last_scan_ns: int | None = None
         self._together = together
-        self._taken: list[UnfinishedScan] = []  # not handed over yet
+        self._unfinished: list[UnfinishedScan] = []  # not handed over yet
         self._newest: UnfinishedScan | None = None
         self._link_fault = ""
         self._actuator: Actuation | None = None
@@ -101,7 +101,7 @@ class Logger:
         self._truth: AirTruth | None = None
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
-        self._ended = 0  # recordings given up for closing
+        self._recordings_ended = 0  # recordings given up for closing
         self._books_of = 0  # the one of them whose books `_last_books` are
         sampler.on_event = self._switch
 
@@ -163,7 +163,7 @@ class Logger:
         if self._start_ns is None:
             return self._number
         under_way = self._first + (self._clock.monotonic_ns() - self._start_ns) // self._period_ns
-        return max(self._tried + 1, under_way)
+        return max(self._last_begun + 1, under_way)
 
     def _begin(self) -> None:
         summary = self._sampler.start()
@@ -181,13 +181,13 @@ class Logger:
         recorder.start()
 
     def _one_scan(self, deadline: int) -> None:
-        self._tried = self._number
+        self._last_begun = self._number
         started = self._clock.monotonic_ns()
         self._newest = self._sampler.take(self._number, deadline)
         ended_ns = self._clock.monotonic_ns()
         self._note_timing(deadline, started, ended_ns)
-        self._taken.append(self._newest)
-        if len(self._taken) >= self._together:
+        self._unfinished.append(self._newest)
+        if len(self._unfinished) >= self._together:
             self._hand_over()
             if ended_ns >= self._next_housekeeping_ns:
                 self._next_housekeeping_ns = ended_ns + _HOUSEKEEPING_NS
@@ -195,7 +195,7 @@ class Logger:
 
     def _hand_over(self) -> None:
         """Finish what was taken and give it to recorder and radio."""
-        unfinished, self._taken = self._taken, []
+        unfinished, self._unfinished = self._unfinished, []
         if not unfinished:
             return
         scans = [self._sampler.finish(t) for t in unfinished]
@@ -246,7 +246,7 @@ class Logger:
     def _may_listen(self) -> bool:
         """Whether the uplink has its turn now: not while a scan is due already, but now and then in any case."""
         now_ns = self._clock.monotonic_ns()
-        if now_ns >= self._deadline(self._tried + 1) and now_ns - self._heard_ns < _DEAF_NS:
+        if now_ns >= self._deadline(self._last_begun + 1) and now_ns - self._heard_ns < _DEAF_NS:
             return False
         self._heard_ns = now_ns
         return True
@@ -278,8 +278,8 @@ class Logger:
         if self._recorder is not None:
             self._recorder.message(as_message(summary, self._clock.utc_ns(), self._number))
             self._recorder.detail(self._sampler.metadata())
-        if summary.words != self._words:
-            self._words = summary.words
+        if summary.words != self._health_words:
+            self._health_words = summary.words
             any_gone = any(g.state in _GONE for g in summary.failing)
             self.say(LogLevel.WARNING if any_gone or not summary.ready else LogLevel.INFO, "sensors", summary.words)
 
@@ -310,8 +310,10 @@ class Logger:
         self.say(LogLevel.INFO, "logger", "recording ends by command")
         self._recorder = None
         recorder.reach(self._next_number())
-        self._ended += 1
-        closer = threading.Thread(target=self._close, args=(recorder, self._ended), name="recorder-close", daemon=True)
+        self._recordings_ended += 1
+        closer = threading.Thread(
+            target=self._close, args=(recorder, self._recordings_ended), name="recorder-close", daemon=True
+        )
         closer.start()  # a bad card may take its time; the scan loop does not wait for it
         self._closers = [c for c in self._closers if c.is_alive()] + [closer]
         return True
@@ -375,8 +377,8 @@ class Logger:
             recorder.message(as_message(summary, self._clock.utc_ns(), self._number))
             recorder.log(LogLevel.INFO, "logger", f"recording ends{repetitions(summary)}")
             recorder.reach(self._number)
-            self._ended += 1
-            self._close(recorder, self._ended)
+            self._recordings_ended += 1
+            self._close(recorder, self._recordings_ended)
         for closer in self._closers:
             while closer.is_alive():
                 closer.join(0.005)

@@ -76,7 +76,7 @@ class Downlink:
         self.messages = StandardMessages(config, lambda: self.logger.recording, facts)
         encoder = FrameEncoder(config.system_id, config.component_id, signer, private=config.data_component_id)
         self.send_queue = SendQueue(port, encoder, config.budget_bytes_per_s, config.scan_queue)
-        self._wanted_rate = config.rate_hz
+        self._requested_rate = config.rate_hz
         self._factor = 1.0
         self._adapted_ns = 0
         self._radio_ns: int | None = None
@@ -108,22 +108,22 @@ class Downlink:
             }
         )
         self._scans_come = False  # since the last service
-        self._pauses_told = 0
+        self._pause_reports = 0
         self._pause_ns = 0
-        self._open: list[int] = []  # numbers of scans queued and not gone yet
+        self._unsettled: list[int] = []  # numbers of scans queued and not gone yet
 
     # -------------------------------------------------------------------------------------------------- scans
 
     @property
     def rate_hz(self) -> float:
         """Present scan rate [Hz]."""
-        return max(MIN_RATE_HZ, self._wanted_rate * self._factor)
+        return max(MIN_RATE_HZ, self._requested_rate * self._factor)
 
     def set_rate(self, rate_hz: float) -> bool:
         """Wish for another rate [Hz]; False, and no change, when it is below 2 Hz or the byte budget has no room."""
         if not MIN_RATE_HZ <= rate_hz <= max_rate(self.config.budget_bytes_per_s):
             return False
-        self._wanted_rate = rate_hz
+        self._requested_rate = rate_hz
         return True
 
     def offer(self, scan: Scan) -> None:
@@ -162,18 +162,18 @@ class Downlink:
         fast = pack_scan(table[SCAN_FAST_ID], scan, self.boot)
         number = scan.number
         items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
-        self._open.append(number)
+        self._unsettled.append(number)
         self.send_queue.put_scan(items)
 
     def _settle(self, number: int, sent: bool) -> None:
-        self._open.remove(number)
+        self._unsettled.remove(number)
         if sent:
             self.sent.add(number)
 
     @property
     def settled(self) -> int:
         """Last scan of which, and of all before it, it is known whether it was sent."""
-        return min(self._open) - 1 if self._open else self._last
+        return min(self._unsettled) - 1 if self._unsettled else self._last
 
     def _report_maps(self, block: int) -> None:
         for i in range(max(0, block - _MAP_REPEATS), block):
@@ -203,8 +203,8 @@ class Downlink:
         if self._factor < 1.0:
             self._recover(now_ns)
         if self._scans_come:
-            self._scans_come, self._pauses_told, self._pause_ns = False, 0, now_ns
-        elif self._pauses_told < _MAP_REPEATS and self.recent:
+            self._scans_come, self._pause_reports, self._pause_ns = False, 0, now_ns
+        elif self._pause_reports < _MAP_REPEATS and self.recent:
             self._report_pause(now_ns)
         if now_ns >= self._timers.soonest and not self.send_queue.has_low:
             self._queue_due(now_ns)
@@ -212,8 +212,8 @@ class Downlink:
 
     def _report_pause(self, now_ns: int) -> None:
         """When scans stop coming, say a few times what was sent, so that the ground's books close."""
-        if now_ns >= self._pause_ns + (_PAUSE_NS << self._pauses_told):
-            self._pauses_told += 1
+        if now_ns >= self._pause_ns + (_PAUSE_NS << self._pause_reports):
+            self._pause_reports += 1
             block = self._last // BLOCK
             self.send_queue.put_low(self.sent_map(block))
             self._report_maps(block)
@@ -323,7 +323,7 @@ class Downlink:
             self._set_factor(self._factor * _STEP_UP)
 
     def _set_factor(self, factor: float) -> None:
-        lowest = MIN_RATE_HZ / self._wanted_rate
+        lowest = MIN_RATE_HZ / self._requested_rate
         self._factor = min(1.0, max(lowest, factor))
         self.send_queue.budget = self.config.budget_bytes_per_s * self._factor
 

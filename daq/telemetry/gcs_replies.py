@@ -103,7 +103,7 @@ def _no_file(fields: Fields, target: Mapping[str, int], values: Parameters) -> S
 
 def _no_command_int(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
     command = int(fields["command"])
-    result = c.COMMAND_LONG_ONLY if command in (*c.KNOWN, *TELLING) else c.UNSUPPORTED
+    result = c.COMMAND_LONG_ONLY if command in (*c.KNOWN, *MESSAGE_COMMANDS) else c.UNSUPPORTED
     return [item("COMMAND_ACK", **target, command=command, result=result)]
 
 
@@ -123,12 +123,12 @@ REQUESTS: Mapping[str, Reply] = {
 
 # Commands that ask to be told something, and the message that does (None: the one in parameter 1).
 _GET_HOME_POSITION, _REQUEST_MESSAGE = 410, 512
-TELLING: Mapping[int, str | None] = {_GET_HOME_POSITION: "HOME_POSITION", _REQUEST_MESSAGE: None}
+MESSAGE_COMMANDS: Mapping[int, str | None] = {_GET_HOME_POSITION: "HOME_POSITION", _REQUEST_MESSAGE: None}
 
 
 def message_asked_for(command: int, parameter: float) -> str | None:
-    """The name of the message that one of TELLING asks for; None where it is none that this dialect has."""
-    fixed_name = TELLING[command]
+    """The name of the message that one of MESSAGE_COMMANDS asks for; None where it is none that this dialect has."""
+    fixed_name = MESSAGE_COMMANDS[command]
     if fixed_name is not None:
         return fixed_name
     message_type = message_types().get(int(parameter)) if parameter.is_integer() else None

@@ -36,13 +36,13 @@ class ManoeuvreInbox:
     def __init__(self, text: Callable[[int, str], None]) -> None:
         self._text = text
         self._checksum: int | None = None
-        self._wanted = 0
-        self._pieces: dict[int, bytes] = {}
+        self._fragment_count = 0
+        self._fragments: dict[int, bytes] = {}
         self._result = wire.RECEIVING
         self._checking: Future[_Weighed | str] | None = None
         self._worker = Worker("manoeuvre")
 
-    def take(self, fields: Mapping[str, Any], control: Control) -> Item | None:
+    def receive(self, fields: Mapping[str, Any], control: Control) -> Item | None:
         """Use a MANOEUVRE_DATA; the answer, or None for one that makes no sense."""
         checksum, number, count = fields["checksum"], fields["fragment"], fields["fragments"]
         length = fields["length"]
@@ -52,14 +52,14 @@ class ManoeuvreInbox:
         if not last and length != wire.FRAGMENT_BYTES:
             return None
         is_retry = self._result == wire.REFUSED and number == 0  # sent anew: what spoke against it may be over
-        if is_retry or (checksum, count) != (self._checksum, self._wanted):
+        if is_retry or (checksum, count) != (self._checksum, self._fragment_count):
             if self._checking is not None:
                 return self._status()  # one at a time; the sender tries again
-            self._checksum, self._wanted, self._pieces, self._result = checksum, count, {}, wire.RECEIVING
+            self._checksum, self._fragment_count, self._fragments, self._result = checksum, count, {}, wire.RECEIVING
         if self._result == wire.RECEIVING:
-            self._pieces.setdefault(number, bytes(fields["data"][:length]))
-            if len(self._pieces) == self._wanted:
-                self._check(b"".join(self._pieces[i] for i in range(self._wanted)), control)
+            self._fragments.setdefault(number, bytes(fields["data"][:length]))
+            if len(self._fragments) == self._fragment_count:
+                self._check(b"".join(self._fragments[i] for i in range(self._fragment_count)), control)
         return self._status()
 
     def service(self, control: Control) -> Item | None:
@@ -94,7 +94,7 @@ class ManoeuvreInbox:
         self._text(_WARNING, f"manoeuvre from the ground refused: {why}")
 
     def _status(self) -> Item:
-        received_mask = sum(1 << i for i in self._pieces)
+        received_mask = sum(1 << i for i in self._fragments)
         return item("MANOEUVRE_STATUS", held=received_mask, checksum=self._checksum, result=self._result)
 
 

@@ -34,7 +34,7 @@ class Bucket:
         self._tokens = self._burst
         self._last_ns: int | None = None
 
-    def take(self, now_ns: int) -> bool:
+    def allows(self, now_ns: int) -> bool:
         """Whether one more is within the limit; if so it counts."""
         if self._last_ns is not None:
             self._tokens = min(self._burst, self._tokens + (now_ns - self._last_ns) / NS * self._per_s)
@@ -61,7 +61,7 @@ class SenderLimits:
             if len(self._senders) > SENDERS:
                 self._senders.popitem(last=False)
         self._senders.move_to_end(sender)
-        return bucket.take(now_ns) and self._all.take(now_ns)
+        return bucket.allows(now_ns) and self._all.allows(now_ns)
 
 
 class CommandBudget:
@@ -99,7 +99,7 @@ class CommandBudget:
 
     def against_mark(self, now_ns: int) -> str:
         """Why no event may be marked; where nothing speaks against it, the mark counts."""
-        return "" if self._marks.take(now_ns) else f"more than {self._limits.marks_per_s:g} marks a second"
+        return "" if self._marks.allows(now_ns) else f"more than {self._limits.marks_per_s:g} marks a second"
 
 
 class Refusals:
@@ -111,23 +111,23 @@ class Refusals:
 
     def __init__(self, text: Callable[[int, str], None]) -> None:
         self._text = text
-        self._told_ns: int | None = None
-        self._untold: dict[str, int] = {}
+        self._reported_ns: int | None = None
+        self._unreported: dict[str, int] = {}
 
     def note(self, words: str) -> None:
-        if words not in self._untold and len(self._untold) >= _KINDS:
-            words = next(reversed(self._untold))
-        self._untold[words] = self._untold.get(words, 0) + 1
+        if words not in self._unreported and len(self._unreported) >= _KINDS:
+            words = next(reversed(self._unreported))
+        self._unreported[words] = self._unreported.get(words, 0) + 1
 
-    def tell(self, now_ns: int) -> None:
+    def report(self, now_ns: int) -> None:
         """Say what has been refused, if it is time to."""
-        if not self._untold or (self._told_ns is not None and now_ns - self._told_ns < REPORT_NS):
+        if not self._unreported or (self._reported_ns is not None and now_ns - self._reported_ns < REPORT_NS):
             return
-        for words, count in self._untold.items():
+        for words, count in self._unreported.items():
             sentence = words + (f" (and {count - 1} more)" if count > 1 else "")
             _LOG.warning("%s", sentence)
             self._text(_WARNING, sentence)
-        self._told_ns, self._untold = now_ns, {}
+        self._reported_ns, self._unreported = now_ns, {}
 
 
 def flight_evidence(scans: Sequence[Scan]) -> str | None:

@@ -88,10 +88,10 @@ class Uplink:
         self._budget = CommandBudget(downlink.config.limits)
         self._refusals = Refusals(downlink.text)
         self._dropped = dropped
-        self._dropped_told = 0
+        self._dropped_reported = 0
         self._dropped_asked_ns = 0
         self._introduced_ns: int | None = None
-        self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
+        self._command_results: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._saver: Future[None] | None = None
         self._heard_ns: int | None = None  # when a frame of the ground was last taken
         self._worker = Worker("uplink-signing")
@@ -117,7 +117,7 @@ class Uplink:
         if now_ns - self._dropped_asked_ns >= REPORT_NS:
             self._dropped_asked_ns = now_ns
             self._note_dropped()
-        self._refusals.tell(now_ns)
+        self._refusals.report(now_ns)
         self._answer(self._manoeuvres.service(control))
         if self._signer is not None and self._signer.needs_saving():
             self._save_signing(self._signer)
@@ -138,7 +138,7 @@ class Uplink:
 
     def _note_dropped(self) -> None:
         total = self._dropped()
-        new, self._dropped_told = total - self._dropped_told, total
+        new, self._dropped_reported = total - self._dropped_reported, total
         if new:
             self._refusals.note(f"{new} datagrams dropped unread: too long, or too many to be read")
 
@@ -212,7 +212,7 @@ class Uplink:
         if self._signer is None:
             self._refuse(frame, "this link has no key; set downlink.key_file")
             return
-        answer = self._manoeuvres.take(fields, control)
+        answer = self._manoeuvres.receive(fields, control)
         if answer is None or not self._answer(answer):
             self._refuse(frame, "not a fragment" if answer is None else _BUSY)
 
@@ -273,11 +273,11 @@ class Uplink:
     def _command(self, frame: MavlinkFrame, fields: Fields, now_ns: int, control: Control) -> None:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
-        if command in gcs_replies.TELLING:
+        if command in gcs_replies.MESSAGE_COMMANDS:
             self._acknowledge(frame, command, self._tell(command, parameters[0]))
             return
         key = (frame.system, frame.component, command, *(p.hex() for p in parameters))
-        previous = self._done.get(key)
+        previous = self._command_results.get(key)
         # The same request again, its acknowledgement lost: the answer is repeated, the action is not.
         repeated = fields["confirmation"] > 0 or command == c.EVENT_MARK
         if previous is not None and repeated and now_ns - previous[0] < _REPEAT_NS:
@@ -285,9 +285,9 @@ class Uplink:
         else:
             result = self._obey(frame, command, parameters, now_ns, control)
             if result != c.TEMPORARILY_REJECTED:  # which may be another answer the next time
-                self._done[key] = (now_ns, result)
-            if len(self._done) > _MEMORY:
-                self._done.popitem(last=False)
+                self._command_results[key] = (now_ns, result)
+            if len(self._command_results) > _MEMORY:
+                self._command_results.popitem(last=False)
             if result not in (c.ACCEPTED, c.UNSUPPORTED):
                 self._downlink.refusals.rejected_commands += 1
         self._acknowledge(frame, command, result)

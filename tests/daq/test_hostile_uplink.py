@@ -270,9 +270,9 @@ def test_sender_ids_chosen_freely_share_a_limit() -> None:
 
 def test_bucket_fills_at_its_rate_and_no_further_than_its_burst() -> None:
     bucket = Bucket(2.0, 3.0)
-    assert [bucket.take(0) for _ in range(4)] == [True, True, True, False]
-    assert [bucket.take(NS // 2), bucket.take(NS // 2)] == [True, False]
-    assert [bucket.take(1000 * NS) for _ in range(4)] == [True, True, True, False]
+    assert [bucket.allows(0) for _ in range(4)] == [True, True, True, False]
+    assert [bucket.allows(NS // 2), bucket.allows(NS // 2)] == [True, False]
+    assert [bucket.allows(1000 * NS) for _ in range(4)] == [True, True, True, False]
 
 
 def test_papers_are_made_once_and_not_in_the_scan_loop_s_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -457,12 +457,12 @@ def test_of_many_kinds_of_refusals_some_are_told_and_all_are_counted() -> None:
     for i in range(100):
         refusals.note(f"refused {i}")
     refusals.note("refused 0")
-    refusals.tell(0)
+    refusals.report(0)
     assert texts == ["refused 0 (and 1 more)", "refused 1", "refused 2 (and 97 more)"]
     refusals.note("refused 0")
-    refusals.tell(4 * NS)
+    refusals.report(4 * NS)
     assert len(texts) == 3
-    refusals.tell(5 * NS)
+    refusals.report(5 * NS)
     assert texts[3:] == ["refused 0"]
 
 

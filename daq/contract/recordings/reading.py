@@ -115,7 +115,7 @@ def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWal
     sessions: dict[str, list[RecordingWalk]] = {}
     unidentified: list[RecordingWalk] = []
     for segment in segments:
-        session = _session_told(segment)
+        session = _session_of(segment)
         if session is None:
             unidentified.append(segment)
         else:
@@ -127,7 +127,7 @@ def by_session(segments: Iterable[RecordingWalk]) -> dict[str, list[RecordingWal
     return sessions
 
 
-def _session_told(segment: RecordingWalk) -> str | None:
+def _session_of(segment: RecordingWalk) -> str | None:
     if segment.info is not None:
         return segment.info.session
     books = _last_statistics(segment.entries)
