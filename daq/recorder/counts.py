@@ -44,13 +44,9 @@ class LoopTiming:
 
     def counts(self) -> dict[str, Any]:
         """The histograms as fields of a `Statistics` report."""
-        return {
-            "late_scans": self.late,
-            "edges_us": EDGES_US,
-            "lateness": tuple(self.lateness.counts),
-            "interval_error": tuple(self.interval_error.counts),
-            "scan_duration": tuple(self.scan_duration.counts),
-        }
+        histograms = ("lateness", "interval_error", "scan_duration")
+        counts = {name: tuple(getattr(self, name).counts) for name in histograms}
+        return {"late_scans": self.late, "edges_us": EDGES_US, **counts}
 
 
 @dataclass(slots=True)
@@ -77,16 +73,11 @@ class SlotCounts:
 
     def counts(self) -> dict[str, Any]:
         """The books as fields of a `Statistics` report."""
-        return {
+        same = ("written", "dropped", "lost", "missed", "pending", "write_errors")
+        return {name: getattr(self, name) for name in same} | {
             "first_number": self.first or 0,
             "next_number": self.next,
-            "written": self.written,
-            "dropped": self.dropped,
-            "lost": self.lost,
-            "missed": self.missed,
-            "pending": self.pending,
             "absent": tuple(self.absent),
-            "write_errors": self.write_errors,
             "queue_high_water": self.high_water,
         }
 

@@ -9,7 +9,6 @@ to 2 Hz at worst, and the heartbeat goes on regardless.
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from daq.clock import NS, Clock
 from daq.contract.channels import Channel
@@ -39,14 +38,6 @@ _FIRST_NS = 3 * NS  # the 600 bytes of one message of each kind take as long bes
 _TEXT_CHARS = 50
 
 
-@dataclass
-class UplinkCounts:
-    """Refusals, as LINK_STATISTICS reports them."""
-
-    rejected_frames: int = 0
-    rejected_commands: int = 0
-
-
 class Downlink:
     """Sends to one ground link. All methods belong to the scan loop's thread.
 
@@ -68,7 +59,7 @@ class Downlink:
         self.config = config
         self.sent = ScanMap()
         self.offered = ScanMap()
-        self.refusals = UplinkCounts()
+        self.rejected_frames = self.rejected_commands = 0  # refusals of the uplink, as LINK_STATISTICS reports them
         self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
         self._clock = clock
         self._layouts = layouts()
@@ -248,8 +239,8 @@ class Downlink:
             frames_sent=box.frames_sent,
             boot=self.boot,
             rate_centihz=min(65535, round(self.rate_hz * 100)),
-            rejected_frames=min(65535, self.refusals.rejected_frames),
-            rejected_commands=min(65535, self.refusals.rejected_commands),
+            rejected_frames=min(65535, self.rejected_frames),
+            rejected_commands=min(65535, self.rejected_commands),
         )
 
     def _logger_status(self) -> Item:

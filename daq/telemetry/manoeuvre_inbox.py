@@ -8,7 +8,6 @@ not replaced, so that a restart flies what was checked on the ground.
 import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any
 
 from daq.contract.errors import UserError
@@ -22,12 +21,8 @@ _PATIENCE_S = 0.5
 _WARNING = 4
 
 
-@dataclass(frozen=True)
-class _Weighed:
-    """A manoeuvre that may be flown. put: see Weigh."""
-
-    digest: str
-    put: Callable[[], str]
+_Weighed = tuple[str, Callable[[], str]]
+"""Digest of a manoeuvre that may be flown, and what puts it in place (see Weigh)."""
 
 
 class ManoeuvreInbox:
@@ -67,12 +62,12 @@ class ManoeuvreInbox:
         if self._checking is None or not self._checking.done():
             return None
         result, self._checking = self._checking.result(), None
-        refusal = result if isinstance(result, str) else result.put()
+        digest, refusal = ("", result) if isinstance(result, str) else (result[0], result[1]())
         if refusal:
             self._refuse(refusal)
-        elif isinstance(result, _Weighed):
+        else:
             self._result = wire.TAKEN
-            control.mark_event(f"manoeuvre {result.digest[:6]} taken from the ground", "ground")
+            control.mark_event(f"manoeuvre {digest[:6]} taken from the ground", "ground")
         return self._status()
 
     def close(self) -> None:
@@ -101,6 +96,6 @@ class ManoeuvreInbox:
 def _weighed(weigh: Weigh, data: bytes) -> _Weighed | str:
     try:
         manoeuvre = wire.unpack(data)
-        return _Weighed(manoeuvre.digest, weigh(manoeuvre))
+        return manoeuvre.digest, weigh(manoeuvre)
     except UserError as error:
         return str(error)

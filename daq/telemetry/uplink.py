@@ -233,12 +233,12 @@ class Uplink:
 
     def _refuse_unproven(self, frame: MavlinkFrame, verdict: SignatureVerdict) -> None:
         if frame.name in _HARMLESS and verdict is SignatureVerdict.UNSIGNED:
-            self._downlink.refusals.rejected_frames += 1
+            self._downlink.rejected_frames += 1
         else:
             self._refuse(frame, verdict.value)
 
     def _refuse(self, frame: MavlinkFrame, why: str) -> None:
-        self._downlink.refusals.rejected_frames += 1
+        self._downlink.rejected_frames += 1
         self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {why}")
 
     # ----------------------------------------------------------------------------------------- messages
@@ -289,7 +289,7 @@ class Uplink:
             if len(self._command_results) > _MEMORY:
                 self._command_results.popitem(last=False)
             if result not in (c.ACCEPTED, c.UNSUPPORTED):
-                self._downlink.refusals.rejected_commands += 1
+                self._downlink.rejected_commands += 1
         self._acknowledge(frame, command, result)
 
     def _acknowledge(self, frame: MavlinkFrame, command: int, result: int) -> None:

@@ -123,6 +123,8 @@ def _advice(spec: PortSpec, error: OSError) -> str:
 class UdpPort:
     """Datagrams: to a fixed remote, or (listening) to everyone heard from, the latest few of them."""
 
+    is_open = True  # who is not heard may be heard again
+
     def __init__(self, *, local: tuple[str, int] | None = None, remote: tuple[str, int] | None = None) -> None:
         host = (local or remote or (_LOOPBACK, 0))[0]
         family = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][0]
@@ -141,11 +143,6 @@ class UdpPort:
         self._peers: dict[Any, None] = {}
         self._held: tuple[str, bytes] | None = None  # taken from the system, not given to the reader yet
         self._too_long = 0
-
-    @property
-    def is_open(self) -> bool:
-        """Always: who is not heard may be heard again."""
-        return True
 
     @property
     def address(self) -> tuple[str, int]:
@@ -299,15 +296,12 @@ class TcpClientPort:
 class TcpServerPort:
     """A listener; every peer that connects hears everything and may speak."""
 
+    is_open = True  # who is not heard may be heard again
+
     def __init__(self, host: str, number: int) -> None:
         self._listener = socket.create_server((host, number))
         self._listener.setblocking(False)
         self._streams: list[_Stream] = []  # the first is asked first, and goes to the end
-
-    @property
-    def is_open(self) -> bool:
-        """Always: who is not heard may be heard again."""
-        return True
 
     @property
     def address(self) -> tuple[str, int]:

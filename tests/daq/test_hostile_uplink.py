@@ -104,7 +104,7 @@ class Aircraft:
 
     @property
     def refused(self) -> int:
-        return self.link.downlink.refusals.rejected_frames
+        return self.link.downlink.rejected_frames
 
 
 def told(texts: list[str]) -> int:
@@ -360,7 +360,7 @@ def test_recordings_started_and_stopped_at_radio_speed_stay_few() -> None:
     assert aircraft.logger.recording, "a recording is under way at the end: ending it was refused"
     results = aircraft.acknowledged(c.LOGGING_STOP)
     assert c.TEMPORARILY_REJECTED in results
-    assert aircraft.link.downlink.refusals.rejected_commands > 100
+    assert aircraft.link.downlink.rejected_commands > 100
     aircraft.turns(60)
     assert any("a recording begun by command lasts at least 10 s" in t for t in aircraft.texts())
     aircraft.link.close()
@@ -385,7 +385,7 @@ def test_marks_at_radio_speed_stay_few_and_a_refused_one_may_be_repeated() -> No
     limits = LinkLimits()
     accepted = len(aircraft.logger.marks)
     assert limits.marks_at_once <= accepted <= limits.marks_at_once + 8 * limits.marks_per_s + 1
-    assert aircraft.link.downlink.refusals.rejected_commands >= 400 - accepted
+    assert aircraft.link.downlink.rejected_commands >= 400 - accepted
     assert c.TEMPORARILY_REJECTED in aircraft.acknowledged(c.EVENT_MARK)
     assert any("more than 1 marks a second" in t for t in aircraft.texts())
     aircraft.turns(40)

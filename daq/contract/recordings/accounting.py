@@ -7,8 +7,8 @@ Several sessions in one file are accounted for one by one.
 """
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -110,25 +110,21 @@ def verify_recording(recording: Recording) -> Verification:
     """Check a recording that has been walked through."""
     numbers = recording.numbers
     books = recording.last_statistics
-    whole_session = _is_whole(recording)
-    first, end = _span(numbers, books, whole_session)
+    first, end = _span(numbers, books, {s.info.segment for s in recording.segments if s.info})
     missing = subtract([(first, end - 1)], ranges(numbers))
     unreported = subtract(missing, books.absent if books else ())
     unexplained = subtract(unreported, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
-    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not _goes_on(
-        recording, books
-    )
-    gaps_expected = recording.info.role == "received"
+    role = recording.info.role
+    # a session's directory may end with a file closed in order after which the logger had begun, or meant, another
+    goes_on = recording.path.is_dir() and role == "onboard" and books is not None and not books.final
+    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not goes_on
+    gaps_expected = role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
     dropped, lost, missed = _counts(books, count(missing) - count(unreported))
     written = len(numbers) + count(unexplained)
     lost += count(unreported) - count(unexplained)
-    text = _sentence(recording, ok, numbers, missing, unexplained, damages, closed)
-    if given_up:
-        names = ", ".join(s.path.name for s in given_up)
-        text += f"; {names} given up by the logger after a write error, the recording goes on in the next file"
-    return Verification(
+    verification = Verification(
         ok,
         len(numbers),
         end - first,
@@ -140,15 +136,10 @@ def verify_recording(recording: Recording) -> Verification:
         unexplained=unexplained,
         damages=damages,
         closed=closed,
-        text=text,
+        text="",
         given_up=tuple(s.path for s in given_up),
     )
-
-
-def _is_whole(recording: Recording) -> bool:
-    """Whether all segments from the first to the one with the last books are here."""
-    present = {s.info.segment for s in recording.segments if s.info}
-    return bool(present) and min(present) == 0 and max(present) == len(present) - 1
+    return replace(verification, text=_sentence(recording, verification))
 
 
 def _lost_before(text: str) -> list[Range]:
@@ -160,18 +151,12 @@ def _lost_before(text: str) -> list[Range]:
         return []
 
 
-def _goes_on(recording: Recording, books: Statistics | None) -> bool:
-    """Whether a session's directory ends with a file closed in order after which the logger had begun, or meant, another."""
-    whole_directory = recording.path.is_dir() and recording.info.role == "onboard"
-    return whole_directory and books is not None and not books.final
-
-
-def _span(numbers: Sequence[int], books: Statistics | None, whole_session: bool) -> Range:
-    """First slot and the slot after the last that the recording should cover."""
+def _span(numbers: Sequence[int], books: Statistics | None, segments: Collection[int]) -> Range:
+    """First slot and the slot after the last that the recording should cover. segments: numbers of those that are here."""
     first, end = (numbers[0], numbers[-1] + 1) if numbers else (0, 0)
     if books is None:
         return first, end
-    if whole_session:
+    if segments and min(segments) == 0 and max(segments) == len(segments) - 1:  # all to the one with the last books
         first = min(first, books.first_number) if numbers else books.first_number
     if books.final or not numbers:
         end = max(end, books.next_number)
@@ -188,40 +173,33 @@ def _counts(books: Statistics | None, absent: int) -> tuple[int, int, int]:
     return absent, 0, 0
 
 
-def _sentence(
-    recording: Recording,
-    ok: bool,
-    numbers: Sequence[int],
-    missing: Sequence[Range],
-    unexplained: Sequence[Range],
-    damages: Sequence[tuple[Path, Damage]],
-    closed: bool,
-) -> str:
-    if not numbers:
-        parts = ["no scan in it"]
-    else:
-        parts = [f"{len(numbers)} scans, {numbers[0]} to {numbers[-1]}"]
-    if not missing:
+def _sentence(recording: Recording, v: Verification) -> str:
+    numbers = recording.numbers
+    parts = [f"{len(numbers)} scans, {numbers[0]} to {numbers[-1]}" if numbers else "no scan in it"]
+    if not v.missing:
         parts.append("none missing")
     elif recording.info.role == "received":
-        parts.append(f"{count(missing)} not received")
+        parts.append(f"{count(v.missing)} not received")
     else:
-        accounted = count(missing) - count(unexplained)
+        accounted = count(v.missing) - count(v.unexplained)
         if accounted:
             parts.append(f"{accounted} absent and accounted for")
-        if unexplained:
-            parts.append(f"{count(unexplained)} missing without account: {shown(unexplained)}")
-    if damages:
-        path, first_damage = damages[0]
-        rest = f" and {len(damages) - 1} more" if len(damages) > 1 else ""
+        if v.unexplained:
+            parts.append(f"{count(v.unexplained)} missing without account: {shown(v.unexplained)}")
+    if v.damages:
+        path, first_damage = v.damages[0]
+        rest = f" and {len(v.damages) - 1} more" if len(v.damages) > 1 else ""
         parts.append(f"damaged at byte {first_damage.at_byte} of {path.name} ({first_damage.what}){rest}")
-    if not closed:
+    if not v.closed:
         parts.append(
             "not closed in order: at most the time since the last flush is lost, after a power cut since the last sync"
         )
-    if not ok and (damages or not closed):
+    if not v.ok and (v.damages or not v.closed):
         parts.append("'sideslip recover' saves what is intact")
-    return ("sound: " if ok else "not sound: ") + "; ".join(parts)
+    if v.given_up:
+        names = ", ".join(p.name for p in v.given_up)
+        parts.append(f"{names} given up by the logger after a write error, the recording goes on in the next file")
+    return ("sound: " if v.ok else "not sound: ") + "; ".join(parts)
 
 
 def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
