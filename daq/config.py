@@ -174,10 +174,10 @@ def parse_config(text: str, origin: Path) -> LoggerConfig:
 
 def describe(error: ValidationError) -> str:
     """A validation error as one sentence: each wrong key with its value and what it must be."""
-    return "; ".join(_one(e) for e in error.errors(include_url=False)[:5])
+    return "; ".join(_sentence_of(e) for e in error.errors(include_url=False)[:5])
 
 
-def _one(error: Any) -> str:
+def _sentence_of(error: Any) -> str:
     key = ".".join(str(p) for p in error["loc"]) or "the file as a whole"
     if error["type"] == "extra_forbidden":
         return f"key {key} is not known; check its spelling or remove it"

@@ -73,7 +73,7 @@ def replacing(path: Path) -> Iterator[Path]:
     an OSError then names `path`. Its name has no ending that chooses a format: give the format to a writer that asks.
     """
     clear_leftovers(path.parent)
-    with _named(path):
+    with _errors_naming(path):
         new, descriptor = _hidden(path)
         try:
             yield new
@@ -95,7 +95,7 @@ def whole(path: Path) -> Iterator[Path]:
     """
     target = _target(path)
     if target is None:
-        with _named(path):
+        with _errors_naming(path):
             yield path
         return
     with replacing(target) as new:
@@ -123,7 +123,7 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     """A new folder beside `path` to fill, which takes its place at the end; when the block raises, `path` is as it was."""
     make_directories(path.parent)
     clear_leftovers(path.parent)
-    with _named(path):
+    with _errors_naming(path):
         new = path.with_name(_hidden_name(path))
         new.mkdir()
         try:
@@ -211,7 +211,7 @@ def _hidden(path: Path) -> tuple[Path, int]:
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
+def _errors_naming(path: Path) -> Iterator[None]:
     """An OSError inside names `path`, not nothing or the hidden file, and says in the system's words what it is."""
     try:
         yield

@@ -46,7 +46,7 @@ class Interrupts:
     def raise_in_work(self) -> None:
         """From here on an interrupt is a KeyboardInterrupt, so that files are closed on its way up."""
         signal.signal(signal.SIGALRM, self._interrupt)
-        sys.unraisablehook = self._lost
+        sys.unraisablehook = self._unraisable
         signal.signal(signal.SIGINT, self._interrupt)
         for number in ENDING_SIGNALS:
             if signal.getsignal(number) is signal.SIG_DFL:  # not one that nohup, say, has told us to ignore
@@ -79,7 +79,7 @@ class Interrupts:
             return
         raise KeyboardInterrupt
 
-    def _lost(self, what: Any) -> None:
+    def _unraisable(self, what: Any) -> None:
         """In place of printing an exception that nobody can catch."""
         if issubclass(what.exc_type, KeyboardInterrupt):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)

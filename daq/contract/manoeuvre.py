@@ -85,26 +85,26 @@ place, in the scan loop, and says why not, empty when it is taken."""
 def checked(manoeuvre: Manoeuvre, where: str = "manoeuvre") -> Manoeuvre:
     """The manoeuvre, if it could be flown at all. Raises ManoeuvreError naming what is wrong."""
 
-    def wrong(what: str) -> ManoeuvreError:
+    def refusal(what: str) -> ManoeuvreError:
         return ManoeuvreError(f"{where}: {what}; design it again with 'sideslip design'")
 
     if not manoeuvre.increments:
-        raise wrong("no control is moved")
+        raise refusal("no control is moved")
     if not STEP_RANGE[0] <= manoeuvre.time_step <= STEP_RANGE[1]:
-        raise wrong(f"time_step {manoeuvre.time_step:g} s is not from {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g} s")
+        raise refusal(f"time_step {manoeuvre.time_step:g} s is not from {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g} s")
     lengths = {len(values) for values in manoeuvre.increments.values()}
     if len(lengths) > 1 or lengths < {2}:
-        raise wrong("the controls differ in number of samples" if len(lengths) > 1 else "fewer than two samples")
+        raise refusal("the controls differ in number of samples" if len(lengths) > 1 else "fewer than two samples")
     if manoeuvre.duration_s > LONGEST_S:
-        raise wrong(f"{manoeuvre.duration_s:.0f} s long, at most {LONGEST_S:.0f} s can be flown")
+        raise refusal(f"{manoeuvre.duration_s:.0f} s long, at most {LONGEST_S:.0f} s can be flown")
     for name, values in manoeuvre.increments.items():
         column = COLUMN_BY_NAME.get(name)
         if column is None or not name.startswith("delta_"):
-            raise wrong(f"{name!r} is not a control; known are delta_e, delta_a, delta_r")
+            raise refusal(f"{name!r} is not a control; known are delta_e, delta_a, delta_r")
         if not all(math.isfinite(v) and abs(v) <= LARGEST for v in values):
-            raise wrong(f"{name} has an increment beyond {math.degrees(LARGEST):.0f} deg or none at all")
+            raise refusal(f"{name} has an increment beyond {math.degrees(LARGEST):.0f} deg or none at all")
         if max(abs(values[0]), abs(values[-1])) > AT_REST:
-            raise wrong(f"{name} does not begin and end at zero")
+            raise refusal(f"{name} does not begin and end at zero")
     return manoeuvre
 
 

@@ -34,7 +34,7 @@ def visible(text: str) -> str:
     if text.isascii() and text.isprintable():
         return text
     # a page of megabytes has a hundred different characters
-    hidden = {ord(c): _shown(c) for c in set(text) - _KEPT if _shown(c) != c}
+    hidden = {ord(c): _escaped(c) for c in set(text) - _KEPT if _escaped(c) != c}
     return str.translate(text, hidden) if hidden else text
 
 
@@ -90,7 +90,7 @@ def listed(names: Iterable[str], most: int = 30) -> str:
     return ", ".join(plain_names[:most] + rest)
 
 
-def _shown(character: str) -> str:
+def _escaped(character: str) -> str:
     if unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Zl", "Zp"):
         return character
     return f"\\u{ord(character):04x}" if ord(character) < 0x10000 else f"\\U{ord(character):08x}"

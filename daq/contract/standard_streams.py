@@ -43,7 +43,7 @@ class SafeStream:
 
     def write(self, text: str) -> int:
         if self.trouble is None:
-            self._tried(lambda: self._stream.write(text))
+            self._attempt(lambda: self._stream.write(text))
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:
@@ -52,9 +52,9 @@ class SafeStream:
 
     def flush(self) -> None:
         if self.trouble is None:
-            self._tried(self._stream.flush)
+            self._attempt(self._stream.flush)
 
-    def _tried(self, act: Any) -> None:
+    def _attempt(self, act: Any) -> None:
         try:
             act()
         except OSError as error:

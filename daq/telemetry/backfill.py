@@ -69,7 +69,7 @@ class ScanStore:
         self._chunks: OrderedDict[int, bytes] = OrderedDict()  # chunk number -> compressed (number, data) rows
         self._open: dict[int, Scan] = {}  # of the chunk in progress, not in the hash yet
         self._open_chunk = 0
-        self._held = 0
+        self._stored_bytes = 0
         self._hash = hashlib.sha256()
         self._snapshot_numbers: list[int] = []  # ascending
         self._snapshots: list[tuple[int, bytes]] = []  # count and digest of all scans up to that number
@@ -104,10 +104,10 @@ class ScanStore:
             self._hash.update(_LENGTH.pack(len(data)) + data)
         packed = zlib.compress(b"".join(rows), 1)
         self._chunks[self._open_chunk] = packed
-        self._held += len(packed)
+        self._stored_bytes += len(packed)
         self._open = {}
-        while self._held > self._room and len(self._chunks) > 1:
-            self._held -= len(self._chunks.popitem(last=False)[1])
+        while self._stored_bytes > self._room and len(self._chunks) > 1:
+            self._stored_bytes -= len(self._chunks.popitem(last=False)[1])
 
     def kept(self, numbers: Sequence[int]) -> Kept:
         """What is held of these scans, to be worked on elsewhere; costs next to nothing."""
@@ -188,7 +188,7 @@ class _Preparation:
     def __init__(self, papers: Callable[[], RecordingInfo | None]) -> None:
         self._papers = papers
         self._info: RecordingInfo | None = None
-        self._made: tuple[int, bytes, bytes] | None = None  # papers: how many events, identity, archive
+        self._papers_parts: tuple[int, bytes, bytes] | None = None  # papers: how many events, identity, archive
         self._answers: OrderedDict[tuple[int, int], _Answer] = OrderedDict()
 
     def scans(self, first: int, wanted: int, kept: Kept) -> _Answer:
@@ -211,9 +211,9 @@ class _Preparation:
             self._info = self._identity()
         if self._info is None:
             return _answer(b"")
-        if self._made is None or self._made[0] != events_so_far:
-            self._made = (events_so_far, *papers_of(self._info, events))
-        _, identity, archive = self._made
+        if self._papers_parts is None or self._papers_parts[0] != events_so_far:
+            self._papers_parts = (events_so_far, *papers_of(self._info, events))
+        _, identity, archive = self._papers_parts
         return _answer(identity if part == 0 else archive[(part - 1) * PAPERS_PART_BYTES : part * PAPERS_PART_BYTES])
 
     def _identity(self) -> RecordingInfo | None:

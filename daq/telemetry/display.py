@@ -155,7 +155,7 @@ class Display:
             density = standard_density(scan.values.get("height_msl_mm", 0) * 1e-3)
         true = speed * math.sqrt(SEA_LEVEL_DENSITY / density)
         body = (true * math.cos(alpha) * math.cos(beta), true * math.sin(beta), true * math.sin(alpha) * math.cos(beta))
-        north, east, down = _turned(turn, body)
+        north, east, down = _body_to_ned(turn, body)
         return ground[0] - north, ground[1] - east, ground[2] - down
 
 
@@ -174,7 +174,7 @@ def _chip(nvm: str) -> Bmp390Trimming | None:
         return None
 
 
-def _turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
+def _body_to_ned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
     """A body vector in north, east, down: v + 2 w (q x v) + 2 q x (q x v)."""
     w, x, y, z = quaternion
     a, b, c = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])

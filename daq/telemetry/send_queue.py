@@ -62,8 +62,8 @@ class SendQueue:
         self._low: deque[Item] = deque(maxlen=_LOW_ROOM)
         self._answers: deque[Item] = deque()
         self._answer_share = _Share()
-        self._asked: deque[Item] = deque()
-        self._asked_share = _Share()
+        self._requested: deque[Item] = deque()
+        self._requested_share = _Share()
         self._bulk_next = False
         self._partial = b""
         self._current: Item | None = None
@@ -103,7 +103,7 @@ class SendQueue:
 
     def put_asked(self, message: Item) -> bool:
         """Send when nothing but bulk waits; False when too many wait. Equal ones are sent once."""
-        return _put(self._asked, message, _ASKED_ROOM)
+        return _put(self._requested, message, _ASKED_ROOM)
 
     @property
     def has_low(self) -> bool:
@@ -116,7 +116,7 @@ class SendQueue:
             earned = (now_ns - self._last_ns) / NS * self._budget
             self._tokens = min(bucket, self._tokens + earned)
             self._answer_share.earn(earned, bucket)
-            self._asked_share.earn(earned, bucket)
+            self._requested_share.earn(earned, bucket)
         else:
             self._tokens = bucket
         self._last_ns = now_ns
@@ -157,18 +157,18 @@ class SendQueue:
             return self._following.popleft()
         if self._low:
             return self._low.popleft()
-        if self._asked and self._asked_share.tokens > 0:
-            return self._asked_share.pay(self._asked.popleft())
-        return self._asked_or_bulk() if self._tokens > bucket / 2 else None
+        if self._requested and self._requested_share.tokens > 0:
+            return self._requested_share.pay(self._requested.popleft())
+        return self._requested_or_bulk() if self._tokens > bucket / 2 else None
 
-    def _asked_or_bulk(self) -> Item | None:
+    def _requested_or_bulk(self) -> Item | None:
         """Neither keeps the other waiting: they take turns."""
         bulk_first, self._bulk_next = self._bulk_next, False
         if bulk_first and (message := self.bulk()) is not None:
             return message
-        if self._asked:
+        if self._requested:
             self._bulk_next = True
-            return self._asked.popleft()
+            return self._requested.popleft()
         return None if bulk_first else self.bulk()
 
 

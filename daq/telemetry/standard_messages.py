@@ -87,7 +87,7 @@ class StandardMessages:
             "NAMED_VALUE_FLOAT": self._next_named,
             "HIGH_LATENCY2": self._summary,
         }
-        self._named: OrderedDict[str, float] = OrderedDict()  # the one to be sent next first
+        self._named_values: OrderedDict[str, float] = OrderedDict()  # the one to be sent next first
 
     def offer(self, scan: Scan) -> None:
         self.last = scan
@@ -116,15 +116,15 @@ class StandardMessages:
         Named values take turns, so that very many come less often instead of crowding out the others. Names are cut to ten
         bytes; there is room for 64, later ones are not shown.
         """
-        if name in self._named or len(self._named) < _NAMES:
-            self._named[name] = value if abs(value) <= _LARGEST else _NAN
+        if name in self._named_values or len(self._named_values) < _NAMES:
+            self._named_values[name] = value if abs(value) <= _LARGEST else _NAN
 
     def _next_named(self, scan: Scan) -> Item | None:
-        if not self._named:
+        if not self._named_values:
             return None
-        name = next(iter(self._named))
-        self._named.move_to_end(name)
-        return item("NAMED_VALUE_FLOAT", time_boot_ms=_boot_ms(scan), name=name[:10], value=self._named[name])
+        name = next(iter(self._named_values))
+        self._named_values.move_to_end(name)
+        return item("NAMED_VALUE_FLOAT", time_boot_ms=_boot_ms(scan), name=name[:10], value=self._named_values[name])
 
     @property
     def names(self) -> Collection[str]:
@@ -174,7 +174,7 @@ class StandardMessages:
             autopilot=GENERIC,
             latitude=v.get("latitude_e7", 0),
             longitude=v.get("longitude_e7", 0),
-            altitude=_within(round(v.get("height_msl_mm", 0) * 1e-3), 32767),
+            altitude=_clipped(round(v.get("height_msl_mm", 0) * 1e-3), 32767),
             heading=0 if turn is None else round(math.degrees(d.heading(turn)) / 2) % 180,
             airspeed=_fifths(self.display.airspeed(scan) or 0.0),
             groundspeed=_fifths(math.hypot(speeds[0], speeds[1])),
@@ -225,8 +225,8 @@ class StandardMessages:
             lat=v.get("latitude_e7", 0),
             lon=v.get("longitude_e7", 0),
             alt=height,
-            relative_alt=_within(height - int(self.home.values.get("height_msl_mm", 0)), 2**31 - 1),
-            **{name: _within(round(u * 100), 32767) for name, u in zip(("vx", "vy", "vz"), _speeds(fix), strict=True)},
+            relative_alt=_clipped(height - int(self.home.values.get("height_msl_mm", 0)), 2**31 - 1),
+            **{name: _clipped(round(u * 100), 32767) for name, u in zip(("vx", "vy", "vz"), _speeds(fix), strict=True)},
             hdg=_UNKNOWN_16 if turn is None else round(math.degrees(d.heading(turn)) * 100) % 36000,
         )
 
@@ -240,7 +240,7 @@ class StandardMessages:
             time_boot_ms=_boot_ms(scan),
             press_abs=static[0] / 100,
             press_diff=_NAN if dynamic is None else dynamic / 100,
-            temperature=_within(round(d.celsius(static[1]) * 100), 32767),
+            temperature=_clipped(round(d.celsius(static[1]) * 100), 32767),
         )
 
     def _battery(self, scan: Scan) -> Item | None:
@@ -405,5 +405,5 @@ def _millivolts(volts: float) -> int:
     return min(_UNKNOWN_16 - 1, max(0, round(volts * 1000)))
 
 
-def _within(value: int, limit: int) -> int:
+def _clipped(value: int, limit: int) -> int:
     return min(limit, max(-limit, value))

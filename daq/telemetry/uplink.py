@@ -111,7 +111,7 @@ class Uplink:
         """Act on what has arrived, as far as this turn goes."""
         until_ns = self._clock.monotonic_ns() + self._turn_ns
         for _, frame in zip(range(FRAMES), self._arriving(until_ns), strict=False):
-            self._take(frame, now_ns, control)
+            self._receive(frame, now_ns, control)
             if self._clock.monotonic_ns() >= until_ns:
                 break
         if now_ns - self._dropped_asked_ns >= REPORT_NS:
@@ -169,7 +169,7 @@ class Uplink:
                 _LOG.error("signing timestamps not saved: %s", error)
         self._saver = self._worker.submit(signer.save)
 
-    def _take(self, frame: MavlinkFrame, now_ns: int, control: Control) -> None:
+    def _receive(self, frame: MavlinkFrame, now_ns: int, control: Control) -> None:
         ours = self._downlink.config
         if frame.system == ours.system_id and frame.component in (ours.component_id, ours.data_component_id):
             return  # our own words come back: an echoing line
@@ -274,7 +274,7 @@ class Uplink:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
         if command in gcs_replies.MESSAGE_COMMANDS:
-            self._acknowledge(frame, command, self._tell(command, parameters[0]))
+            self._acknowledge(frame, command, self._send_asked_message(command, parameters[0]))
             return
         key = (frame.system, frame.component, command, *(p.hex() for p in parameters))
         previous = self._command_results.get(key)
@@ -283,7 +283,7 @@ class Uplink:
         if previous is not None and repeated and now_ns - previous[0] < _REPEAT_NS:
             result = previous[1]
         else:
-            result = self._obey(frame, command, parameters, now_ns, control)
+            result = self._execute(frame, command, parameters, now_ns, control)
             if result != c.TEMPORARILY_REJECTED:  # which may be another answer the next time
                 self._command_results[key] = (now_ns, result)
             if len(self._command_results) > _MEMORY:
@@ -303,7 +303,7 @@ class Uplink:
         if not self._downlink.send_queue.put_answer(ack):
             self._refuse(frame, _BUSY)
 
-    def _tell(self, command: int, parameter: float) -> int:
+    def _send_asked_message(self, command: int, parameter: float) -> int:
         """Send the message that a command asks for, and say what came of it; nothing of it is a refusal worth a word."""
         name = gcs_replies.message_asked_for(command, parameter)
         if name == "AUTOPILOT_VERSION":
@@ -316,7 +316,7 @@ class Uplink:
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
-    def _obey(
+    def _execute(
         self, frame: MavlinkFrame, command: int, parameters: tuple[float, ...], now_ns: int, control: Control
     ) -> int:
         match command:
@@ -341,7 +341,7 @@ class Uplink:
         if command == c.EVENT_MARK:
             refusal = self._budget.against_mark(now_ns)
             if not refusal:
-                control.mark_event(f"mark {_whole(parameters[0])}", "ground")
+                control.mark_event(f"mark {_number_text(parameters[0])}", "ground")
         elif command == c.LOGGING_STOP and control.recording:
             refusal = self._budget.against_stop(now_ns)
             if not refusal:
@@ -392,5 +392,5 @@ class Uplink:
         return c.ACCEPTED
 
 
-def _whole(value: float) -> str:
+def _number_text(value: float) -> str:
     return str(int(value)) if value.is_integer() else repr(value)

@@ -75,7 +75,7 @@ class ReconnectingPort:
     @property
     def why_away(self) -> str:
         """Why the other end is not there, or empty."""
-        return "" if self.is_open else str(self._away().strerror)
+        return "" if self.is_open else str(self._away_error().strerror)
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived; OSError while the port is away."""
@@ -83,9 +83,9 @@ class ReconnectingPort:
         try:
             data = port.read(limit)
         except OSError as error:
-            raise self._lost(error.strerror or str(error)) from error
+            raise self._port_lost(error.strerror or str(error)) from error
         if not data and not port.is_open:
-            raise self._lost("the other end has gone")
+            raise self._port_lost("the other end has gone")
         if data:
             self._pause_ns = FIRST_RETRY_NS
         return data
@@ -96,9 +96,9 @@ class ReconnectingPort:
         try:
             count = port.write(data)
         except OSError as error:
-            raise self._lost(error.strerror or str(error)) from error
+            raise self._port_lost(error.strerror or str(error)) from error
         if not port.is_open:
-            raise self._lost("the other end has gone")
+            raise self._port_lost("the other end has gone")
         return count
 
     def close(self) -> None:
@@ -114,7 +114,7 @@ class ReconnectingPort:
         if self._port is None:
             self._try()
         if self._port is None:
-            raise self._away()
+            raise self._away_error()
         return self._port
 
     def _try(self) -> None:
@@ -127,14 +127,14 @@ class ReconnectingPort:
             self._pause_ns = min(LONGEST_RETRY_NS, 2 * self._pause_ns)
             self._attempt = _Attempt(self._open_again)
 
-    def _lost(self, why: str) -> OSError:
+    def _port_lost(self, why: str) -> OSError:
         if self._port is not None:
             self._port.close()
         self._port, self._why = None, why
         self._next_ns = self._now_ns() + self._pause_ns
-        return self._away()
+        return self._away_error()
 
-    def _away(self) -> OSError:
+    def _away_error(self) -> OSError:
         return OSError(errno.ENOTCONN, f"away ({self._why}); it is opened again as soon as it is back")
 
 
@@ -189,19 +189,19 @@ def open_lasting(
     port, error = first.port, first.error
     if port is not None:
         return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(open_again, port)
-    if wait and (error is None or (isinstance(error, OSError) and not _refused(error))):
-        return ReconnectingPort(open_again, None, why=_words(error), attempt=first if error is None else None)
+    if wait and (error is None or (isinstance(error, OSError) and not _is_final(error))):
+        return ReconnectingPort(open_again, None, why=_cause_text(error), attempt=first if error is None else None)
     if spec.kind == "tcp" and (isinstance(error, TimeoutError) or getattr(error, "errno", None) in _NOBODY_THERE):
-        return ReconnectingPort(open_again, None, why=_words(error))
+        return ReconnectingPort(open_again, None, why=_cause_text(error))
     if spec.kind != "serial":
         return open_socket_port(spec)  # says in words why it cannot be had
     raise PortError(f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it") from error
 
 
-def _words(error: Exception | None) -> str:
+def _cause_text(error: Exception | None) -> str:
     return (getattr(error, "strerror", None) or str(error)) if error is not None else "no answer yet"
 
 
-def _refused(error: OSError) -> bool:
+def _is_final(error: OSError) -> bool:
     """Whether waiting does not help: another program has the address, or this user may not take it."""
     return error.errno in (errno.EADDRINUSE, errno.EACCES)

@@ -156,12 +156,14 @@ def _state_of(table: Any) -> SigningState:
         raise ValueError(f"streams is not a list of at most {MAX_STREAMS}")
     streams = {}
     for system, component, link, stamp in rows:
-        stream = (_whole(system, 255), _whole(component, 255), _whole(link, 255))
-        streams[stream] = _whole(stamp, _STAMP_LIMIT)
-    return SigningState(_whole(table["sent"], _STAMP_LIMIT), _whole(table["heard"], _STAMP_LIMIT), streams)
+        stream = (_bounded_integer(system, 255), _bounded_integer(component, 255), _bounded_integer(link, 255))
+        streams[stream] = _bounded_integer(stamp, _STAMP_LIMIT)
+    return SigningState(
+        _bounded_integer(table["sent"], _STAMP_LIMIT), _bounded_integer(table["heard"], _STAMP_LIMIT), streams
+    )
 
 
-def _whole(value: object, most: int) -> int:
+def _bounded_integer(value: object, most: int) -> int:
     if type(value) is not int or not 0 <= value <= most:
         raise ValueError(f"not a whole number from 0 to {most}")
     return value

@@ -80,7 +80,7 @@ def verify_segments(path: Path, segments: list[RecordingWalk]) -> Verification:
     """`verify` of segments that have been walked through already."""
     groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
     verifications = [_verify_group(path, g) for g in groups]
-    return verifications[0][1] if len(verifications) == 1 else _together(verifications)
+    return verifications[0][1] if len(verifications) == 1 else _summed(verifications)
 
 
 def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verification]:
@@ -90,7 +90,7 @@ def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verif
     return recording.info.session, verify_recording(recording)
 
 
-def _together(verifications: Sequence[tuple[str, Verification]]) -> Verification:
+def _summed(verifications: Sequence[tuple[str, Verification]]) -> Verification:
     """The sessions of one file: sums, and each for itself."""
     parts = [v for _, v in verifications]
     texts = "; ".join(f"session {name}: {v.text}" for name, v in verifications)

@@ -107,8 +107,8 @@ class Walk:
         self._part = _SalvagedPart(0)
         self._damages = 0
         self._parts = 0
-        self._waiting: list[bytes] = []
-        self._waiting_bytes = 0
+        self._unsearched: list[bytes] = []
+        self._unsearched_bytes = 0
         self._unproven: McapRecord | None = None  # the record before, where nothing but its own lengths vouches for it
         self._content: tuple[int, bytes | memoryview] = (-1, b"")  # of the chunk expanded last
 
@@ -327,15 +327,15 @@ class Walk:
         """A damaged stretch, to be searched for messages."""
         yield self._damage(at, end - at if shown is None else shown, what)
         region = self._raw[at if search_from is None else search_from : end]
-        self._waiting.append(region)
-        self._waiting_bytes += len(region)
-        if self._waiting_bytes >= _BATCH:
+        self._unsearched.append(region)
+        self._unsearched_bytes += len(region)
+        if self._unsearched_bytes >= _BATCH:
             yield from self._searched()
 
     def _searched(self) -> Iterator[RecordedMessage]:
         """Messages in the damaged stretches that wait."""
-        region = _APART.join(self._waiting)
-        self._waiting, self._waiting_bytes = [], 0
+        region = _APART.join(self._unsearched)
+        self._unsearched, self._unsearched_bytes = [], 0
         yield from salvage_region(region, self._effort)
 
     def _recover(self, at: int, error: Bad) -> tuple[list[Item], int]:

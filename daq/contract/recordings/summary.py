@@ -22,10 +22,10 @@ def info_mcap(path: str | Path) -> dict[str, Any]:
     raw = [s for s in segments if s.info is not None or s.entries]
     if raw:
         groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(raw).values())
-        return _together([_raw_info(path, join(path, g)) for g in groups])
+        return _summed([_raw_info(path, join(path, g)) for g in groups])
     flights = [s for s in segments if FLIGHT_TOPIC in s.kept]
     if flights:
-        return _together([_flight_info(path, s) for s in flights])
+        return _summed([_flight_info(path, s) for s in flights])
     if any(m.name == FLIGHT_METADATA for s in segments for m in s.metadata):
         raise RecordingError(f"{path}: a calibrated flight, damaged so that none of it can be read; calibrate it again")
     topics = sorted({t for s in segments for t in s.foreign})
@@ -33,7 +33,7 @@ def info_mcap(path: str | Path) -> dict[str, Any]:
     raise RecordingError(f"{path}: an MCAP file of another program (topics: {topic_names or 'none'})")
 
 
-def _together(summaries: list[dict[str, Any]]) -> dict[str, Any]:
+def _summed(summaries: list[dict[str, Any]]) -> dict[str, Any]:
     """One summary of all sessions in a file, with each of them in it."""
     if len(summaries) == 1:
         return summaries[0]
