@@ -212,18 +212,12 @@ class Downlink:
 
     def _queue_due(self, now_ns: int) -> None:
         name = self._timers.due(now_ns, self._factor)
-        message = self._build(name) if name else None
+        if name is None:
+            return
+        make = {"LINK_STATISTICS": self.statistics, "LOGGER_STATUS": self._logger_status}.get(name)
+        message = self.messages.make(name) if make is None else make()
         if message is not None:
             self.send_queue.put_low(message)
-
-    def _build(self, name: str) -> Item | None:
-        match name:
-            case "LINK_STATISTICS":
-                return self.statistics()
-            case "LOGGER_STATUS":
-                return self._logger_status()
-            case _:
-                return self.messages.make(name)
 
     def statistics(self) -> Item:
         """The LINK_STATISTICS message of now."""

@@ -75,7 +75,7 @@ class StandardMessages:
         self._makers: Mapping[str, Callable[[Scan], Item | None]] = {
             "ATTITUDE": attitude,
             "GPS_RAW_INT": lambda _: gps_raw(self.fix),
-            "SYS_STATUS": self._sys_status,
+            "SYS_STATUS": lambda scan: sys_status(scan, self._recording(), self.supply_voltage),
             "VFR_HUD": self._vfr_hud,
             "AOA_SSA": self._aoa_ssa,
             "GLOBAL_POSITION_INT": self._global_position,
@@ -180,9 +180,6 @@ class StandardMessages:
             groundspeed=_fifths(math.hypot(speeds[0], speeds[1])),
             battery=-1,
         )
-
-    def _sys_status(self, scan: Scan) -> Item:
-        return sys_status(scan, self._recording(), self.supply_voltage)
 
     def _fresh_fix(self, scan: Scan) -> Scan | None:
         fix = self.fix

@@ -146,42 +146,32 @@ def read_metadata(body: memoryview, effort: Effort) -> Metadata:
     return Metadata(name, fields)
 
 
+_STRUCTURES: Mapping[int, tuple[int | str, ...]] = {
+    HEADER: ("text", "text"),
+    MESSAGE_INDEX: (2, "rows of 16"),
+    CHUNK_INDEX: (32, "rows of 10", 8, "text", 16),
+    ATTACHMENT_INDEX: (40, "text", "text"),
+    STATISTICS: (42, "rows of 10"),
+    METADATA_INDEX: (16, "text"),
+    SUMMARY_OFFSET: (17,),
+}
+"""Parts of records that only index others: bytes, a text, a list whose elements have so many bytes."""
+
+
 def check_structure(record: McapRecord) -> None:
     """Records that only index others: their content is not used, every length in them must fit."""
     cursor = Cursor(record.body)
-    if record.opcode == MESSAGE_INDEX:
-        cursor.take(2)
-        _rows(cursor, 16)
-    elif record.opcode == CHUNK_INDEX:
-        cursor.take(32)
-        _rows(cursor, 10)
-        cursor.take(8)
-        cursor.text()
-        cursor.take(16)
-    elif record.opcode == HEADER:
-        cursor.text()
-        cursor.text()
-    elif record.opcode == ATTACHMENT_INDEX:
-        cursor.take(40)
-        cursor.text()
-        cursor.text()
-    elif record.opcode == STATISTICS:
-        cursor.take(42)
-        _rows(cursor, 10)
-    elif record.opcode == METADATA_INDEX:
-        cursor.take(16)
-        cursor.text()
-    elif record.opcode == SUMMARY_OFFSET:
-        cursor.take(17)
+    for part in _STRUCTURES.get(record.opcode, ()):
+        if isinstance(part, int):
+            cursor.take(part)
+        elif part == "text":
+            cursor.text()
+        else:
+            size = cursor.number(4)
+            if size % int(part.removeprefix("rows of ")):
+                raise Bad("its inner lengths do not fit")
+            cursor.take(size)
     cursor.finish()
-
-
-def _rows(cursor: Cursor, width: int) -> None:
-    """A list whose elements are `width` bytes each."""
-    size = cursor.number(4)
-    if size % width:
-        raise Bad("its inner lengths do not fit")
-    cursor.take(size)
 
 
 _LENGTH = rb".{5}\x00{3}"  # below 2^40
