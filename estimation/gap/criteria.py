@@ -1,8 +1,8 @@
 """Every number that decides something in the gap workflow, with its meaning, unit and origin.
 
 A criterion is a number that would change an answer if another sensible value were taken. What only changes rounding or
-working time (secant steps, iterations, the tolerance of the elimination) is a named setting where it is used. The page
-docs/gap-criteria.md is made from this record.
+working time (secant steps, iterations, the tolerance of the elimination) is a named setting where it is used. `make docs`
+writes a page from this record.
 """
 
 from collections.abc import Iterator

@@ -27,7 +27,7 @@ from scipy.linalg import solve_triangular
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
-from estimation.gap.effects.sizes import REFERENCE
+from estimation.gap.effects.catalogue import REFERENCE
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.models.base import Model

@@ -12,8 +12,7 @@ from estimation.aircraft import load_aircraft
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect, EffectParameter
-from estimation.gap.effects.catalogue import built_in
-from estimation.gap.effects.sizes import REFERENCE, at_size_of
+from estimation.gap.effects.catalogue import REFERENCE, at_size_of, built_in
 from estimation.gap.likelihood import baseline as baselines
 from estimation.gap.likelihood.baseline import Baseline, deeper, fit_afresh, fit_baseline, fit_from
 from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
