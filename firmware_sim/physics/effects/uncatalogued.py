@@ -137,16 +137,6 @@ class ShearBurst(_Unlisted):
         m.gust_v = m.gust_v + self.size * getattr(self, "_side", 1.0) * sine * sine
 
 
-class GyroClipping(_Unlisted):
-    """The gyro's range is set too small: rates beyond `size` rad/s are cut off (a smaller size cuts more)."""
-
-    name, title, unit, typical = "gyro_clipping", "gyro cut off at its range", "rad/s", 0.22
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        xp = self.xp
-        s.p, s.q, s.r = (xp.clip(v, -self.size, self.size) for v in (s.p, s.q, s.r))
-
-
 class StaleVane(_Unlisted):
     """The vane's converter delivers a new value only now and then: `size` s between values on average."""
 
@@ -184,15 +174,6 @@ class VaneFriction(_Unlisted):
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
         s.beta = self._rests
-
-
-class BankDependentAccelerometer(_Unlisted):
-    """The accelerometer's mount twists under load: lateral reading picks up an even function of bank and load."""
-
-    name, title, unit, typical = "bank_accelerometer", "lateral accelerometer depends on bank", "1", 0.45
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.ay = s.ay + self.size * GRAVITY * m.c23 * m.c23
 
 
 class AhrsTurnError(_Unlisted):
