@@ -8,12 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.gap.answer.result import GapResult
+from estimation.gap.decision.conclusion import concluded
+from estimation.gap.decision.lineage import turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
-from estimation.gap.likelihood.baseline import fit_baseline
-from estimation.gap.likelihood.channel_noise import (
+from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.fit.channel_noise import (
     bank_error,
     channel_noise,
     filtered_attitudes,
@@ -21,21 +23,16 @@ from estimation.gap.likelihood.channel_noise import (
     sample_interval,
 )
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.candidate_model import with_dormant
-from estimation.gap.records.doubts import doubts_of, refuse_twice
+from estimation.gap.records.candidate_model import stamped_attitudes, with_dormant, with_nuisance
+from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
-from estimation.gap.records.lost_rows import with_lost_rows, without_unseen_moves
-from estimation.gap.records.nuisance import stamped_attitudes, with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
-from estimation.gap.records.sample_faults import sample_notes, stale_channels
-from estimation.gap.records.slow_controls import at_own_rates
+from estimation.gap.records.sampling import at_own_rates, with_lost_rows, without_unseen_moves
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
-from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
-from estimation.gap.tests_of_fit.nulls import input_errors, with_errors
-from estimation.gap.verdict.conclusion import concluded
-from estimation.gap.verdict.turned_signs import turned_signs
+from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
+from estimation.gap.significance.kinematic_check import kinematic_check
+from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.driven import force_states
 from groundstation.flight import Flight

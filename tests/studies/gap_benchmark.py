@@ -21,7 +21,7 @@ import numpy as np
 from estimation.gap.answer.result import GapResult
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.catalogue import plane
-from estimation.gap.tests_of_fit.hypotheses import one_sided
+from estimation.gap.significance.screen import one_sided
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

@@ -12,7 +12,7 @@ from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
-from estimation.gap.pages.residual_maps import AFTER, BEFORE, residual_maps
+from estimation.gap.pages.figures import AFTER, BEFORE, residual_maps
 from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
 from estimation.report.markup.html import write_page
 from estimation.report.names import axis_label, face

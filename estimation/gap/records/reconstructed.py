@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.records.nuisance import carried
+from estimation.gap.records.candidate_model import carried
 from estimation.models.base import InputTransform, Model
 from groundstation.flight import Flight
 

@@ -8,15 +8,15 @@ import numpy as np
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import prior_cost
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.problem import prior_cost
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.search_state import AcceptedEffect, Setting
 from estimation.gap.search.select import Choice
-from estimation.gap.tests_of_fit.calibration import Round, by_name
-from estimation.gap.tests_of_fit.measure import predictive_cost
-from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
-from estimation.gap.tests_of_fit.omnibus import Omnibus
+from estimation.gap.search.state import AcceptedEffect, Setting
+from estimation.gap.significance.calibration import Round, by_name
+from estimation.gap.significance.measure import predictive_cost
+from estimation.gap.significance.measured_again import MeasuredAgain
+from estimation.gap.significance.omnibus import Omnibus
 
 
 def accept(

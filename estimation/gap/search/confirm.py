@@ -14,11 +14,10 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, carried, fit, prior_cost
-from estimation.gap.likelihood.whitening import NoiseModel
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried, fit, prior_cost
+from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, one_sided
-from estimation.gap.tests_of_fit.screen import Screen, equivalent_z
+from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided
 
 FIRST_STEPS = 5  # from every start; the better end goes on
 STEPS = 12  # in all: a candidate that takes more is no explanation anyone would find first

@@ -8,14 +8,14 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import whiteners_for
-from estimation.gap.likelihood.channel_noise import sample_interval
-from estimation.gap.likelihood.fitting import fit, prior_cost
+from estimation.gap.fit.baseline import whiteners_for
+from estimation.gap.fit.channel_noise import sample_interval
+from estimation.gap.fit.problem import fit, prior_cost
+from estimation.gap.records.candidate_model import TIMING
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
-from estimation.gap.records.nuisance import TIMING
 from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_hypothesis, leading
-from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.screen import linear_guess
+from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.screen import linear_guess
 
 OUT_OF_REACH = 30.0  # of the log evidence: a rival so far behind the best so far that no check of it brings back
 AGAIN = 8  # steps from where the first fit ended, with another whitening

@@ -10,9 +10,8 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
-from estimation.gap.tests_of_fit.omnibus import Omnibus, OmnibusSignal
-from estimation.gap.tests_of_fit.screen import Reduced, Screen
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Reduced, Screen
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable
 

@@ -10,7 +10,7 @@ import pytest
 
 from docs.generated_pages import SENSITIVITY, criteria_page, effects_page
 from estimation.gap.criteria import AS_SET, BENCHMARK, Criteria
-from estimation.gap.search.search_state import Options
+from estimation.gap.search.state import Options
 from tests.studies.gap_mutation import Outcome, moved
 from tests.studies.gap_mutation import page as mutation_page
 from tests.studies.gap_sensitivity import cases, summed_up

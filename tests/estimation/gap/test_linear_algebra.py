@@ -6,7 +6,7 @@ import pytest
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.likelihood.whitening import (
+from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
     NoiseSource,
@@ -19,9 +19,8 @@ from estimation.gap.likelihood.whitening import (
 )
 from estimation.gap.search.confirm import leading
 from estimation.gap.search.select import credible_set
-from estimation.gap.tests_of_fit.calibration import upper_quantile
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
-from estimation.gap.tests_of_fit.screen import Reduced, Screen, equivalent_z
+from estimation.gap.significance.calibration import upper_quantile
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Reduced, Screen, equivalent_z
 
 A = NoisePart(NoiseSource.RATE, "a")
 

@@ -10,18 +10,18 @@ import pytest
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Where
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision import beside as beside_shape
+from estimation.gap.decision import conclusion as concluding
+from estimation.gap.decision.conclusion import facts_of, models, told, without_doubted
+from estimation.gap.decision.decide import Decision, with_names
+from estimation.gap.decision.steps import unknown_step
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
-from estimation.gap.search.search_state import AcceptedEffect, Options, SearchState
-from estimation.gap.tests_of_fit.omnibus import Omnibus, OmnibusSignal
-from estimation.gap.verdict import beside_shape
-from estimation.gap.verdict import conclusion as concluding
-from estimation.gap.verdict.conclusion import facts_of, models, told, without_doubted
-from estimation.gap.verdict.decide import Decision, with_names
-from estimation.gap.verdict.steps import unknown_step
+from estimation.gap.search.state import AcceptedEffect, Options, SearchState
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
 from estimation.models.load import load_model
 
 EFFECTS = {e.name: e for e in catalogue()}

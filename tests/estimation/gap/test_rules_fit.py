@@ -10,16 +10,15 @@ from scipy.stats import gumbel_r
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.tests_of_fit.calibration import (
+from estimation.gap.significance.calibration import (
     kinematic_threshold,
     like_the_flights,
     name_threshold,
     null_inflation,
 )
-from estimation.gap.tests_of_fit.hypotheses import HypothesisColumn, one_sided
-from estimation.gap.tests_of_fit.kinematic_check import judged, kinematic_model, null_count
-from estimation.gap.tests_of_fit.measure import Floors
-from estimation.gap.tests_of_fit.omnibus import (
+from estimation.gap.significance.kinematic_check import judged, kinematic_model, null_count
+from estimation.gap.significance.measure import Floors, usual_and_limit
+from estimation.gap.significance.omnibus import (
     OmnibusSignal,
     beside_others,
     follows,
@@ -29,8 +28,7 @@ from estimation.gap.tests_of_fit.omnibus import (
     summed_up,
     window_energy,
 )
-from estimation.gap.tests_of_fit.repeatability import usual_and_limit
-from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen
+from estimation.gap.significance.screen import HypothesisColumn, Projected, Reduced, Screen, one_sided
 
 
 def stub(**fields: Any) -> Any:

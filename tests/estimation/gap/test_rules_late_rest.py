@@ -10,13 +10,12 @@ import pytest
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import Late
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.decide import Decision
+from estimation.gap.decision.followers import SIZE, LateRest, beside_memory, hypothesis_of, significant, stands_out
 from estimation.gap.effects import catalogue
-from estimation.gap.form.memory import Memory
-from estimation.gap.form.places import Place
-from estimation.gap.search.search_state import Options
-from estimation.gap.verdict.decide import Decision
-from estimation.gap.verdict.followers import SIZE, hypothesis_of
-from estimation.gap.verdict.late_rest import LateRest, beside_memory, significant, stands_out
+from estimation.gap.search.state import Options
+from estimation.gap.shapes.lag_swing import Memory
+from estimation.gap.shapes.places import Place
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

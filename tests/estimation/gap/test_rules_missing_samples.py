@@ -9,7 +9,8 @@ from estimation.gap.answer.result import Gap
 from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.whitening import (
+from estimation.gap.decision.unnamed import held_step, judged
+from estimation.gap.fit.spectra import (
     NoisePart,
     NoiseSource,
     Shapes,
@@ -18,7 +19,6 @@ from estimation.gap.likelihood.whitening import (
     spectrum_of,
     whitener,
 )
-from estimation.gap.verdict.held import held_step, judged
 
 COUNT, STEP = 1200, 0.05
 GUST = NoisePart(NoiseSource.RATE, "p")

@@ -11,16 +11,16 @@ from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import Swinging
 from estimation.gap.answer.words import describe_swing
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.decide import Decision, as_unknown
+from estimation.gap.decision.followers import DAMPING as DAMPING_NAME
+from estimation.gap.decision.followers import FREQUENCY, as_fitted, swing_of
+from estimation.gap.decision.unnamed import follower_of
 from estimation.gap.effects import catalogue
-from estimation.gap.form.places import ModelMotion
-from estimation.gap.form.search import ShapeSearch
-from estimation.gap.form.swing import DAMPING, SLOWEST, Swing, find_swing, frequencies, oscillator, rings
-from estimation.gap.likelihood.baseline import fit_baseline
-from estimation.gap.tests_of_fit.calibration import name_threshold, screen_round
-from estimation.gap.verdict.decide import Decision, as_unknown
-from estimation.gap.verdict.followers import DAMPING as DAMPING_NAME
-from estimation.gap.verdict.followers import FREQUENCY, as_fitted, swing_of
-from estimation.gap.verdict.nameless import follower_of
+from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, Swing, find_swing, frequencies, oscillator, rings
+from estimation.gap.shapes.places import ModelMotion
+from estimation.gap.shapes.search import ShapeSearch
+from estimation.gap.significance.calibration import name_threshold, screen_round
 from estimation.gap.workflow import Options, _setting, prepare_flights, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

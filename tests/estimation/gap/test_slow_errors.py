@@ -8,9 +8,7 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.slow_errors import SLOW, slow_errors, without_slow
-from estimation.gap.likelihood.surface_steps import SurfaceSteps, loosened
-from estimation.gap.likelihood.whitening import (
+from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
     NoiseSource,
@@ -19,6 +17,7 @@ from estimation.gap.likelihood.whitening import (
     shapes_of,
     whitener,
 )
+from estimation.gap.fit.surface_steps import SLOW, SurfaceSteps, loosened, slow_errors, without_slow
 from estimation.models.base import Model, Parameter, Signal
 
 COUNT, STEP = 600, 0.05

@@ -1,0 +1,135 @@
+"""Names beside a shape: effects of the catalogue that could not be told while something without a name stood over them.
+
+A name has to gain most of what the best nameless term does, so that what has no name is not given one. Where a shape has been
+found for it, it is explained: the rounds are gone through once more about the model with the shape, and where they name something
+the shape is sought again beside these names, so that it is fitted to what they leave. What was no effect of the catalogue by
+itself may be one beside these names: the rounds are gone through about them without the shape, too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from estimation.gap.answer.result import Rejected
+from estimation.gap.decision.decide import Decision
+from estimation.gap.decision.unnamed import searched
+from estimation.gap.errors import GapError
+from estimation.gap.fit.baseline import Baseline, fit_baseline
+from estimation.gap.search.rounds import run_rounds
+from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
+from estimation.gap.shapes.increment import fit_increment
+from estimation.gap.shapes.lag_swing import Swing
+from estimation.gap.shapes.search import CoefficientShape, ShapeSearch
+from estimation.gap.significance.calibration import Round
+
+
+@dataclass(frozen=True)
+class ShapeContinuation:
+    """findings: of the rounds about the model with the shape; round_: the last of them. standing: the model with the names and
+    without the shape; found: the shape about that."""
+
+    findings: tuple[AcceptedEffect, ...]
+    round_: Round
+    standing: Baseline
+    found: ShapeSearch
+    rejected: tuple[Rejected, ...]
+
+
+def names_beside(
+    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+) -> ShapeContinuation | None:
+    """Effects that stand beside a shape found about `standing`, or beside one found with the names that a rest outweighs.
+
+    None where there is none, or the shape does not stand beside them.
+    """
+    room = setting.options.most - decision.kept
+    if room <= 0:
+        return None
+    try:
+        shape, child = _shaped(setting, search, standing, found, decision)
+        if shape is None or child is None:
+            return None
+        setting.tell("names beside the shape", 0.93)
+        options = replace(setting.options, most=room)
+        more = run_rounds(
+            replace(setting, working=child.model, clean=child.clean, options=options, tell=_silent), child
+        )
+        if not more.findings:
+            return None
+        bare = replace(setting, working=standing.model, clean=standing.clean)
+        without = afresh_with(bare, more.findings, more.findings[-1].child)
+        if without is None:
+            return None
+        again = searched(setting, search, setting.screened(without, len(search.rounds)), decision)
+    except GapError:  # a motion that cannot be linearised: what was found before stands
+        return None
+    if again.shape is None or again.shape.fitted.increment.place != shape.fitted.increment.place:
+        return None
+    return ShapeContinuation(more.findings, more.rounds[-1], without, again, more.rejected)
+
+
+def _shaped(
+    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+) -> tuple[CoefficientShape | None, Baseline | None]:
+    """A shape and the standing model with it.
+
+    Where a rest outweighs names of which it is no part, neither closes the gap alone: the shape is sought about the model with
+    them, and put into the one without.
+    """
+    if found.shape is not None:
+        return found.shape, found.shape.measured.child
+    if decision.kept == len(search.findings) or isinstance(found.follower, Swing):
+        return None, None
+    shape = searched(setting, search, search.rounds[-1], decision).shape
+    fitted = None if shape is None else fit_increment(standing, shape.fitted.increment)
+    if fitted is None:
+        return None, None
+    model, clean = fitted.problem.model, standing.clean
+    return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
+
+
+def in_its_place(
+    setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], beside: ShapeContinuation
+) -> SearchState | None:
+    """The search in which, with the names that stood beside a shape, the rounds name what the shape stood for; None where they
+    name nothing. Of two effects that are missing each can be too much of a rest for the other to be named beside it."""
+    standing, before = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
+    room = setting.options.most - len(kept) - len(beside.findings)
+    if room <= 0:
+        return None
+    setting.tell("a name in place of the shape", 0.94)
+    options = replace(setting.options, most=room)
+    about = replace(setting, working=standing.model, clean=standing.clean, options=options, tell=_silent)
+    try:
+        more = run_rounds(about, standing)
+    except GapError:  # a motion that cannot be linearised: the shape stands
+        return None
+    if not more.findings:
+        return None
+    without = _without_shape(setting, before, beside)
+    if without is None:
+        return None
+    return SearchState(
+        (*kept, *without, *more.findings),
+        (*search.rounds, *more.rounds),
+        more.omnibus,
+        (*search.rejected, *beside.rejected, *more.rejected),
+    )
+
+
+def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation) -> list[AcceptedEffect] | None:
+    """The findings beside a shape, each held against the model `before` it and those before without the shape; None where the
+    motion runs away."""
+    bare = replace(setting, working=before.model, clean=before.clean)
+    made: list[AcceptedEffect] = []
+    for count, finding in enumerate(beside.findings, 1):
+        whole = count == len(beside.findings)
+        child = beside.standing if whole else afresh_with(bare, beside.findings[:count], finding.child)
+        if child is None:
+            return None
+        # whether a shape explains more than it was asked about another model
+        made.append(replace(finding, parent=made[-1].child if made else before, child=child, doubted=False))
+    return made
+
+
+def _silent(what: str, share: float) -> None:
+    """Rounds within a share of the progress that is told already."""
