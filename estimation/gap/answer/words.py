@@ -1,10 +1,9 @@
 """The verdict in words a flight-test engineer can act on."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import EffectStep, GapVerdict
-from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
+from estimation.gap.answer.shape import TURN, Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -15,7 +14,6 @@ EXAMPLES = (
     "aileron_delay",
     "p_sin_alpha",
 )  # of sizes that would have been seen
-TURN = 2.0 * math.pi
 FEW, NAMES, MANOEUVRES = 4, 8, 3  # examples, effects and manoeuvres in one paragraph; the JSON file has all
 
 
@@ -53,23 +51,23 @@ def describe_unknown(step: EffectStep) -> str:
     text = (
         f"Something the catalogue does not hold: {place}{when}. No name is given, because none explains enough of it."
     )
-    if isinstance(step.shape, Late):
+    if isinstance(step.shape, LaggedTerm):
         s = step.shape
         text += (
-            f" No function of the motion closes the gap either; a part of {s.output} that follows {s.variable} some {s.time:g} s "
+            f" No function of the motion closes the gap either; a part of {s.line} that follows {s.variable} some {s.time:g} s "
             f"late gains (score {s.score:.1f} against {s.threshold:.1f})."
         )
-    if isinstance(step.shape, Swinging):
+    if isinstance(step.shape, SwingingTerm):
         text += f" {describe_swing(step.shape)}"
     return text
 
 
-def describe_swing(swing: Swinging) -> str:
+def describe_swing(swing: SwingingTerm) -> str:
     """What swings, how fast, and what may be looked at."""
     hertz, std = swing.frequency / TURN, swing.frequency_std
     fast = f"{hertz:.2g} Hz" if std is None else f"{hertz:.3g} +- {std / TURN:.1g} Hz"
     return (
-        f"A part of {swing.output} that goes on swinging at {fast} with a damping of {swing.damping:.2g}, driven by "
+        f"A part of {swing.line} that goes on swinging at {fast} with a damping of {swing.damping:.2g}, driven by "
         f"{' and '.join(swing.by)}, gains (score {swing.score:.1f} against {swing.threshold:.1f}): look for what can move or "
         "bend in the airframe at that frequency (tap it, fly it with the tank full and empty, film it)."
     )

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.gap.answer.result import Rejected
+from estimation.gap.answer.shape import SwingingTerm
 from estimation.gap.decision.decide import Decision
 from estimation.gap.decision.unnamed import searched
 from estimation.gap.errors import GapError
@@ -17,7 +18,6 @@ from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.shapes.increment import fit_increment
-from estimation.gap.shapes.lag_swing import Swing
 from estimation.gap.shapes.search import CoefficientShape, ShapeSearch
 from estimation.gap.significance.calibration import Round
 
@@ -77,7 +77,7 @@ def _shaped(
     """
     if found.shape is not None:
         return found.shape, found.shape.measured.child
-    if decision.kept == len(search.findings) or isinstance(found.follower, Swing):
+    if decision.kept == len(search.findings) or isinstance(found.follower, SwingingTerm):
         return None, None
     shape = searched(setting, search, search.rounds[-1], decision).shape
     fitted = None if shape is None else fit_increment(standing, shape.fitted.increment)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
-from estimation.gap.answer.shape import HeldInstrument, Late, Swinging
+from estimation.gap.answer.shape import HeldInstrument, LaggedTerm, SwingingTerm
 from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside
@@ -37,7 +37,6 @@ from estimation.gap.decision.steps import (
 from estimation.gap.decision.unnamed import (
     event_step,
     floor_about,
-    follower_of,
     happened,
     held_back,
     held_step,
@@ -119,7 +118,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         decision, unnamed = as_unknown(decision), held_step(held, Gap(left, left, floor.training_median))
     after = standing if found.shape is None else found.shape.measured.child
     named = [sized(s, f, after) for s, f in zip(named, kept, strict=False)]
-    steps = told(decision, named, rest, check, left, floor, unnamed, follower_of(found))
+    steps = told(decision, named, rest, check, left, floor, unnamed, found.follower)
     seen = views(first.baseline, after, prepared, after is not first.baseline)
     detectable = detectable_sizes(last)
     repeats = repeatability(last, prepared.names)
@@ -264,7 +263,7 @@ def told(
     left: float,
     floor: Floors,
     unnamed: EffectStep | None = None,
-    late: Late | Swinging | None = None,
+    late: LaggedTerm | SwingingTerm | None = None,
 ) -> tuple[EffectStep, ...]:
     """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict.
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from estimation.gap.answer.result import GapVerdict
+from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.decide import Decision
 from estimation.gap.decision.unnamed import standing_round
@@ -22,14 +23,14 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.search.accept import own_inflation
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
-from estimation.gap.shapes.lag_swing import Memory, Swing, find_memory, find_swing, rings
+from estimation.gap.shapes.lag_swing import find_memory, find_swing, rings
 from estimation.gap.shapes.places import ModelMotion, places_of
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.screen import Hypothesis
 from estimation.models.base import Signal
 
-Follower = Memory | Swing
+Follower = LaggedTerm | SwingingTerm
 SIZE, FOLLOWER = "nameless_late", "nameless_follower"
 SWING, FREQUENCY, DAMPING = "nameless_swing", "nameless_frequency", "nameless_damping"
 LEAST_DAMPING, MOST_DAMPING = 0.005, 1.0
@@ -39,12 +40,12 @@ NEAR_LIMIT = 1.01  # times a limit: stopped there by it
 
 def hypothesis_of(follower: Follower, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """What a lag or a swing adds to its coefficient, and where its fit begins."""
-    return lag_of(follower, flown) if isinstance(follower, Memory) else swing_of(follower, flown)
+    return lag_of(follower, flown) if isinstance(follower, LaggedTerm) else swing_of(follower, flown)
 
 
-def lag_of(memory: Memory, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
+def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """How far a first-order lag of a variable is behind it."""
-    line, variable = memory.place.line, memory.place.variable
+    line, variable = memory.line, memory.variable
     usual = flown.scale[line] / flown.reach(variable)
     form = Form(
         SIZE,
@@ -57,7 +58,7 @@ def lag_of(memory: Memory, flown: ModelMotion) -> tuple[Hypothesis, dict[str, fl
     return _unnamed(f"{line} late after {variable}", form), {SIZE: 0.0}
 
 
-def swing_of(swing: Swing, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
+def swing_of(swing: SwingingTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """What an oscillator makes of accelerations; its frequency and damping are unknowns too."""
     sizes = {f"{SWING}_{a}": size for a, size in swing.by.items()}
     usual = {f"{SWING}_{a}": flown.scale[swing.line] / flown.reach(a) for a in swing.by}
@@ -107,7 +108,7 @@ def stands(follower: Follower, baseline: Baseline, found: ModelFit, seed: int) -
 def as_fitted(follower: Follower, found: ModelFit, criteria: Criteria) -> Follower | None:
     """A lag as it is, a swing with what was fitted; none where that does not ring, or where a limit stopped it: a tone that never
     dies is driven by nothing, and one that is elsewhere than it was found is another."""
-    if not isinstance(follower, Swing) or found.diverged:
+    if not isinstance(follower, SwingingTerm) or found.diverged:
         return follower
     fitted = _with_bounds(follower, found.values, found.std())
     moved = max(fitted.frequency / follower.frequency, follower.frequency / fitted.frequency)
@@ -115,7 +116,7 @@ def as_fitted(follower: Follower, found: ModelFit, criteria: Criteria) -> Follow
     return fitted if inside and rings(fitted.damping, criteria) else None
 
 
-def _with_bounds(swing: Swing, values: Mapping[str, float], std: Mapping[str, float]) -> Swing:
+def _with_bounds(swing: SwingingTerm, values: Mapping[str, float], std: Mapping[str, float]) -> SwingingTerm:
     return replace(
         swing,
         by={a: float(values[f"{SWING}_{a}"]) for a in swing.by},

@@ -183,9 +183,9 @@ def equation_of(form: Form) -> str:
     return ", ".join(named) or ", ".join(p.name for p in form.parameters)
 
 
-def locate(parent: Baseline, child: Baseline, form: Form) -> Where:
-    """Where the child explains what the parent could not. Segments count from each flight's own clock; those of the first
-    training flight that shows the effect are given."""
+def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
+    """Where the child explains what the parent could not, in an equation. Segments count from each flight's own clock; those of
+    the first training flight that shows the effect are given."""
     scatter = parent.scatter
     outputs = child.model.output_names
     gain = [
@@ -196,7 +196,7 @@ def locate(parent: Baseline, child: Baseline, form: Form) -> Where:
     order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), criteria)
     spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), criteria) for i, g in enumerate(gain)]
     return Where(
-        equation=equation_of(form),
+        equation=equation,
         channels=tuple(outputs[i] for i in order),
         segments=tuple(spans[int(np.argmax([len(s) for s in spans]))][:SPANS]),
         regime=regime(signals_of(child), np.concatenate([g.sum(axis=1) for g in gain]), criteria),

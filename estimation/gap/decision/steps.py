@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from estimation.gap.answer.result import EffectStep, Gap, Migration, Tie, Weighed, Where
 from estimation.gap.criteria import Criteria
-from estimation.gap.decision.location import SPANS, locate
+from estimation.gap.decision.location import SPANS, equation_of, locate
 from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.problem import fit
@@ -20,7 +20,7 @@ from estimation.gap.search.accept import by_timing
 from estimation.gap.search.select import credible_set
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measure import Floors, rms_over_noise
+from estimation.gap.significance.measure import Floors, gaps
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.models.base import ParameterRole
 
@@ -65,16 +65,7 @@ def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: fl
     members.sort(key=lambda m: m[0] != effect.name)
     followed = followed_by_timing(finding)
     parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child
-    held_before, held_after = parent.held_out, child.held_out
-    scatter = setting.scatter
-    gap = Gap(
-        rms_over_noise(parent.problem, parent.fit, scatter),
-        rms_over_noise(child.problem, child.fit, scatter),
-        floor.training_median,
-    )
-    held = None
-    if held_before is not None and held_after is not None and floor.holdout_median is not None:
-        held = Gap(rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median)
+    gap, held = gaps(parent, child, floor)
     titles = {e.name: e for e in setting.effects}
     return EffectStep(
         effect=effect.name, title=effect.title, form=form.label,
@@ -84,7 +75,7 @@ def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: fl
         estimates={},
         units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
-        where=locate(parent, child, form),
+        where=locate(parent, child, equation_of(form)),
         gap=gap, holdout=held, migrated=migrated(parent, child), absorbed=_absorbed(finding),
         equation=form.equation or effect.equation, practical=practical(parent, child), followed=followed,
     )  # fmt: skip

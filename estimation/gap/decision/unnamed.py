@@ -11,10 +11,10 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Rejected, Where
-from estimation.gap.answer.shape import Alike, EventReport, Happened, HeldInstrument, Late, ShapeCurve, Swinging
+from estimation.gap.answer.shape import Alike, EventReport, Happened, HeldInstrument, ShapeCurve
 from estimation.gap.criteria import Criteria
 from estimation.gap.decision.decide import Decision
-from estimation.gap.decision.location import SPANS, channels_that_gain, regime, signals_of, spans_of
+from estimation.gap.decision.location import SPANS, locate
 from estimation.gap.decision.steps import UNKNOWN
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.errors import GapError
@@ -23,7 +23,6 @@ from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.formulas import Plain
 from estimation.gap.shapes.increment import FittedIncrement
-from estimation.gap.shapes.lag_swing import Swing
 from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, Tried, find_shape
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, floors
@@ -73,30 +72,18 @@ def shaped_step(
     shape: CoefficientShape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]
 ) -> EffectStep:
     """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
-    child = shape.measured.child
-    gain = [
-        np.nan_to_num((p / baseline.scatter) ** 2 - (c / baseline.scatter) ** 2)
-        for p, c in zip(baseline.fit.residuals, child.fit.residuals, strict=True)
-    ]
-    where = regime(signals_of(child), np.concatenate([g.sum(axis=1) for g in gain]), child.criteria)
+    where = locate(baseline, shape.measured.child, shape.fitted.increment.place.line)
     formulas = [formula for formula, _ in shape.plain]
-    known = alike(formulas, shape.fitted.increment.place.line, baseline.clean, setting.effects, rejected)
-    curve = curve_of(shape, setting, where, known)
-    order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), child.criteria)
-    spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), child.criteria) for i, g in enumerate(gain)]
-    names = child.model.output_names
+    known = alike(formulas, where.equation, baseline.clean, setting.effects, rejected)
+    curve = curve_of(shape, setting, where.regime, known)
     return EffectStep(
         effect="unknown", title=UNNAMED if known else UNKNOWN, form="", confidence=0.0, members=(),
-        separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold,
-        where=Where(
-            curve.output, tuple(names[i] for i in order), tuple(spans[int(np.argmax([len(s) for s in spans]))][:SPANS]),
-            curve.regime,
-        ),
+        separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold, where=where,
         gap=shape.measured.gap, holdout=shape.measured.holdout, migrated={}, shape=curve,
     )  # fmt: skip
 
 
-def curve_of(shape: CoefficientShape, setting: Setting, where: str, known: tuple[Alike, ...]) -> ShapeCurve:
+def curve_of(shape: CoefficientShape, setting: Setting, regime: str, known: tuple[Alike, ...]) -> ShapeCurve:
     increment = shape.fitted.increment
     place, flown = increment.place, increment.flown
     child = shape.measured.child
@@ -116,7 +103,7 @@ def curve_of(shape: CoefficientShape, setting: Setting, where: str, known: tuple
             for f in shape.rivals
         ),
         left_out=tuple((setting.prepared.names[o.flight], o.inside, o.gain) for o in shape.others),
-        regime=where,
+        regime=regime,
         separate_by=SLOW_SWEEP.format(x=place.variable, low=flown.low, high=flown.high, unit=unit), alike=known,
     )  # fmt: skip
 
@@ -127,14 +114,6 @@ def _candidate(plain: Plain, closed: float, good: bool) -> tuple[str, dict[str, 
 
 def _unit(model: Model, variable: str) -> str:
     return next((s.unit for s in (*model.states, *model.inputs, *model.outputs) if s.name == variable), "1")
-
-
-def follower_of(found: ShapeSearch) -> Late | Swinging | None:
-    """A lag or a swing as the answer tells it."""
-    f = found.follower
-    if isinstance(f, Swing):
-        return Swinging(f.line, f.by, f.frequency, f.damping, f.frequency_std, f.damping_std, f.score, f.threshold)
-    return None if f is None else Late(f.place.line, f.place.variable, f.time, f.score, f.threshold)
 
 
 def why_not(tried: Tried) -> str:

@@ -8,7 +8,7 @@ what only they do is to go on at their own frequency when the aircraft has stopp
 lag does that, so it is asked by itself: an oscillator at every one of some frequencies, driven by all accelerations of the model.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
@@ -18,6 +18,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
+from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place
 from estimation.gap.shapes.ranking import ranked
@@ -28,21 +29,6 @@ from estimation.gap.significance.tangent import Tangent
 TIMES = (0.05, 0.1, 0.2, 0.5, 1.0)  # s, each twice the one before or so: signatures of neighbours are much alike
 
 
-@dataclass(frozen=True)
-class Memory:
-    """A coefficient that follows a variable with a lag. gain: twice the log-likelihood by linear theory."""
-
-    place: Place
-    time: float
-    gain: float
-    score: float
-    threshold: float
-
-    @property
-    def words(self) -> str:
-        return f"{self.place.line} follows {self.place.variable} some {self.time:g} s late"
-
-
 def late(course: Array, time: Array, memory: float) -> Array:
     """(N,) how far a first-order lag [s] of a course (N,) is behind it, begun at rest."""
     keep = float(np.exp(-np.median(np.diff(time)) / memory))
@@ -50,7 +36,7 @@ def late(course: Array, time: Array, memory: float) -> Array:
     return np.asarray(follower - course)
 
 
-def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Memory | None:
+def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
     """The place and time constant that gain most by linear theory, where they stand out of the nulls."""
     asked = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
 
@@ -65,7 +51,10 @@ def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> M
     if not result.order:
         return None
     best = result.order[0]
-    return Memory(*asked[best], float(result.gains[best]), float(result.scores[best]), result.threshold)
+    place, time = asked[best]
+    return LaggedTerm(
+        place.line, place.variable, time, float(result.gains[best]), float(result.scores[best]), result.threshold
+    )
 
 
 SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
@@ -75,27 +64,6 @@ DAMPING = 0.1
 AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid, then looked at
 DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more unknown
-
-
-@dataclass(frozen=True)
-class Swing:
-    """A coefficient that an oscillator adds to. line: of the coefficient; by: acceleration -> part of the coefficient that it
-    makes when it is steady [s2/m, s2]; frequency: rad/s, without damping; damping: of critical; both with their standard
-    deviation once they are fitted. gain: twice the log-likelihood by linear theory, less what chance makes of the unknowns."""
-
-    line: str
-    by: Mapping[str, float]
-    frequency: float
-    damping: float
-    gain: float
-    score: float
-    threshold: float
-    frequency_std: float | None = None
-    damping_std: float | None = None
-
-    @property
-    def words(self) -> str:
-        return f"{self.line} swings at {self.frequency / (2.0 * np.pi):.2g} Hz as {' and '.join(self.by)} drive it"
 
 
 @dataclass(frozen=True)
@@ -148,7 +116,7 @@ def frequencies(time: Array) -> Array:
     return np.asarray(SLOWEST * APART ** np.arange(count + 1))
 
 
-def find_swing(flown: ModelMotion, round_: Round) -> Swing | None:
+def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
     """The coefficient and frequency that gain most by linear theory, where they stand out of the nulls and it rings.
 
     What follows the accelerations and their rates at once is taken out before: an oscillator faster than the motion does no more.
@@ -181,7 +149,7 @@ def find_swing(flown: ModelMotion, round_: Round) -> Swing | None:
     whole = finer.with_what_follows(line)
     needed = _needed(whole, span)
     sizes = solved(whole.B[np.ix_(needed, needed)], whole.b[needed, 0])
-    return Swing(
+    return SwingingTerm(
         line,
         {finer.asks[k].by: float(x) / flown.reach(finer.asks[k].by) for k, x in zip(needed, sizes, strict=True)},
         float(frequency),

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from estimation.gap.answer.result import Gap
+from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
@@ -22,11 +23,11 @@ from estimation.gap.shapes.increment import (
     left_out,
     refitted_with,
 )
-from estimation.gap.shapes.lag_swing import Memory, Swing, find_memory, find_swing
+from estimation.gap.shapes.lag_swing import find_memory, find_swing
 from estimation.gap.shapes.places import ModelMotion, Place, places_of, products_of
 from estimation.gap.shapes.ranking import Ranked, rank
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.measure import Floors, rms_over_noise
+from estimation.gap.significance.measure import Floors, gaps
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.nulls import InputErrors
 from estimation.gap.significance.omnibus import examine
@@ -114,7 +115,7 @@ class ShapeSearch:
 
     shape: CoefficientShape | None
     tried: tuple[Tried, ...]
-    follower: Memory | Swing | None = None
+    follower: LaggedTerm | SwingingTerm | None = None
 
 
 def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
@@ -218,27 +219,18 @@ def _measured(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> 
 
 
 def _measure(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> Measured | None:
-    scatter = baseline.scatter
-    child = fit_baseline(fitted.problem.model, baseline.clean, task.prepared, scatter, fitted.fit, baseline.noise)
+    child = fit_baseline(
+        fitted.problem.model, baseline.clean, task.prepared, baseline.scatter, fitted.fit, baseline.noise
+    )
     own = task.screened(child)
     same = refitted_with(baseline.problem, baseline.fit, child)
     if same[1].diverged:
         return None
     floor = task.floors(own)
-    gap = Gap(
-        rms_over_noise(baseline.problem, baseline.fit, scatter),
-        rms_over_noise(child.problem, child.fit, scatter),
-        floor.training_median,
-    )
-    before, after = baseline.held_out, child.held_out
-    held = None
-    if before is not None and after is not None and floor.holdout_median is not None:
-        held = Gap(rms_over_noise(*before, scatter), rms_over_noise(*after, scatter), floor.holdout_median)
     return Measured(
         child,
         own,
-        gap,
-        held,
+        *gaps(baseline, child, floor),
         asked(*same, baseline, child.noise),
         asked(child.problem, child.fit, child, child.noise),
         floor_energy(child, task.errors, task.seed),

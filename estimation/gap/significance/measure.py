@@ -11,6 +11,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
+from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
@@ -108,6 +109,21 @@ class Floors:
     @property
     def holdout_median(self) -> float | None:
         return float(np.median(self.holdout)) if self.holdout.size else None
+
+
+def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | None]:
+    """Gap of two fitted models on the training flights, and on the held-out ones where there are any."""
+    scatter, held_before, held_after = after.scatter, before.held_out, after.held_out
+    training = Gap(
+        rms_over_noise(before.problem, before.fit, scatter),
+        rms_over_noise(after.problem, after.fit, scatter),
+        floor.training_median,
+    )
+    if held_before is None or held_after is None or floor.holdout_median is None:
+        return training, None
+    return training, Gap(
+        rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median
+    )
 
 
 def floors(

@@ -100,23 +100,17 @@ TINY = 1e-300  # keeps a column without length from dividing by zero
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """Gram matrix of one record's whitened columns [shared | hypotheses | residuals], local unknowns eliminated."""
-
-    gram: Array
-
-
-@dataclass(frozen=True)
 class Screen:
-    """The linearised problem. shared: (n,) names; columns: of the hypotheses; reduced: per record; prior: Gram matrix of
-    the shared priors, of the same size."""
+    """The linearised problem. shared: (n,) names; columns: of the hypotheses; grams: per record, of whitened columns [shared |
+    hypotheses | residuals] with what is the record's own eliminated; prior: of the shared priors, of the same size; flights: of
+    each record."""
 
     shared: tuple[str, ...]
     hypotheses: tuple[Hypothesis, ...]
     columns: tuple[HypothesisColumn, ...]
-    reduced: tuple[Reduced, ...]
+    grams: tuple[Array, ...]
     prior: Array
-    flights: tuple[int, ...]  # of each record
+    flights: tuple[int, ...]
 
     @property
     def n(self) -> int:
@@ -128,7 +122,7 @@ class Screen:
 
     def total(self, flights: Sequence[int] | None = None) -> Array:
         """Sum of the Gram matrices of the records of `flights` (default all), with the priors."""
-        grams = [r.gram for r, f in zip(self.reduced, self.flights, strict=True) if flights is None or f in flights]
+        grams = [gram for gram, f in zip(self.grams, self.flights, strict=True) if flights is None or f in flights]
         return np.sum(grams, axis=0) + self.prior
 
     def projected(self, flights: Sequence[int] | None = None) -> "Projected":
@@ -139,8 +133,7 @@ class Screen:
         """The same with some of the residual columns behind the data's. kept: (nulls,)."""
         index = np.flatnonzero(np.concatenate([np.ones(self.n + self.k + 1, dtype=bool), kept]))
         pick = np.ix_(index, index)
-        reduced = tuple(Reduced(r.gram[pick]) for r in self.reduced)
-        return replace(self, reduced=reduced, prior=self.prior[pick])
+        return replace(self, grams=tuple(gram[pick] for gram in self.grams), prior=self.prior[pick])
 
     def cross_gain(self, hypothesis: int, column: int = 0) -> float | None:
         """Twice the log-likelihood gained on each flight by a hypothesis fitted to all the others, summed; linear theory.
@@ -227,9 +220,9 @@ def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
             columns.append(HypothesisColumn(len(kept), parameter))
             changes.append(change or [])
         kept.append(hypothesis)
-    reduced = tuple(Reduced(tangent.record(i).gram_with([c[i] for c in changes])) for i in range(len(problem.records)))
-    prior = shared_prior(problem, fit, reduced[0].gram.shape[0], len(columns))
-    return Screen(problem.free, tuple(kept), tuple(columns), reduced, prior, tuple(r.flight for r in problem.records))
+    grams = tuple(tangent.record(i).gram_with([c[i] for c in changes]) for i in range(len(problem.records)))
+    prior = shared_prior(problem, fit, grams[0].shape[0], len(columns))
+    return Screen(problem.free, tuple(kept), tuple(columns), grams, prior, tuple(r.flight for r in problem.records))
 
 
 def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -> Array:

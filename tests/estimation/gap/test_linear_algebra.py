@@ -20,7 +20,7 @@ from estimation.gap.fit.spectra import (
 from estimation.gap.search.confirm import leading
 from estimation.gap.search.select import credible_set
 from estimation.gap.significance.calibration import upper_quantile
-from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Reduced, Screen, equivalent_z
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen, equivalent_z
 
 A = NoisePart(NoiseSource.RATE, "a")
 
@@ -102,7 +102,7 @@ def test_what_is_known_of_a_control_is_not_estimated_and_what_else_there_is_is_n
 
 def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
     columns = tuple(HypothesisColumn(i, None) for i in range(k))  # type: ignore[arg-type]
-    reduced = tuple(Reduced(r.T @ r) for r in rows)
+    reduced = tuple(r.T @ r for r in rows)
     size = rows[0].shape[1]
     return Screen(tuple(f"t{i}" for i in range(n)), (None,) * k, columns, reduced, np.zeros((size, size)), flights)  # type: ignore[arg-type]
 
@@ -167,7 +167,7 @@ def test_plays_and_lags_of_the_air_get_a_full_fit_whatever_a_small_step_says() -
     hypotheses = tuple(Hypothesis(e, f) for e in catalogue() for f in e.forms)
     columns = tuple(HypothesisColumn(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
     k = len(columns)
-    screen = Screen((), hypotheses, columns, (Reduced(np.eye(k + 1)),), np.zeros((k + 1, k + 1)), (0,))
+    screen = Screen((), hypotheses, columns, (np.eye(k + 1),), np.zeros((k + 1, k + 1)), (0,))
     plays = {  # and the lag
         h
         for h, x in enumerate(hypotheses)

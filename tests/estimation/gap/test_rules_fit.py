@@ -28,7 +28,7 @@ from estimation.gap.significance.omnibus import (
     summed_up,
     window_energy,
 )
-from estimation.gap.significance.screen import HypothesisColumn, Projected, Reduced, Screen, one_sided
+from estimation.gap.significance.screen import HypothesisColumn, Projected, Screen, one_sided
 
 
 def stub(**fields: Any) -> Any:
@@ -63,7 +63,7 @@ def test_a_screen_without_some_nulls_is_what_it_would_have_been_without_them() -
     parameter = EffectParameter("x", "1", 1.0, -9.0, 9.0)
     hypotheses = (HypothesisColumn(0, parameter), HypothesisColumn(1, parameter))
     whole, fewer = (
-        Screen(("a", "b", "c"), (), hypotheses, (Reduced(c.T @ c),), np.eye(c.shape[1]), (0,))
+        Screen(("a", "b", "c"), (), hypotheses, (c.T @ c,), np.eye(c.shape[1]), (0,))
         for c in (columns, columns[:, index])
     )
     np.testing.assert_allclose(whole.with_nulls(kept).projected().scores(), fewer.projected().scores(), rtol=1e-12)

@@ -22,7 +22,7 @@ from estimation.gap.decision.steps import (
     worth_in_words,
 )
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Reduced, Screen
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen
 
 
 def stub(**fields: Any) -> Any:
@@ -179,7 +179,7 @@ def asked(gram: np.ndarray, tied_to: tuple[str, ...] = ()) -> Any:  # type: igno
         effect = Effect("abc"[h], "", Group.SENSOR, "", "", "", "", {}, "", (form,), tied_to=tied_to)
         columns.append(HypothesisColumn(h, parameter))
         hypotheses.append(Hypothesis(effect, form))
-    screen = Screen((), tuple(hypotheses), tuple(columns), (Reduced(gram),), np.zeros_like(gram), (0,))
+    screen = Screen((), tuple(hypotheses), tuple(columns), (gram,), np.zeros_like(gram), (0,))
     return stub(screen=screen, inflation=np.ones(len(hypotheses)), threshold=4.0, criteria=AS_SET)
 
 
