@@ -9,10 +9,16 @@ itself may be one beside these names: the rounds are gone through about them wit
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from estimation.gap.answer.result import Rejected
+from estimation.gap.answer.result import EffectStep, Rejected
 from estimation.gap.answer.shape import SwingingTerm
-from estimation.gap.decision.decide import Decision
-from estimation.gap.decision.unnamed import searched
+from estimation.gap.criteria import Criteria
+from estimation.gap.decision.decide import (
+    Decision,
+    as_unknown,
+)
+from estimation.gap.decision.unnamed import (
+    searched,
+)
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.search.rounds import run_rounds
@@ -133,3 +139,41 @@ def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation
 
 def _silent(what: str, share: float) -> None:
     """Rounds within a share of the progress that is told already."""
+
+
+def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
+    """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
+    closed = name.gap.closed if name.holdout is None else name.holdout.closed
+    return shape.measured.closed >= closed - criteria.form_equal
+
+
+def without_doubted(
+    setting: Setting,
+    search: SearchState,
+    kept: Sequence[AcceptedEffect],
+    named: Sequence[EffectStep],
+    decision: Decision,
+) -> tuple[Decision, tuple[AcceptedEffect, ...], Baseline, ShapeSearch, ShapeContinuation | None] | None:
+    """A shape in place of the first name that it explains more than: the decision, the names before it, the model with these, the
+    shape and what stands beside it. None where there is no such name, or names found after it do not stand beside it."""
+    number = next((k for k, f in enumerate(kept) if f.doubted), None)
+    if number is None:
+        return None
+    about = kept[number].round_
+    again = searched(setting, search, about, as_unknown(decision))
+    if again.shape is None or not as_good(again.shape, named[number], setting.options.criteria):
+        return None
+    without = without_name(decision, kept[number], number, again.shape)
+    beside = names_beside(setting, search, about.baseline, again, without)
+    found = {f.candidate.hypothesis.effect.name for f in beside.findings} if beside is not None else set()
+    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= found:
+        return None
+    return without, tuple(kept[:number]), about.baseline, again, beside
+
+
+def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
+    """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
+    place = shape.fitted.increment.place.words
+    why = f"a smooth function without a name ({place}) explains clearly more than this form of it"
+    effect = finding.candidate.hypothesis.effect.name
+    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, why)))

@@ -1,15 +1,14 @@
 """From the state of the search to the answer: facts, decision, steps, models before and after, histories for pictures."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.gap.answer.result import EffectStep, Gap, GapResult, GapVerdict, Histories, Rejected
-from estimation.gap.answer.shape import HeldInstrument, LaggedTerm, SwingingTerm
+from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, SwingingTerm
 from estimation.gap.answer.words import conclude, describe_step
-from estimation.gap.criteria import Criteria
-from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside
+from estimation.gap.decision.beside import ShapeContinuation, in_its_place, names_beside, without_doubted
 from estimation.gap.decision.decide import (
     Decision,
     Named,
@@ -21,7 +20,7 @@ from estimation.gap.decision.decide import (
     with_shape,
 )
 from estimation.gap.decision.followers import beside_memory, late_rest, settled
-from estimation.gap.decision.lineage import fitted
+from estimation.gap.decision.lineage import models
 from estimation.gap.decision.location import views
 from estimation.gap.decision.steps import (
     detectable_sizes,
@@ -43,19 +42,17 @@ from estimation.gap.decision.unnamed import (
     searched,
     shaped_step,
     standing_round,
-    why_not,
 )
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
-from estimation.gap.shapes.search import CoefficientShape, ShapeSearch
+from estimation.gap.shapes.search import ShapeSearch
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.kinematic_check import KinematicCheck
 from estimation.gap.significance.measure import Floors, repeatability, rms_over_noise
 from estimation.gap.significance.omnibus import Omnibus, examine
-from estimation.models.base import Model
 
 BAND = 20  # nulls from which the band of the floor in pictures is taken
 NOT_SEARCHED = ShapeSearch(None, ())
@@ -63,82 +60,131 @@ EXPLAINED = (GapVerdict.NO_GAP, GapVerdict.GAP_CLOSED, GapVerdict.GAP_REDUCED)
 LEFT = 5  # nameless signals in the JSON file
 
 
+@dataclass
+class _Standing:
+    """What stands, step after step of the conclusion.
+
+    named: steps of all accepted effects, of which the decision keeps some; kept: these effects; model: the one with them; rest:
+    what stands out without a name; gap: plain, that is left; found: a shape, lag or swing for it; event: what happened instead.
+    """
+
+    setting: Setting
+    search: SearchState
+    floor: Floors
+    cannot: list[Effect]
+    named: list[EffectStep]
+    decision: Decision
+    kept: tuple[AcceptedEffect, ...]
+    model: Baseline
+    rest: Omnibus
+    gap: float
+    found: ShapeSearch = NOT_SEARCHED
+    event: Happened | None = None
+
+
 def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
     """Verdict, steps and words from what the rounds left."""
-    prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
+    state = _decided(setting, search)
+    replaced = None
+    if not setting.steered:
+        replaced = without_doubted(setting, search, state.kept, state.named, state.decision)
+    beside = None
+    if replaced is not None:
+        state.decision, state.kept, state.model, state.found, beside = replaced
+    elif not setting.steered:
+        _search_unnamed(state)
+    if replaced is None and state.event is None:
+        beside = names_beside(setting, search, state.model, state.found, state.decision)
+    if beside is not None:
+        more = in_its_place(setting, search, state.kept, beside)
+        if more is not None:
+            return concluded(setting, more, check)
+        _add_names(state, beside)
+    return _answer(state, check, turned_down(search, beside))
+
+
+def _decided(setting: Setting, search: SearchState) -> _Standing:
+    """The decision on what the rounds found, before anything without a name is looked for."""
+    first, last = search.rounds[0], search.rounds[-1]
     floor = floor_about(setting, last)
     misfit = misfit_of(search.omnibus, setting.options.criteria)
     named = [step_of(setting, f, floor, misfit) for f in search.findings]
-    left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
+    gap = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
-    facts = facts_of(search, named, floor.covers(left), cannot, len(setting.untold))
+    facts = facts_of(search, named, floor.covers(gap), cannot, len(setting.untold))
     decision = decide(only_steered(facts) if setting.steered else facts, setting.options.criteria)
     kept = search.findings[: decision.kept]
-    standing = kept[-1].child if kept else first.baseline
-    found, event, unnamed, beside = NOT_SEARCHED, None, None, None
-    instead = None if setting.steered else without_doubted(setting, search, kept, named, decision)
-    if instead is not None:
-        decision, kept, standing, found, beside = instead
-    rest = search.omnibus
-    unsearched = found.shape is None and not setting.steered
-    if unsearched and (not kept or decision.verdict is GapVerdict.UNKNOWN):
-        about = standing_round(setting, search, kept)
-        found = searched(setting, search, about, decision)
-        event = happened(setting, about) if found.shape is None else None
-    elif unsearched:  # names say nothing of what happens at one time
-        event = happened(setting, standing_round(setting, search, kept))
-    if unsearched and found.shape is None and event is None:
-        late = late_rest(setting, search, kept)
-        if late is not None:
-            decision = beside_memory(decision, [n.effect for n in named], late)
-            if decision.kept < len(kept):
-                kept = kept[: decision.kept]
-                about = standing_round(setting, search, kept)
-                standing, rest = about.baseline, examine(about)
-                left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
-        follower = settled(found.follower, standing, setting.options.seed) if late is None else late.follower
-        found, decision = replace(found, follower=follower), as_unknown(decision) if follower else decision
-    if instead is None and event is None:
-        beside = names_beside(setting, search, standing, found, decision)
-    if beside is not None and (more := in_its_place(setting, search, kept, beside)) is not None:
-        return concluded(setting, more, check)
-    if beside is not None:
-        kept, standing, found = (*kept, *beside.findings), beside.standing, beside.found
-        own = floor_about(setting, beside.round_)
-        named = [*named[: decision.kept], *(step_of(setting, f, own) for f in beside.findings)]
-        decision = with_names(decision, [s.effect for s in named])
-    still, rejected = "", turned_down(search, beside)
+    model = kept[-1].child if kept else first.baseline
+    return _Standing(setting, search, floor, cannot, named, decision, kept, model, search.omnibus, gap)
+
+
+def _search_unnamed(state: _Standing) -> None:
+    """Look for a shape, an event in time, or a lag or swing that the standing names leave."""
+    setting, search = state.setting, state.search
+    round_ = standing_round(setting, search, state.kept)
+    if not state.kept or state.decision.verdict is GapVerdict.UNKNOWN:
+        state.found = searched(setting, search, round_, state.decision)
+    if state.found.shape is None:  # names say nothing of what happens at one time
+        state.event = happened(setting, round_)
+    if state.found.shape is not None or state.event is not None:
+        return
+    late = late_rest(setting, search, state.kept)
+    if late is None:
+        follower = settled(state.found.follower, state.model, setting.options.seed)
+    else:
+        follower = late.follower
+        state.decision = beside_memory(state.decision, [n.effect for n in state.named], late)
+        if state.decision.kept < len(state.kept):
+            state.kept = state.kept[: state.decision.kept]
+            round_ = standing_round(setting, search, state.kept)
+            state.model, state.rest = round_.baseline, examine(round_)
+            state.gap = rms_over_noise(state.model.problem, state.model.fit, setting.scatter)
+    state.found = replace(state.found, follower=follower)
+    if follower:
+        state.decision = as_unknown(state.decision)
+
+
+def _add_names(state: _Standing, beside: ShapeContinuation) -> None:
+    """Add the names that stand beside a shape, with the shape about the model that has them."""
+    floor = floor_about(state.setting, beside.round_)
+    state.kept, state.model, state.found = (*state.kept, *beside.findings), beside.standing, beside.found
+    own = (step_of(state.setting, f, floor) for f in beside.findings)
+    state.named = [*state.named[: state.decision.kept], *own]
+    state.decision = with_names(state.decision, [s.effect for s in state.named])
+
+
+def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
+    """The answer in which all that stands is told."""
+    setting, search, found = state.setting, state.search, state.found
+    prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
+    decision, rest, after = state.decision, state.rest, state.model
+    whole, unnamed, still = Gap(state.gap, state.gap, state.floor.training_median), None, ""
     if found.shape is not None:
-        decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting, rejected)
-        last = found.shape.measured.round_
+        decision, unnamed = with_shape(decision), shaped_step(found.shape, state.model, setting, rejected)
+        last, after = found.shape.measured.round_, found.shape.measured.child
         rest, still = still_left(last, rest)
-    elif event is not None:
-        decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))
-    elif decision.verdict in EXPLAINED and (held := held_back(standing, prepared)):
-        decision, unnamed = as_unknown(decision), held_step(held, Gap(left, left, floor.training_median))
-    after = standing if found.shape is None else found.shape.measured.child
-    named = [sized(s, f, after) for s, f in zip(named, kept, strict=False)]
-    steps = told(decision, named, rest, check, left, floor, unnamed, found.follower)
-    seen = views(first.baseline, after, prepared, after is not first.baseline)
-    detectable = detectable_sizes(last)
-    repeats = repeatability(last, prepared.names)
-    asked = {h.effect.name for h in first.screen.hypotheses}
-    tied = tuple(e for e in setting.effects if e.tied_to and e.name in asked)
-    odd = [r.flight for r in repeats if r.odd]
-    told_of = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
-    stale = [n for n in prepared.stale if n not in told_of]
-    before_model, after_model = models(setting.base, first.baseline, kept, found.shape)
+    elif state.event is not None:
+        decision, unnamed = as_unknown(decision), event_step(state.event, whole)
+    elif decision.verdict in EXPLAINED and (held := held_back(state.model, prepared)):
+        decision, unnamed = as_unknown(decision), held_step(held, whole)
+    named = [sized(s, f, after) for s, f in zip(state.named, state.kept, strict=False)]
+    steps = told(decision, named, rest, check, state.gap, state.floor, unnamed, found.follower)
+    repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
+    stages = views(first.baseline, after, prepared, after is not first.baseline)
+    before_model, after_model = models(setting.base, first.baseline, state.kept, found.shape)
+    hypotheses = {h.effect.name for h in first.screen.hypotheses}
+    held_channels = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
     return GapResult(
         verdict=decision.verdict,
         text=conclude(
             decision.verdict,
             steps,
             detectable,
-            cannot,
-            tied,
+            state.cannot,
+            tuple(e for e in setting.effects if e.tied_to and e.name in hypotheses),
             bool(prepared.holdout),
-            odd,
-            stale,
+            [r.flight for r in repeats if r.odd],
+            [n for n in prepared.stale if n not in held_channels],
             setting.following,
             still,
         ),
@@ -150,24 +196,24 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         rejected=(
             *rejected,
             *(Rejected(effect, why) for effect, why in decision.withdrawn),
-            *(Rejected(t.place.words, why_not(t)) for t in found.tried),
+            *(Rejected(t.place.words, f"as a shape without a name: {t.why}") for t in found.tried),
         ),
         ties=ties_of(first),
         model_before=before_model,
         model_after=after_model,
         notes=prepared.notes,
         outputs=setting.base.output_names,
-        views=seen,
+        views=stages,
         histories=histories(setting, first.baseline, after, last),
         details={
             "kinematic_gate": check.to_json(),
-            "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in cannot],
+            "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in state.cannot],
             "left": [
                 {"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)}
                 for s in rest.leading[:LEFT]
             ],
             "left_threshold": round(float(rest.threshold), 2),
-            "where": [v.to_json() for v in seen],
+            "where": [v.to_json() for v in stages],
             "repeatability": [r.to_json() for r in repeats],
             "nulls": setting.options.nulls,
             "seed": setting.options.seed,
@@ -195,44 +241,6 @@ def turned_down(search: SearchState, beside: ShapeContinuation | None) -> tuple[
         return search.rejected
     standing = {f.candidate.hypothesis.label for f in beside.findings}
     return tuple(r for r in (*search.rejected, *beside.rejected) if r.effect not in standing)
-
-
-def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
-    """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
-    closed = name.gap.closed if name.holdout is None else name.holdout.closed
-    return shape.measured.closed >= closed - criteria.form_equal
-
-
-def without_doubted(
-    setting: Setting,
-    search: SearchState,
-    kept: Sequence[AcceptedEffect],
-    named: Sequence[EffectStep],
-    decision: Decision,
-) -> tuple[Decision, tuple[AcceptedEffect, ...], Baseline, ShapeSearch, ShapeContinuation | None] | None:
-    """A shape in place of the first name that it explains more than: the decision, the names before it, the model with these, the
-    shape and what stands beside it. None where there is no such name, or names found after it do not stand beside it."""
-    number = next((k for k, f in enumerate(kept) if f.doubted), None)
-    if number is None:
-        return None
-    about = kept[number].round_
-    again = searched(setting, search, about, as_unknown(decision))
-    if again.shape is None or not as_good(again.shape, named[number], setting.options.criteria):
-        return None
-    without = without_name(decision, kept[number], number, again.shape)
-    beside = names_beside(setting, search, about.baseline, again, without)
-    found = {f.candidate.hypothesis.effect.name for f in beside.findings} if beside is not None else set()
-    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= found:
-        return None
-    return without, tuple(kept[:number]), about.baseline, again, beside
-
-
-def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
-    """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
-    place = shape.fitted.increment.place.words
-    why = f"a smooth function without a name ({place}) explains clearly more than this form of it"
-    effect = finding.candidate.hypothesis.effect.name
-    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, why)))
 
 
 def facts_of(
@@ -280,25 +288,6 @@ def told(
     return tuple(replace(s, text=describe_step(s)) for s in steps)
 
 
-def models(
-    base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
-) -> tuple[Model, Model]:
-    """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
-    before = fitted(base, first.fit.values)
-    if not kept and shape is None:
-        return before, before
-    child = base
-    for f in kept:
-        child = f.candidate.hypothesis.form.added_to(child)
-    names = [base.name, *(f.candidate.hypothesis.effect.name for f in kept)]
-    values = kept[-1].child.fit.values if kept else first.fit.values
-    if shape is not None:
-        values = shape.measured.child.fit.values
-        child = shape.fitted.increment.written_into(child, values)
-        names.append("nameless")
-    return before, replace(fitted(child, values), name="+".join(names))
-
-
 def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:
     """Measured, before and after over time for every flight, training and held out."""
     band = np.array(
@@ -314,16 +303,6 @@ def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) 
         pairs.append((held_before[0], held_before[1], held_after[1], True))
     for problem, one, two, held in pairs:
         for i, record in enumerate(problem.records):
-            z = problem.coarse[i].z
-            made.append(
-                Histories(
-                    prepared.names[record.flight],
-                    held,
-                    record.time,
-                    z,
-                    z - one.residuals[i],
-                    z - two.residuals[i],
-                    band,
-                )
-            )
+            z, name = problem.coarse[i].z, prepared.names[record.flight]
+            made.append(Histories(name, held, record.time, z, z - one.residuals[i], z - two.residuals[i], band))
     return tuple(made)

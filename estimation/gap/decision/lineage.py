@@ -14,6 +14,8 @@ from daq.contract.outputs import write_json
 from estimation.estimators.result import Estimate
 from estimation.gap.answer.result import EffectStep, GapResult
 from estimation.gap.fit.baseline import Baseline
+from estimation.gap.search.state import AcceptedEffect
+from estimation.gap.shapes.search import CoefficientShape
 from estimation.models.base import Model
 from estimation.models.load import write_model
 from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
@@ -97,3 +99,22 @@ def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder:
     """Write the models before and after, with their lineage, to `folder`; the result that names these files."""
     before, after = write_lineage(folder, result.model_before, result.model_after, result.steps, flights, seed)
     return replace(result, files=(str(before), str(after)))
+
+
+def models(
+    base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
+) -> tuple[Model, Model]:
+    """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
+    before = fitted(base, first.fit.values)
+    if not kept and shape is None:
+        return before, before
+    child = base
+    for f in kept:
+        child = f.candidate.hypothesis.form.added_to(child)
+    names = [base.name, *(f.candidate.hypothesis.effect.name for f in kept)]
+    values = kept[-1].child.fit.values if kept else first.fit.values
+    if shape is not None:
+        values = shape.measured.child.fit.values
+        child = shape.fitted.increment.written_into(child, values)
+        names.append("nameless")
+    return before, replace(fitted(child, values), name="+".join(names))

@@ -23,7 +23,7 @@ from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting
 from estimation.gap.shapes.formulas import Plain
 from estimation.gap.shapes.increment import FittedIncrement
-from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, Tried, find_shape
+from estimation.gap.shapes.search import CoefficientShape, SearchTask, ShapeSearch, find_shape
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, floors
 from estimation.gap.significance.omnibus import examine
@@ -114,11 +114,6 @@ def _candidate(plain: Plain, closed: float, good: bool) -> tuple[str, dict[str, 
 
 def _unit(model: Model, variable: str) -> str:
     return next((s.unit for s in (*model.states, *model.inputs, *model.outputs) if s.name == variable), "1")
-
-
-def why_not(tried: Tried) -> str:
-    """Why a shape was looked at and not taken."""
-    return f"as a shape without a name: {tried.why}"
 
 
 def happened(setting: Setting, round_: Round) -> Happened | None:
