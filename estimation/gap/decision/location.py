@@ -19,7 +19,8 @@ from estimation.gap.answer.result import DisagreementView, Where
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, fit
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
@@ -34,6 +35,10 @@ from estimation.gap.significance.measure import plain_residuals
 from estimation.models.driven import force_states
 
 LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
+DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
+SPANS = 4  # stretches of flight given for one effect
+NOTHING = 1e-12  # gain of an effect that changes nothing
+EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 
 def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
@@ -164,12 +169,6 @@ def binned(values: Array, squares: Array, criteria: Criteria) -> list[dict[str, 
         gap = float(np.sqrt(np.mean(squares[(values >= a) & (values <= b)])))
         rows.append({"from": round(float(a), 5), "to": round(float(b), 5), "gap": round(gap, 4)})
     return rows
-
-
-DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
-SPANS = 4  # stretches of flight given for one effect
-NOTHING = 1e-12  # gain of an effect that changes nothing
-EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 
 def equation_of(form: Form) -> str:

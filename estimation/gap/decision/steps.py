@@ -14,7 +14,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.decision.location import SPANS, equation_of, locate
 from estimation.gap.effects.base import Effect
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import fit
+from estimation.gap.fit.fitting import fit
 from estimation.gap.records.candidate_model import timing_of
 from estimation.gap.search.accept import by_timing
 from estimation.gap.search.select import credible_set

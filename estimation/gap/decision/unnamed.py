@@ -36,6 +36,8 @@ from estimation.models.numeric import FUNCTIONS
 UNNAMED = "an effect that no name of the catalogue stands for"
 ANGLES = ("alpha", "beta", "delta_a", "delta_e", "delta_r")
 SLOW_SWEEP = "sweep {x} slowly and evenly through {low:.3g} to {high:.3g} {unit} with everything else held"
+POINTS = 16  # at which two forms are compared: more than the zeros that products of a few powers can share
+SAME = 1e-9  # of the ratio of two forms, by which rounding alone may move it
 
 
 def standing_round(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect]) -> Round:
@@ -207,10 +209,6 @@ def held_step(held: HeldInstrument, gap: Gap) -> EffectStep:
         where=Where(held.channel, (held.channel,), (), "where it repeats a value"),
         gap=gap, holdout=None, migrated={}, shape=held,
     )  # fmt: skip
-
-
-POINTS = 16  # at which two forms are compared: more than the zeros that products of a few powers can share
-SAME = 1e-9  # of the ratio of two forms, by which rounding alone may move it
 
 
 def alike(

@@ -20,13 +20,13 @@ from estimation.estimators.equation_error import start_values
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
-from estimation.gap.fit.problem import ENOUGH, LikelihoodProblem, ModelFit, carried, cost_at, fit
+from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried
 from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
     NoiseSource,
     Shapes,
-    Whitener,
     as_seen,
     estimate_noise,
     linear_motion,
@@ -42,10 +42,20 @@ from estimation.gap.fit.surface_steps import (
     slow_errors,
     without_slow,
 )
+from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.models.base import Model
 from estimation.models.driven import force_states
+
+PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
+SPARE_PASSES = 3  # more of them where the fit has not come to rest
+ROUGH = 0.5  # of the log-likelihood: what a fit may leave before its noise is known
+STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
+GROWS = 0.15  # 1/s: doubles in less than five seconds, which no pilot flies through a record
+CALMER = 0.5  # times the growth
+AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
+ALIKE = 0.005  # of the cost: so far two fits of a base that lacks something move with the third digit of the noise
 
 
 def first_values(problem: LikelihoodProblem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
@@ -71,16 +81,6 @@ def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
         return {}
     found = start_values(Simulator.build(problem.model, asked, substeps=1, hold="linear"), flights)
     return {} if found is None else {n: found[n] for n in asked}
-
-
-PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
-SPARE_PASSES = 3  # more of them where the fit has not come to rest
-ROUGH = 0.5  # of the log-likelihood: what a fit may leave before its noise is known
-STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
-GROWS = 0.15  # 1/s: doubles in less than five seconds, which no pilot flies through a record
-CALMER = 0.5  # times the growth
-AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
-ALIKE = 0.005  # of the cost: so far two fits of a base that lacks something move with the third digit of the noise
 
 
 @dataclass(frozen=True)

@@ -30,13 +30,16 @@ from scipy.linalg import expm
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.spectra import Linear, NoiseSource, Shapes, Slack, Whitener, spectrum_of
+from estimation.gap.fit.spectra import Linear, NoiseSource, Shapes
+from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
 SLIGHT = 1e-2  # energy of a displacement [variance of the noise]: of weaker ones a hundredth at most would be forgiven
 RUNAWAY = 1e6  # a change that grows so far is no small one any more
+SLOW = 0.5  # Hz, up to which
+MOST = 40  # cosines a control and record: a record in which more of them are slow is long beside its modes
 
 
 @dataclass(frozen=True)
@@ -188,10 +191,6 @@ def freedom_of(steps: Sequence[SurfaceSteps], told: Sequence[tuple[Array, Array]
     c = steps[0].criteria
     jump, move = (c.jump_freedom_least, c.jump_freedom_most), (c.surface_freedom_least, c.surface_freedom_most)
     return {n: float(np.clip(np.sqrt(np.mean(s)), *(jump if n in jumping else move))) for n, s in squares.items()}
-
-
-SLOW = 0.5  # Hz, up to which
-MOST = 40  # cosines a control and record: a record in which more of them are slow is long beside its modes
 
 
 @dataclass(frozen=True)

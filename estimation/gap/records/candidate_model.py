@@ -30,6 +30,7 @@ GRAVITY = 9.80665
 TIMING = "timing_"  # of what moves late
 TOGETHER = TIMING + "controls"  # all of them
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
+DISTURBANCE = "disturbance_{}"
 
 
 def with_nuisance(
@@ -126,9 +127,6 @@ def _shown(model: Model, attitude: str, widths: Mapping[str, tuple[str, str, flo
                 parameters=[carried(name, unit, width)],
             )
     return model
-
-
-DISTURBANCE = "disturbance_{}"
 
 
 def with_dormant(

@@ -31,6 +31,9 @@ from groundstation.flight import Flight
 NEAR = 0.1  # of a stretch, to either side of an even cut, in which the controls may be at rest
 ROUNDING = 1e-6
 AROUND = 0.5  # s, to either side of a cut, in which they should be
+PATHS = 20  # of the random stream of paths across samples that a control lacks
+LOST = 0.005  # of the samples of a record, which may go unused
+SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own steps
 
 
 def stretches(segment: Segment, controls: list[int], criteria: Criteria) -> list[slice]:
@@ -60,11 +63,6 @@ def movement(controls: Array, reach: int) -> Array:
             windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
             moved += np.round(np.ptp(windows, axis=1) / whole, 2)
     return moved
-
-
-PATHS = 20  # of the random stream of paths across samples that a control lacks
-LOST = 0.005  # of the samples of a record, which may go unused
-SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own steps
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,17 @@ OFF_GRID = 0.25  # of the clock's step: a row further off is not on its grid
 ON_GRID = 0.95  # of the rows, for a grid to be one: clocks are late now and then
 FINER = (1, 2, 3)  # steps of the clock in the usual interval: every other row or two may be lost all the time
 SINGLE = 0.05  # of the rows that follow one step after another, or the grid is that of rounded times, not of a clock
+STRAIGHT = (
+    1e-6  # of the range: a value closer to the middle of its neighbours lies on a line that somebody drew between them
+)
+KNOTS = 20  # values, at least, before a control is called slow
+EVEN = 0.8  # share of their intervals within a fifth of the usual one: a hand and an ideal input move unevenly
+APART = 0.2  # of the usual interval
+BETWEEN = 2  # samples at which a course bends whose line ends between them
+EARLY = 0.2  # samples by which a control may be read before its next value is there
+CLOCKS = 2.0  # samples: from here on a clock of its own comes a sample early now and then
+HOLE = 3.5  # usual intervals without a value, as an import takes for a gap
+LONGEST = 0.6  # s: what is known still more rarely is no history of a control
 
 
 def with_lost_rows(flight: Flight) -> Flight:
@@ -116,18 +127,6 @@ def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria:
 
 
 Mask = NDArray[np.bool_]
-
-STRAIGHT = (
-    1e-6  # of the range: a value closer to the middle of its neighbours lies on a line that somebody drew between them
-)
-KNOTS = 20  # values, at least, before a control is called slow
-EVEN = 0.8  # share of their intervals within a fifth of the usual one: a hand and an ideal input move unevenly
-APART = 0.2  # of the usual interval
-BETWEEN = 2  # samples at which a course bends whose line ends between them
-EARLY = 0.2  # samples by which a control may be read before its next value is there
-CLOCKS = 2.0  # samples: from here on a clock of its own comes a sample early now and then
-HOLE = 3.5  # usual intervals without a value, as an import takes for a gap
-LONGEST = 0.6  # s: what is known still more rarely is no history of a control
 
 
 @dataclass(frozen=True)

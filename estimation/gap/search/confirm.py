@@ -14,7 +14,8 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried, fit, prior_cost
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried, prior_cost
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided

@@ -26,6 +26,8 @@ from estimation.gap.significance.omnibus import examine
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
 
+DEEPER = 2  # better valleys of the base that one round is asked again for
+
 
 def backward_check(
     setting: Setting, findings: Sequence[AcceptedEffect]
@@ -113,9 +115,6 @@ def better_rivals(
     sound = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
     better = [(gained, c) for gained, c in sound if gained > gain + criteria.exchange]
     return [c for _, c in sorted(better, key=lambda pair: -pair[0])]
-
-
-DEEPER = 2  # better valleys of the base that one round is asked again for
 
 
 def shape_gain(setting: Setting, round_: Round) -> float:

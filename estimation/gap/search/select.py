@@ -10,7 +10,8 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import whiteners_for
 from estimation.gap.fit.channel_noise import sample_interval
-from estimation.gap.fit.problem import fit, prior_cost
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import prior_cost
 from estimation.gap.records.candidate_model import TIMING
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_hypothesis, leading

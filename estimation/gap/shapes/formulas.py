@@ -7,7 +7,8 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, fit
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.shapes.increment import TAG, FittedIncrement, Increment
 from estimation.gap.shapes.places import ModelMotion
 from estimation.models.base import Parameter

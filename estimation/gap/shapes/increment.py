@@ -15,7 +15,8 @@ from estimation.engine.kernel import Array
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, fit
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.shapes.places import ModelMotion, Place, spread_of
@@ -28,6 +29,7 @@ TAG = "form"
 EDGES = ("low", "high", "middle", "half")
 POINTS = 61  # of the curve in the answer
 ACROSS = 5  # values of the second variable in the answer
+NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
 
 
 @dataclass(frozen=True)
@@ -181,9 +183,6 @@ def confirmed(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
     """Whether every flight that lies in the range of the others is predicted better, and there is one."""
     asked = [f for f in found if f.inside >= criteria.form_inside]
     return bool(asked) and all(f.gain > 0.0 for f in asked)
-
-
-NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
 
 
 def closed(before: float, after: float, floor: float) -> float:

@@ -27,6 +27,13 @@ from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent
 
 TIMES = (0.05, 0.1, 0.2, 0.5, 1.0)  # s, each twice the one before or so: signatures of neighbours are much alike
+SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
+FASTEST = 0.5  # of the highest frequency that the samples can show
+APART = 1.2  # from one frequency to the next: within the width of a resonance of that damping
+DAMPING = 0.1
+AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid, then looked at
+DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more unknown
 
 
 def late(course: Array, time: Array, memory: float) -> Array:
@@ -55,15 +62,6 @@ def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> L
     return LaggedTerm(
         place.line, place.variable, time, float(result.gains[best]), float(result.scores[best]), result.threshold
     )
-
-
-SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
-FASTEST = 0.5  # of the highest frequency that the samples can show
-APART = 1.2  # from one frequency to the next: within the width of a resonance of that damping
-DAMPING = 0.1
-AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid, then looked at
-DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more unknown
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ from groundstation.flight import Flight
 
 NEEDED_TO_PITCH = ("V", "alpha", "theta", "q", "ax", "az")
 ASIDE = ("beta", "p", "r", "phi", "ay")  # taken as zero where a flight does not have them
+GRAVITY = 9.80665
+NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 
 def pitch_kinematic_model(criteria: Criteria) -> Model:
@@ -61,10 +63,6 @@ def pitch_kinematic_model(criteria: Criteria) -> Model:
             "theta_dot = q_true*cos(phi) - r*sin(phi)",
         ),
     )
-
-
-GRAVITY = 9.80665
-NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 
 def kinematic_model(criteria: Criteria) -> Model:

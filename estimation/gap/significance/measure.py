@@ -15,7 +15,8 @@ from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, local_prior
+from estimation.gap.fit.fitting import local_prior
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.significance.calibration import Round

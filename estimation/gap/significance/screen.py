@@ -25,6 +25,7 @@ from estimation.models.base import Model
 
 SMALL = 0.05  # usual sizes: secant steps to both sides, in which every smooth effect is linear
 LARGE = 0.3  # usual sizes: where only one side is possible, far enough that a play or a delay acts at all
+TINY = 1e-300  # keeps a column without length from dividing by zero
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,6 @@ def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset
         for form in effect.applicable(model)
         if all(s.name in available for s in form.inputs)
     )
-
-
-TINY = 1e-300  # keeps a column without length from dividing by zero
 
 
 @dataclass(frozen=True)

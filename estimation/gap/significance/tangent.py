@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.gap.errors import GapError
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, local_prior
-from estimation.gap.fit.spectra import White
+from estimation.gap.fit.fitting import local_prior
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.whitener import White
 from estimation.gap.records.candidate_model import DISTURBANCE
 
 AT_ONCE = 60  # disturbances in one run: the arrays of some hundred would fill a small machine
 RUNAWAY = 1e9  # a change that grows so far is no small one any more
+KEPT = 2**26  # bytes of white columns kept from one question to the next: of hours of flight they are made anew
 
 
 def is_door(name: str) -> bool:
@@ -67,9 +69,6 @@ def responses(
         for k in range(len(some)):
             alive = np.abs(changes[:, :, k]).max() < RUNAWAY
             yield changes[:, :, k] if alive else np.zeros(unmeasured.shape)
-
-
-KEPT = 2**26  # bytes of white columns kept from one question to the next: of hours of flight they are made anew
 
 
 @dataclass(frozen=True)

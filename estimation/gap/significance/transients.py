@@ -16,7 +16,8 @@ from scipy.stats import chi2, norm
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, fit
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, upper_quantile
 from estimation.gap.significance.screen import TINY, shared_prior

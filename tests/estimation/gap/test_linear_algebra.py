@@ -11,12 +11,11 @@ from estimation.gap.fit.spectra import (
     NoisePart,
     NoiseSource,
     Shapes,
-    Whitener,
     estimate_noise,
     spectral_matrix,
-    spectrum_of,
     whitener,
 )
+from estimation.gap.fit.whitener import Whitener, spectrum_of
 from estimation.gap.search.confirm import leading
 from estimation.gap.search.select import credible_set
 from estimation.gap.significance.calibration import upper_quantile

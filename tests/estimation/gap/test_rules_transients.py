@@ -17,8 +17,10 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Decision, as_unknown, with_shape
 from estimation.gap.decision.unnamed import event_step, happening
 from estimation.gap.fit.baseline import Baseline
-from estimation.gap.fit.problem import LikelihoodProblem, fit
-from estimation.gap.fit.spectra import NoiseModel, Whitener
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem
+from estimation.gap.fit.spectra import NoiseModel
+from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.calibration import Round

@@ -10,8 +10,9 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.estimators.arrow import eliminated, solved
 from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
 from estimation.gap.criteria import AS_SET
-from estimation.gap.fit.problem import LikelihoodProblem, fine_grid, fit
-from estimation.gap.fit.spectra import Whitener
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, fine_grid
+from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.measure import rms_over_noise
 from estimation.gap.significance.screen import Projected

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
-from estimation.gap.fit.problem import LikelihoodProblem, Local, ModelFit, ProblemUnknowns, fit
-from estimation.gap.fit.spectra import Slack, Whitener
+from estimation.gap.fit.fitting import ProblemUnknowns, fit
+from estimation.gap.fit.problem import LikelihoodProblem, Local, ModelFit
+from estimation.gap.fit.whitener import Slack, Whitener
 from estimation.gap.significance import tangent as tangents
 from estimation.gap.significance.screen import gram_of, shared_prior
 from estimation.gap.significance.tangent import Tangent
