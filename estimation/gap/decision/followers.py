@@ -1,6 +1,4 @@
-"""Lags and swings as something that a model can be fitted with, beside names or without any.
-
-Names beside a coefficient that follows late, or swings: which of them are still needed?
+"""Lags and swings fitted with a model, and the names beside them: which of these are still needed?
 
 Neither is an entry of the catalogue, and names can imitate one well enough that the nameless terms, which are functions of the
 moment, say nothing any more. So where names stand they are asked too. Where one still stands out of the nulls about the model

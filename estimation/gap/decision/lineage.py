@@ -1,7 +1,5 @@
-"""Models as a lineage of files: each child says what was added to which parent, on which flights, with what evidence.
-
-Columns of the wrong sign or unit that the first model's fit gives away: no effect of an aircraft does that.
-"""
+"""Models before and after as a lineage of files: what was added to which parent, on which flights, with what evidence; and
+columns of the wrong sign or unit that the first model's fit gives away."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

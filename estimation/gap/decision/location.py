@@ -1,11 +1,10 @@
-"""Where the disagreement lives, seen three times: with the prior parameters frozen, after the refit, and with the effects named.
+"""Where the disagreement lives, seen three times: with the prior parameters frozen, after the refit, and with the effects named;
+and where one effect acts.
 
 Refitting hides an effect: derivatives move until they carry most of it. Frozen at what was believed before the flight the
 disagreement is large but in its place; after the refit it is small and elsewhere. Both are shown, over channel, time,
 flight regime and equation. The equations are asked by a smoother: the disturbance of each force equation that most likely
 made the residuals, as force and moment coefficients.
-
-Where one effect acts: equation, channels, seconds of flight and regime, from what it changes in the outputs.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
-"""One found effect, or the nameless rest, as a person reads it: set, size, place, gap closed, worth in simulator tolerances.
-
-What these flights can tell at all: scores, detectable sizes, ties, effects that could not have been seen.
-"""
+"""One found effect, or the nameless rest, as a person reads it: set, size, place, gap closed, worth in simulator tolerances; and
+what these flights can tell at all: scores, detectable sizes, ties, effects that could not have been seen."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

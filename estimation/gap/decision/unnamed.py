@@ -1,9 +1,5 @@
-"""From a nameless shape to what a person reads: the curve with its band, what does as well, what would settle it.
-
-An instrument that holds its values for so long that they are far from the motion: told where nothing else is left.
-
-Effects of the catalogue that a shape without a name has the form of: told beside it, with why they are not its name.
-"""
+"""What a person reads of an effect without a name: a curve with its band, what does as well and what would settle it, effects of
+the catalogue that have its form, an event in time, or an instrument that holds its values."""
 
 from collections.abc import Sequence
 

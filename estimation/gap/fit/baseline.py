@@ -1,9 +1,8 @@
-"""Where the first fit begins: at what the model states, or at a regression of the measured motion where that is nearer.
+"""One model's fit to the training flights with the noise of its residuals.
 
-An aircraft that was never written down has no beliefs, or those of its shape alone. From there the motion runs away, or the
-search ends in a valley that is not the one of these flights.
-
-One model's fit to the training flights with the noise of its residuals.
+It begins at what the model states, or at a regression of the measured motion where that is nearer: an aircraft that was never
+written down has no beliefs, or those of its shape alone. From there the motion runs away, or the search ends in a valley that is
+not the one of these flights.
 """
 
 from collections.abc import Collection, Mapping, Sequence

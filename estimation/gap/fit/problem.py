@@ -1,13 +1,7 @@
-"""Inputs between two samples of a record: through the middle of every interval on a monotone cubic.
+"""A model bound to records and their whiteners: what a fit asks of it.
 
-Surfaces driven by servos round their steps, and straight lines through the samples bias the control and damping derivatives by
-some 2 % at 20 Hz.
-
-Joint fit of one model to many records, residuals weighted by the whitener: generalised output error.
-
-Shared parameters plus, per record, initial states (and local parameters such as instrument biases): the normal matrix
-has arrow structure and is reduced record by record (Schur complement), so cost is linear in the number of flights.
-The optimiser and the elimination are those of the estimators (`estimation.estimators`); here is what they are given.
+Inputs between two samples go through the middle of every interval on a monotone cubic: surfaces driven by servos round their
+steps, and straight lines through the samples bias the control and damping derivatives by some 2 % at 20 Hz.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,4 @@
-"""What flight is about: a lateral motion is small about zero, a longitudinal one about a trimmed speed, angle and load.
-
-Linear pictures of the motion (spectra of the noise, replies to steps of surfaces) and sizes of outputs are taken there.
-
-The noise of the residuals, estimated from the flights given, and the operator that whitens them.
+"""The noise of the residuals, estimated from the flights given.
 
 Output-error residuals are coloured: gusts and leftover jitter of the surfaces pass through the aircraft's own modes.
 Their spectral matrix is written as a sum of parts of known shape and unknown strength,
@@ -14,7 +10,8 @@ noise on one control. What taking the noise off a control leaves wrong has a kno
 else process noise stands for it and the nulls, which have both, scatter twice too far. Where an attitude is itself the output
 of a filter, two more: gyro noise, which the rate shows and the attitude integrates, and the slow wandering of the attitude
 alone. All other strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953); nothing is assumed of the
-sensors or the weather. Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel.
+sensors or the weather. The motion is linearised about steady flight: a lateral one about zero, a longitudinal one about a
+trimmed speed, angle and load.
 """
 
 from collections.abc import Collection, Mapping, Sequence

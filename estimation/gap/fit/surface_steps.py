@@ -1,22 +1,19 @@
-"""How a surface moved between two samples is not recorded: an uncertainty that belongs to its steps, not to all time.
+"""What is wrong with controls at one time: paths of steps between two samples, and slow errors. No spectrum describes either.
 
-A servo's step falls anywhere within an interval. Which way the surface went through the middle of that interval moves
-the aircraft as much as many a hidden effect does, and no stationary spectrum describes it. The middle of every interval
-in which a control moves much is given a prior displacement in proportion to the step; the proportion is estimated from
-the flights. An output that shows a control at once (side acceleration the rudder) jumps with it, one whose rate does
-(rolling with the ailerons) has a kink there, and what a sample next to it shows depends on the milliseconds between the two,
-on the instrument's filter and on how samples were brought to one time base: it too is given a displacement in proportion
-to the jump, or to what the kink makes in one interval. All of it is marginalised over by a correction of low rank behind
-the whitener.
-
-What is slowly wrong with a control as prepared: an uncertainty with a beginning, which no stationary spectrum describes.
+A servo's step falls anywhere within an interval. Which way the surface went through the middle of that interval moves the
+aircraft as much as many a hidden effect does. The middle of every interval in which a control moves much is given a prior
+displacement in proportion to the step; the proportion is estimated from the flights. An output that shows a control at once
+(side acceleration the rudder) jumps with it, one whose rate does (rolling with the ailerons) has a kink there, and what a
+sample next to it shows depends on the milliseconds between the two, on the instrument's filter and on how samples were brought
+to one time base: it too is given a displacement in proportion to the jump, or to what the kink makes in one interval.
 
 A slow mode (a phugoid of ten seconds) rings for longer than a record lasts, and changes with speed on the way. The spectrum of
-what a noisy control makes of it is smeared over neighbouring frequencies, each with a mixture of the channels of its own, where
-the spectral matrix knows one mixture at every frequency: whitened with that alone, nulls scatter up to four times too far along
-slow signatures (a thrust line off the centre of gravity). Below half a hertz the error is therefore written as cosines of known
-size, each flown through the model along the record, and marginalised over by the correction of low rank that steps of surfaces
-have too.
+what a noisy control makes of it is smeared over neighbouring frequencies, where the spectral matrix knows one mixture of the
+channels at every frequency: whitened with that alone, nulls scatter up to four times too far along slow signatures (a thrust
+line off the centre of gravity). Below half a hertz the error is therefore written as cosines of known size, each flown through
+the model along the record.
+
+Both are marginalised over by a correction of low rank behind the whitener.
 """
 
 from collections.abc import Mapping, Sequence

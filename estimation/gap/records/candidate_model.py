@@ -1,20 +1,17 @@
-"""What every fit of the workflow carries along because no flight is free of it, and what it must not be named for.
+"""The base model with what every fit carries along and with every candidate effect dormant.
 
-Instrument biases of each flight (about as large as the noise of the channel), the time at which a surface really moves
-between two samples (a tenth of the sample interval, for all surfaces together; they are sampled by one clock, and one of
-them differs from the others by a few hundredths), what an attitude filter makes of sampled rates (again a tenth of
-the interval, and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular
-acceleration), and what its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for
-gravity, an error in bank that follows sideslip (V/(g T) of it where nothing is done against that, T the filter's memory;
-a few hundredths with airspeed or GPS velocity). An attitude that a log has with times of its own is a tenth of its own
-interval off, be it a filter's or not. All estimated with priors of that width, so that none is mistaken for an
-effect.
+No flight is free of instrument biases (about as large as the noise of the channel), of the time at which a surface really moves
+between two samples (a tenth of the sample interval, for all surfaces together; they are sampled by one clock, and one of them
+differs from the others by a few hundredths), of what an attitude filter makes of sampled rates (again a tenth of the interval,
+and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular acceleration), and of what
+its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for gravity, an error in bank that follows
+sideslip (V/(g T) of it where nothing is done against that, T the memory; a few hundredths with airspeed or GPS velocity).
+An attitude that a log has with times of its own is a tenth of its own interval off, be it a filter's or not. All are estimated
+with priors of that width, so that none is mistaken for an effect.
 
-One model that holds every candidate effect dormant, so that one compiled right-hand side serves the whole workflow.
-
-All terms and lines that need no state of their own are written into the equations once, their parameters held at the
-value without effect. Awakening a form frees its parameters (and attaches its transforms and delays); forms with states,
-and forms that clash with one already dormant, are added to the equations when awakened.
+One compiled right-hand side serves the whole workflow: all terms and lines that need no state of their own are written into the
+equations once, their parameters held at the value without effect. Awakening a form frees its parameters (and attaches its
+transforms and delays); forms with states, and forms that clash with one already dormant, are added when awakened.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,8 +1,5 @@
-"""Stale, clipped and missing samples of the channels a model needs, in words.
-
-What of the flights themselves is to be doubted: one record given twice, a column of another unit or sign, or not measured,
-times that are not those of the samples.
-"""
+"""What of the flights themselves is to be doubted, in words: one record given twice, a column of another unit or sign, or not
+measured, times that are not those of the samples, stale, clipped and missing samples."""
 
 from collections.abc import Sequence
 

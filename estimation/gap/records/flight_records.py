@@ -1,13 +1,11 @@
-"""Long records cut into stretches, each with an initial state of its own.
-
-Simulated from one initial state a slow mode that grows, or that gusts drive, has left the record after a minute or two, whatever
-is right about the model; and what is asked of a record (slow errors, events in time) grows with the square of its length. The
-cut is made where the controls rest: a step is then seen whole by one stretch.
-
-Flight records: flights prepared once for every model the workflow tries.
+"""Flight records: flights prepared once for every model the workflow tries.
 
 De-noising the inputs is the costly part and does not depend on the hypothesis, so the union of all inputs that any
 candidate could bring in is prepared once; a model then takes the columns it needs.
+
+Long records are cut into stretches, each with an initial state of its own: simulated from one a slow mode that grows, or that
+gusts drive, has left the record after a minute or two, whatever is right about the model; and what is asked of a record (slow
+errors, events in time) grows with the square of its length. The cut is made where the controls rest: a step is seen whole.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

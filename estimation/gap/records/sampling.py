@@ -1,19 +1,15 @@
-"""Rows that a link or a logger lost, put back as not measured.
+"""Flights read at instants at which all that drives the model is known.
 
 The noise of a channel is told by its spectrum, and the path of a surface by how it moves from sample to sample: both need samples
-that come evenly. Where a few rows in a row are lost, the others still lie on the clock's grid.
-
-Where a control alone lacks a sample while it moves, a straight line is drawn through its step: what the other instruments show
-there is no answer to that line.
-
-Flights of which a control is known more rarely than the rest is sampled, read at the instants at which it is known.
+that come evenly. Where a few rows in a row are lost, the others still lie on the clock's grid, and the lost ones are put back as
+not measured. Where a control alone lacks a sample while it moves, a straight line is drawn through its step: what the other
+instruments show there is no answer to that line.
 
 Autopilots log servo outputs ten times a second and motion fifty times. What a surface did between two of its values is then a
 guess, whoever makes it (empty cells, the last value repeated, or straight lines that an import drew), and an aircraft that turns
 within a sample shows what is wrong with it: a lag of all servos, or something that no catalogue holds. The workflow knows how far
-to trust a surface between two *samples* and leaves its path open there. So every control has to be new in every sample.
-
-An output that an import drew in straight lines is measured at their ends only; what lies on them is no measurement.
+to trust a surface between two *samples* and leaves its path open there. So every control has to be new in every sample, and a
+flight is read at the rate of its slowest. An output that an import drew in straight lines is measured at their ends only.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,7 @@
-"""Earlier effects asked again with the later ones in the model: dropped where idle, exchanged where a rival does better.
+"""Rounds of nulls, screen, full fits and acceptance, until nothing is significant.
 
-Rounds of nulls, screen, full fits and acceptance, until nothing is significant.
+After each, earlier effects are asked again with the later ones in the model: dropped where idle, exchanged where a rival does
+better.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,9 +1,7 @@
-"""An increment fitted inside the output error together with everything else, and asked of flights it was not fitted to.
+"""An increment of a coefficient fitted inside the output error, asked of flights it was not fitted to, and what it closes.
 
-How much of what is significant a model with an increment closes: energy of whitened residuals against simulated nulls.
-
-The plain gap counts gusts and slow errors of filters too, beside which half a usual effect can look like nothing; whitened
-residuals weigh every frequency by what noise leaves of it.
+What is closed is energy of whitened residuals against simulated nulls: the plain gap counts gusts and slow errors of filters
+too, beside which half a usual effect can look like nothing; whitened residuals weigh every frequency by what noise leaves of it.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,6 +1,4 @@
-"""Where no function of the motion explains what is left: would a coefficient that follows its variable late?
-
-Something that swings: a coefficient that follows the accelerations as an oscillator does.
+"""Where no function of the motion explains what is left: does a coefficient follow its variable late, or does something swing?
 
 A mass that can move in the airframe and a structure that bends answer accelerations with a frequency and a damping of their own.
 Slowly they follow, and look like a lever arm or a moment of inertia that is a little wrong, which the base or a name takes up;

@@ -1,6 +1,4 @@
-"""The kinematic check of the pitching plane: airspeed, angle of attack and pitch attitude from measured rates and forces.
-
-The kinematic check: is it an instrument or the aircraft?
+"""The kinematic check: is it an instrument or the aircraft?
 
 Flight-path reconstruction without any aerodynamics: sideslip and bank integrated from measured rates and side
 acceleration must agree with the vane and the attitude. Scale, lag, position and timing errors of instruments show here;

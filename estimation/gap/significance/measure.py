@@ -1,7 +1,5 @@
-"""How large the gap is: residual over measurement noise, on training and held-out flights, against the null floor.
-
-Whether the training flights repeat each other: each by itself against all together, calibrated on the nulls.
-"""
+"""How large the gap is: residual over measurement noise, on training and held-out flights, against the null floor; and whether
+the training flights repeat each other, each by itself against all together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,10 +1,9 @@
-"""What can be asked of a model: forms of effects that apply to it, and what a small step of each changes in the outputs.
+"""Score-test screen: what each hypothesis would leave in the residuals, with everything the base can absorb taken out.
 
-Score-test screen: what each hypothesis would leave in the residuals, with everything the base can absorb taken out.
-
-All hypotheses are linearised at the fitted baseline. Per record the whitened sensitivities of shared parameters, of all
-hypotheses and the residuals are reduced to one small Gram matrix with the record's own unknowns (initial states, biases)
-eliminated. From then on scores, ties, detectable sizes, pairs, nulls and held-out predictions are small linear algebra.
+A hypothesis is a form of an effect that applies to the model. All are linearised at the fitted baseline by small steps. Per
+record the whitened sensitivities of shared parameters, of all hypotheses and the residuals are reduced to one small Gram matrix
+with the record's own unknowns (initial states, biases) eliminated. From then on scores, ties, detectable sizes, pairs, nulls and
+held-out predictions are small linear algebra.
 """
 
 from collections.abc import Callable, Iterable, Sequence

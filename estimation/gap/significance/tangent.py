@@ -1,9 +1,8 @@
-"""What a small disturbance let in through a door of the model (an input of a force or moment equation) does to the outputs.
-
-Records linearised about a fit, with the residuals of the flights and of nulls beside the sensitivities.
+"""Records linearised about a fit, with the residuals of the flights and of nulls beside the sensitivities.
 
 Everything that is asked of a fit afterwards, hypotheses, nameless terms, shapes, events in time, adds columns of its own and
 needs their products with these. They are whitened once, and what is a record's own (initial states, biases) is taken out of all.
+Columns of disturbances are what a small one does to the outputs, let in through a door: an input of a force or moment equation.
 """
 
 from collections.abc import Callable, Iterator, Sequence
