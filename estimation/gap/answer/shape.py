@@ -72,9 +72,11 @@ class ShapeCurve:
             "grid": [[rounded(x, 6) for x in self.grid]], "value": [rounded(v, 9) for v in self.value],
             "std": [rounded(v, 9) for v in self.std], "unit": self.unit, "range": [rounded(self.low, 6), rounded(self.high, 6)],
             "closed": rounded(self.closed), "analytic": self.analytic,
-            "candidates": [{"analytic": text, "closed": rounded(closed), "as_good": good,
-                            "parameters": {n: {"estimate": rounded(v, 9), "std": rounded(s, 9)} for n, (v, s) in found.items()}}
-                           for text, found, closed, good in self.candidates],
+            "candidates": [
+                {"analytic": text, "closed": rounded(closed), "as_good": as_good,
+                 "parameters": {n: {"estimate": rounded(v, 9), "std": rounded(s, 9)} for n, (v, s) in estimates.items()}}
+                for text, estimates, closed, as_good in self.candidates
+            ],
             "alternatives": [{"output": o, "variables": list(v), "share_of_gain": rounded(g, 3)} for o, v, g in self.rivals],
             "left_out": [{"flight": n, "inside": rounded(i, 3), "gain": rounded(g, 1)} for n, i, g in self.left_out],
             "regime": self.regime, "separate_by": self.separate_by, "alike": [a.to_json() for a in self.alike],

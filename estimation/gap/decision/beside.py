@@ -56,21 +56,21 @@ def names_beside(
             return None
         setting.tell("names beside the shape", 0.93)
         options = replace(setting.options, most=room)
-        more = run_rounds(
+        extended = run_rounds(
             replace(setting, working=child.model, clean=child.clean, options=options, tell=_silent), child
         )
-        if not more.findings:
+        if not extended.findings:
             return None
         bare = replace(setting, working=standing.model, clean=standing.clean)
-        without = afresh_with(bare, more.findings, more.findings[-1].child)
-        if without is None:
+        nameless_base = afresh_with(bare, extended.findings, extended.findings[-1].child)
+        if nameless_base is None:
             return None
-        again = searched(setting, search, setting.screened(without, len(search.rounds)), decision)
+        renewed = searched(setting, search, setting.screened(nameless_base, len(search.rounds)), decision)
     except GapError:  # a motion that cannot be linearised: what was found before stands
         return None
-    if again.shape is None or again.shape.fitted.increment.place != shape.fitted.increment.place:
+    if renewed.shape is None or renewed.shape.fitted.increment.place != shape.fitted.increment.place:
         return None
-    return ShapeContinuation(more.findings, more.rounds[-1], without, again, more.rejected)
+    return ShapeContinuation(extended.findings, extended.rounds[-1], nameless_base, renewed, extended.rejected)
 
 
 def _shaped(
@@ -98,27 +98,27 @@ def in_its_place(
 ) -> SearchState | None:
     """The search in which, with the names that stood beside a shape, the rounds name what the shape stood for; None where they
     name nothing. Of two effects that are missing each can be too much of a rest for the other to be named beside it."""
-    standing, before = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
+    standing, parent = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
     room = setting.options.most - len(kept) - len(beside.findings)
     if room <= 0:
         return None
     setting.tell("a name in place of the shape", 0.94)
     options = replace(setting.options, most=room)
-    about = replace(setting, working=standing.model, clean=standing.clean, options=options, tell=_silent)
+    renewed = replace(setting, working=standing.model, clean=standing.clean, options=options, tell=_silent)
     try:
-        more = run_rounds(about, standing)
+        extended = run_rounds(renewed, standing)
     except GapError:  # a motion that cannot be linearised: the shape stands
         return None
-    if not more.findings:
+    if not extended.findings:
         return None
-    without = _without_shape(setting, before, beside)
-    if without is None:
+    replacements = _without_shape(setting, parent, beside)
+    if replacements is None:
         return None
     return SearchState(
-        (*kept, *without, *more.findings),
-        (*search.rounds, *more.rounds),
-        more.omnibus,
-        (*search.rejected, *beside.rejected, *more.rejected),
+        (*kept, *replacements, *extended.findings),
+        (*search.rounds, *extended.rounds),
+        extended.omnibus,
+        (*search.rejected, *beside.rejected, *extended.rejected),
     )
 
 
@@ -126,15 +126,15 @@ def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation
     """The findings beside a shape, each held against the model `before` it and those before without the shape; None where the
     motion runs away."""
     bare = replace(setting, working=before.model, clean=before.clean)
-    made: list[AcceptedEffect] = []
+    replaced: list[AcceptedEffect] = []
     for count, finding in enumerate(beside.findings, 1):
-        whole = count == len(beside.findings)
-        child = beside.standing if whole else afresh_with(bare, beside.findings[:count], finding.child)
+        complete = count == len(beside.findings)
+        child = beside.standing if complete else afresh_with(bare, beside.findings[:count], finding.child)
         if child is None:
             return None
         # whether a shape explains more than it was asked about another model
-        made.append(replace(finding, parent=made[-1].child if made else before, child=child, doubted=False))
-    return made
+        replaced.append(replace(finding, parent=replaced[-1].child if replaced else before, child=child, doubted=False))
+    return replaced
 
 
 def _silent(what: str, share: float) -> None:
@@ -159,21 +159,23 @@ def without_doubted(
     number = next((k for k, f in enumerate(kept) if f.doubted), None)
     if number is None:
         return None
-    about = kept[number].round_
-    again = searched(setting, search, about, as_unknown(decision))
-    if again.shape is None or not as_good(again.shape, named[number], setting.options.criteria):
+    round_ = kept[number].round_
+    search_result = searched(setting, search, round_, as_unknown(decision))
+    if search_result.shape is None or not as_good(search_result.shape, named[number], setting.options.criteria):
         return None
-    without = without_name(decision, kept[number], number, again.shape)
-    beside = names_beside(setting, search, about.baseline, again, without)
-    found = {f.candidate.hypothesis.effect.name for f in beside.findings} if beside is not None else set()
-    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= found:
+    changed = without_name(decision, kept[number], number, search_result.shape)
+    continuation = names_beside(setting, search, round_.baseline, search_result, changed)
+    continued_names = (
+        {f.candidate.hypothesis.effect.name for f in continuation.findings} if continuation is not None else set()
+    )
+    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= continued_names:
         return None
-    return without, tuple(kept[:number]), about.baseline, again, beside
+    return changed, tuple(kept[:number]), round_.baseline, search_result, continuation
 
 
 def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
     """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
     place = shape.fitted.increment.place.words
-    why = f"a smooth function without a name ({place}) explains clearly more than this form of it"
+    reason = f"a smooth function without a name ({place}) explains clearly more than this form of it"
     effect = finding.candidate.hypothesis.effect.name
-    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, why)))
+    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, reason)))

@@ -88,19 +88,19 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     replaced = None
     if not setting.steered:
         replaced = without_doubted(setting, search, state.kept, state.named, state.decision)
-    beside = None
+    continuation = None
     if replaced is not None:
-        state.decision, state.kept, state.model, state.found, beside = replaced
+        state.decision, state.kept, state.model, state.found, continuation = replaced
     elif not setting.steered:
         _search_unnamed(state)
     if replaced is None and state.event is None:
-        beside = names_beside(setting, search, state.model, state.found, state.decision)
-    if beside is not None:
-        more = in_its_place(setting, search, state.kept, beside)
-        if more is not None:
-            return concluded(setting, more, check)
-        _add_names(state, beside)
-    return _answer(state, check, turned_down(search, beside))
+        continuation = names_beside(setting, search, state.model, state.found, state.decision)
+    if continuation is not None:
+        renewed = in_its_place(setting, search, state.kept, continuation)
+        if renewed is not None:
+            return concluded(setting, renewed, check)
+        _add_names(state, continuation)
+    return _answer(state, check, turned_down(search, continuation))
 
 
 def _decided(setting: Setting, search: SearchState) -> _Standing:
@@ -108,14 +108,14 @@ def _decided(setting: Setting, search: SearchState) -> _Standing:
     first, last = search.rounds[0], search.rounds[-1]
     floor = floor_about(setting, last)
     misfit = misfit_of(search.omnibus, setting.options.criteria)
-    named = [step_of(setting, f, floor, misfit) for f in search.findings]
+    steps = [step_of(setting, f, floor, misfit) for f in search.findings]
     gap = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
-    facts = facts_of(search, named, floor.covers(gap), cannot, len(setting.untold))
+    facts = facts_of(search, steps, floor.covers(gap), cannot, len(setting.untold))
     decision = decide(only_steered(facts) if setting.steered else facts, setting.options.criteria)
-    kept = search.findings[: decision.kept]
-    model = kept[-1].child if kept else first.baseline
-    return _Standing(setting, search, floor, cannot, named, decision, kept, model, search.omnibus, gap)
+    standing = search.findings[: decision.kept]
+    model = standing[-1].child if standing else first.baseline
+    return _Standing(setting, search, floor, cannot, steps, decision, standing, model, search.omnibus, gap)
 
 
 def _search_unnamed(state: _Standing) -> None:
@@ -128,12 +128,12 @@ def _search_unnamed(state: _Standing) -> None:
         state.event = happened(setting, round_)
     if state.found.shape is not None or state.event is not None:
         return
-    late = late_rest(setting, search, state.kept)
-    if late is None:
+    late_term = late_rest(setting, search, state.kept)
+    if late_term is None:
         follower = settled(state.found.follower, state.model, setting.options.seed)
     else:
-        follower = late.follower
-        state.decision = beside_memory(state.decision, [n.effect for n in state.named], late)
+        follower = late_term.follower
+        state.decision = beside_memory(state.decision, [n.effect for n in state.named], late_term)
         if state.decision.kept < len(state.kept):
             state.kept = state.kept[: state.decision.kept]
             round_ = standing_round(setting, search, state.kept)
@@ -148,30 +148,30 @@ def _add_names(state: _Standing, beside: ShapeContinuation) -> None:
     """Add the names that stand beside a shape, with the shape about the model that has them."""
     floor = floor_about(state.setting, beside.round_)
     state.kept, state.model, state.found = (*state.kept, *beside.findings), beside.standing, beside.found
-    own = (step_of(state.setting, f, floor) for f in beside.findings)
-    state.named = [*state.named[: state.decision.kept], *own]
+    new_steps = (step_of(state.setting, f, floor) for f in beside.findings)
+    state.named = [*state.named[: state.decision.kept], *new_steps]
     state.decision = with_names(state.decision, [s.effect for s in state.named])
 
 
 def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, ...]) -> GapResult:
     """The answer in which all that stands is told."""
-    setting, search, found = state.setting, state.search, state.found
+    setting, search, shapes = state.setting, state.search, state.found
     prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
-    decision, rest, after = state.decision, state.rest, state.model
-    whole, unnamed, still = Gap(state.gap, state.gap, state.floor.training_median), None, ""
-    if found.shape is not None:
-        decision, unnamed = with_shape(decision), shaped_step(found.shape, state.model, setting, rejected)
-        last, after = found.shape.measured.round_, found.shape.measured.child
-        rest, still = still_left(last, rest)
+    decision, rest, final = state.decision, state.rest, state.model
+    unchanged_gap, unnamed, remainder = Gap(state.gap, state.gap, state.floor.training_median), None, ""
+    if shapes.shape is not None:
+        decision, unnamed = with_shape(decision), shaped_step(shapes.shape, state.model, setting, rejected)
+        last, final = shapes.shape.measured.round_, shapes.shape.measured.child
+        rest, remainder = still_left(last, rest)
     elif state.event is not None:
-        decision, unnamed = as_unknown(decision), event_step(state.event, whole)
-    elif decision.verdict in EXPLAINED and (held := held_back(state.model, prepared)):
-        decision, unnamed = as_unknown(decision), held_step(held, whole)
-    named = [sized(s, f, after) for s, f in zip(state.named, state.kept, strict=False)]
-    steps = told(decision, named, rest, check, state.gap, state.floor, unnamed, found.follower)
+        decision, unnamed = as_unknown(decision), event_step(state.event, unchanged_gap)
+    elif decision.verdict in EXPLAINED and (stale := held_back(state.model, prepared)):
+        decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
+    effect_steps = [sized(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
+    steps = told(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, shapes.follower)
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
-    stages = views(first.baseline, after, prepared, after is not first.baseline)
-    before_model, after_model = models(setting.base, first.baseline, state.kept, found.shape)
+    stages = views(first.baseline, final, prepared, final is not first.baseline)
+    before_model, after_model = models(setting.base, first.baseline, state.kept, shapes.shape)
     hypotheses = {h.effect.name for h in first.screen.hypotheses}
     held_channels = [s.shape.channel for s in steps if isinstance(s.shape, HeldInstrument)]
     return GapResult(
@@ -186,7 +186,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
             [r.flight for r in repeats if r.odd],
             [n for n in prepared.stale if n not in held_channels],
             setting.following,
-            still,
+            remainder,
         ),
         minimum_detectable=detectable,
         steps=steps,
@@ -195,8 +195,8 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
         nominal_threshold=nominal_threshold(len(first.screen.hypotheses), setting.options.criteria),
         rejected=(
             *rejected,
-            *(Rejected(effect, why) for effect, why in decision.withdrawn),
-            *(Rejected(t.place.words, f"as a shape without a name: {t.why}") for t in found.tried),
+            *(Rejected(effect, reason) for effect, reason in decision.withdrawn),
+            *(Rejected(t.place.words, f"as a shape without a name: {t.why}") for t in shapes.tried),
         ),
         ties=ties_of(first),
         model_before=before_model,
@@ -204,7 +204,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
         notes=prepared.notes,
         outputs=setting.base.output_names,
         views=stages,
-        histories=histories(setting, first.baseline, after, last),
+        histories=histories(setting, first.baseline, final, last),
         details={
             "kinematic_gate": check.to_json(),
             "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in state.cannot],
@@ -296,13 +296,15 @@ def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) 
             for c in range(len(setting.base.outputs))
         ]
     )
-    prepared, made = setting.prepared, []
+    prepared, courses = setting.prepared, []
     pairs = [(before.problem, before.fit, after.fit, False)]
     held_before, held_after = before.held_out, after.held_out
     if held_before is not None and held_after is not None:
         pairs.append((held_before[0], held_before[1], held_after[1], True))
-    for problem, one, two, held in pairs:
+    for problem, first, second, is_holdout in pairs:
         for i, record in enumerate(problem.records):
             z, name = problem.coarse[i].z, prepared.names[record.flight]
-            made.append(Histories(name, held, record.time, z, z - one.residuals[i], z - two.residuals[i], band))
-    return tuple(made)
+            courses.append(
+                Histories(name, is_holdout, record.time, z, z - first.residuals[i], z - second.residuals[i], band)
+            )
+    return tuple(courses)

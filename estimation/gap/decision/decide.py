@@ -63,12 +63,12 @@ class Decision:
 def decide(facts: VerdictFacts, criteria: Criteria) -> Decision:
     """The verdict that the facts give."""
     rest = rest_matters(facts, criteria)
-    kept, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
-    closed = kept > 0 and closed_by(facts.named[:kept]) >= criteria.closed_share
+    count, withdrawn = standing(facts, criteria) if rest else (len(facts.named), ())
+    closed = count > 0 and closed_by(facts.named[:count]) >= criteria.closed_share
     blind = facts.blind > criteria.blind_share * max(facts.asked, 1)
-    found = (rest, kept > 0, closed, blind)
-    verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], found, strict=True)))
-    return Decision(verdict, kept, withdrawn)
+    answers = (rest, count > 0, closed, blind)
+    verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], answers, strict=True)))
+    return Decision(verdict, count, withdrawn)
 
 
 def only_steered(facts: VerdictFacts) -> VerdictFacts:
@@ -84,7 +84,7 @@ def with_shape(decision: Decision) -> Decision:
 
 def with_names(decision: Decision, names: Sequence[str]) -> Decision:
     """The decision where these names stand in the end, beside a shape, some of which may have been withdrawn without it."""
-    withdrawn = tuple((effect, why) for effect, why in decision.withdrawn if effect not in names)
+    withdrawn = tuple((effect, reason) for effect, reason in decision.withdrawn if effect not in names)
     return replace(decision, kept=len(names), withdrawn=withdrawn)
 
 
@@ -119,8 +119,11 @@ def standing(facts: VerdictFacts, criteria: Criteria) -> tuple[int, tuple[tuple[
         withdrawn.append((last.effect, f"closes only {last.gap.closed:.0%} of the gap"))
     for k, name in enumerate(names):
         if facts.rest_place in name.instruments and not outweighs(name.score, facts.rest, criteria.own_weight):
-            why = f"the nameless rest in {facts.rest_place} is too large beside it: the instrument does something else than this"
-            return k, (*withdrawn, *((n.effect, why) for n in names[k:]))
+            reason = (
+                f"the nameless rest in {facts.rest_place} is too large beside it: "
+                "the instrument does something else than this"
+            )
+            return k, (*withdrawn, *((n.effect, reason) for n in names[k:]))
     return len(names), tuple(withdrawn)
 
 

@@ -44,10 +44,10 @@ def hypothesis_of(follower: Follower, flown: ModelMotion) -> tuple[Hypothesis, d
 def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """How far a first-order lag of a variable is behind it."""
     line, variable = memory.line, memory.variable
-    usual = flown.scale[line] / flown.reach(variable)
+    scale = flown.scale[line] / flown.reach(variable)
     form = Form(
         SIZE,
-        (EffectParameter(SIZE, "1", usual, -1e3 * usual, 1e3 * usual),),
+        (EffectParameter(SIZE, "1", scale, -1e3 * scale, 1e3 * scale),),
         terms={line: (f"{SIZE}*({FOLLOWER} - {variable})",)},
         states=(Signal(FOLLOWER, start=variable),),
         lines=(f"{FOLLOWER}_dot = ({variable} - {FOLLOWER})/{memory.time!r}",),
@@ -59,13 +59,13 @@ def lag_of(memory: LaggedTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str
 def swing_of(swing: SwingingTerm, flown: ModelMotion) -> tuple[Hypothesis, dict[str, float]]:
     """What an oscillator makes of accelerations; its frequency and damping are unknowns too."""
     sizes = {f"{SWING}_{a}": size for a, size in swing.by.items()}
-    usual = {f"{SWING}_{a}": flown.scale[swing.line] / flown.reach(a) for a in swing.by}
+    scales = {f"{SWING}_{a}": flown.scale[swing.line] / flown.reach(a) for a in swing.by}
     w, z = swing.frequency, swing.damping
     drive = " + ".join(f"{SWING}_{a}*{a}" for a in swing.by)
     form = Form(
         SWING,
         (
-            *(EffectParameter(n, "1", u, -1e3 * u, 1e3 * u) for n, u in usual.items()),
+            *(EffectParameter(n, "1", u, -1e3 * u, 1e3 * u) for n, u in scales.items()),
             EffectParameter(FREQUENCY, "rad/s", 0.1 * w, w / OCTAVE, OCTAVE * w, w),
             EffectParameter(DAMPING, "1", 0.5 * z, LEAST_DAMPING, MOST_DAMPING, z),
         ),
@@ -91,10 +91,10 @@ def settled(follower: Follower | None, baseline: Baseline, seed: int) -> Followe
     if follower is None:
         return None
     hypothesis, start = hypothesis_of(follower, ModelMotion.of(baseline.problem, baseline.fit))
-    _, found = fit_hypothesis(baseline.problem, baseline.fit, hypothesis, start)
-    if not found.diverged and not stands(follower, baseline, found, seed):
+    _, fitted = fit_hypothesis(baseline.problem, baseline.fit, hypothesis, start)
+    if not fitted.diverged and not stands(follower, baseline, fitted, seed):
         return None
-    return as_fitted(follower, found, baseline.criteria)
+    return as_fitted(follower, fitted, baseline.criteria)
 
 
 def stands(follower: Follower, baseline: Baseline, found: ModelFit, seed: int) -> bool:
@@ -109,9 +109,9 @@ def as_fitted(follower: Follower, found: ModelFit, criteria: Criteria) -> Follow
     if not isinstance(follower, SwingingTerm) or found.diverged:
         return follower
     fitted = _with_bounds(follower, found.values, found.std())
-    moved = max(fitted.frequency / follower.frequency, follower.frequency / fitted.frequency)
-    inside = fitted.damping > LEAST_DAMPING * NEAR_LIMIT and moved < OCTAVE / NEAR_LIMIT
-    return fitted if inside and rings(fitted.damping, criteria) else None
+    shift = max(fitted.frequency / follower.frequency, follower.frequency / fitted.frequency)
+    plausible = fitted.damping > LEAST_DAMPING * NEAR_LIMIT and shift < OCTAVE / NEAR_LIMIT
+    return fitted if plausible and rings(fitted.damping, criteria) else None
 
 
 def _with_bounds(swing: SwingingTerm, values: Mapping[str, float], std: Mapping[str, float]) -> SwingingTerm:
@@ -143,27 +143,27 @@ def late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffe
 
 
 def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], about: Round) -> LateRest | None:
-    flown = ModelMotion.of(about.baseline.problem, about.baseline.fit)
-    asked = (find_memory(flown, about, places_of(setting.base)), find_swing(flown, about))
-    found = [f for f in asked if f is not None and stands_out(f, setting.options.criteria)]
-    if not found:
+    motion = ModelMotion.of(about.baseline.problem, about.baseline.fit)
+    candidates = (find_memory(motion, about, places_of(setting.base)), find_swing(motion, about))
+    significant_terms = [f for f in candidates if f is not None and stands_out(f, setting.options.criteria)]
+    if not significant_terms:
         return None
-    follower = max(found, key=lambda f: f.gain)
+    follower = max(significant_terms, key=lambda f: f.gain)
     first = search.rounds[0].baseline
     hypothesis, start = hypothesis_of(follower, ModelMotion.of(first.problem, first.fit))
-    problem, beside = fit_hypothesis(first.problem, first.fit, hypothesis, start)
-    fitted = as_fitted(follower, beside, setting.options.criteria)
-    if fitted is None or beside.diverged:
+    problem, current = fit_hypothesis(first.problem, first.fit, hypothesis, start)
+    fitted = as_fitted(follower, current, setting.options.criteria)
+    if fitted is None or current.diverged:
         return None if fitted is None else LateRest(fitted, len(kept))
-    if not stands(follower, first, beside, setting.options.seed):
+    if not stands(follower, first, current, setting.options.seed):
         return None
-    needed = 0
+    count = 0
     for finding in kept:
-        problem, after = _with_name(problem, beside, finding)
-        if after.diverged or not significant(2.0 * (beside.cost - after.cost), finding):
+        problem, extended = _with_name(problem, current, finding)
+        if extended.diverged or not significant(2.0 * (current.cost - extended.cost), finding):
             break
-        beside, needed = after, needed + 1
-    return LateRest(fitted, needed)
+        current, count = extended, count + 1
+    return LateRest(fitted, count)
 
 
 def stands_out(follower: Follower, criteria: Criteria) -> bool:
@@ -179,16 +179,16 @@ def significant(gain: float, finding: AcceptedEffect) -> bool:
 def _with_name(
     problem: LikelihoodProblem, beside: ModelFit, finding: AcceptedEffect
 ) -> tuple[LikelihoodProblem, ModelFit]:
-    at = {n: v for n, (v, _) in finding.candidate.estimates.items()}
-    return fit_hypothesis(problem, beside, finding.candidate.hypothesis, at)
+    values = {n: v for n, (v, _) in finding.candidate.estimates.items()}
+    return fit_hypothesis(problem, beside, finding.candidate.hypothesis, values)
 
 
 def beside_memory(decision: Decision, named: Sequence[str], late: LateRest) -> Decision:
     """The decision where a lag or swing takes the place of names not needed beside it, and is unknown beside the others."""
-    why = f"not needed where {late.follower.words}, which explains more"
+    reason = f"not needed where {late.follower.words}, which explains more"
     return replace(
         decision,
         verdict=GapVerdict.UNKNOWN,
         kept=late.needed,
-        withdrawn=(*decision.withdrawn, *((n, why) for n in named[late.needed : decision.kept])),
+        withdrawn=(*decision.withdrawn, *((n, reason) for n in named[late.needed : decision.kept])),
     )

@@ -51,14 +51,14 @@ def write_lineage(
 ) -> tuple[Path, Path]:
     """Write parent and child as TOML and the record of how one came from the other; (parent file, child file)."""
     folder.mkdir(parents=True, exist_ok=True)
-    before, after = folder / f"{parent.name}.toml", folder / f"{child.name}.toml"
-    if before == after:
-        after = folder / f"{child.name}-refitted.toml"
-    write_model(parent, before)
-    write_model(child, after)
+    parent_file, child_file = folder / f"{parent.name}.toml", folder / f"{child.name}.toml"
+    if parent_file == child_file:
+        child_file = folder / f"{child.name}-refitted.toml"
+    write_model(parent, parent_file)
+    write_model(child, child_file)
     record: dict[str, Any] = {
-        "parent": {"file": before.name, "digest": parent.digest},
-        "child": {"file": after.name, "digest": child.digest},
+        "parent": {"file": parent_file.name, "digest": parent.digest},
+        "child": {"file": child_file.name, "digest": child.digest},
         "added": [
             {"effect": s.effect, "form": s.form, "score": s.score, "threshold": s.threshold, "confidence": s.confidence,
              "set": {m.effect: m.weight for m in s.members}, "parameters": {n: v for n, (v, _) in s.estimates.items()},
@@ -69,8 +69,8 @@ def write_lineage(
         "seed": seed,
         "software": software(),
     }  # fmt: skip
-    write_json(record, folder / f"{after.stem}.lineage.json")
-    return before, after
+    write_json(record, folder / f"{child_file.stem}.lineage.json")
+    return parent_file, child_file
 
 
 def turned_signs(baseline: Baseline) -> list[str]:
@@ -80,32 +80,34 @@ def turned_signs(baseline: Baseline) -> list[str]:
     measured = [r.z for r in problem.coarse]
     outputs = turned_outputs(base, [(z, z - e) for z, e in zip(measured, fit.residuals, strict=True)])
     bounds = fit.std()
-    found = {
+    estimates = {
         n: Estimate(n, fit.values[n], bounds[n], bounds[n], reference=base.parameter(n).reference)
         for n in base.starts()
         if n in bounds
     }
     return [
         *outputs,
-        *turned_side_force(base, found),
-        *turned_controls(base, found),
-        *controls_of_another_unit(base, found),
+        *turned_side_force(base, estimates),
+        *turned_controls(base, estimates),
+        *controls_of_another_unit(base, estimates),
     ]
 
 
 def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:
     """Write the models before and after, with their lineage, to `folder`; the result that names these files."""
-    before, after = write_lineage(folder, result.model_before, result.model_after, result.steps, flights, seed)
-    return replace(result, files=(str(before), str(after)))
+    parent_file, child_file = write_lineage(
+        folder, result.model_before, result.model_after, result.steps, flights, seed
+    )
+    return replace(result, files=(str(parent_file), str(child_file)))
 
 
 def models(
     base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
 ) -> tuple[Model, Model]:
     """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
-    before = fitted(base, first.fit.values)
+    parent = fitted(base, first.fit.values)
     if not kept and shape is None:
-        return before, before
+        return parent, parent
     child = base
     for f in kept:
         child = f.candidate.hypothesis.form.added_to(child)
@@ -115,4 +117,4 @@ def models(
         values = shape.measured.child.fit.values
         child = shape.fitted.increment.written_into(child, values)
         names.append("nameless")
-    return before, replace(fitted(child, values), name="+".join(names))
+    return parent, replace(fitted(child, values), name="+".join(names))

@@ -42,32 +42,32 @@ EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
     """The stages there are: prior frozen (unless its motion runs away), refit, and with the named effects."""
-    made = []
+    stages = []
     frozen = prior_frozen(first)
     if frozen is not None:
-        made.append(view("prior parameters frozen", frozen, prepared))
-    made.append(view("after the refit", first, prepared))
+        stages.append(view("prior parameters frozen", frozen, prepared))
+    stages.append(view("after the refit", first, prepared))
     if changed:
-        made.append(view("with the named effects", last, prepared))
-    return tuple(made)
+        stages.append(view("with the named effects", last, prepared))
+    return tuple(stages)
 
 
 def prior_frozen(baseline: Baseline) -> Baseline | None:
     """The baseline with every derivative at its prior and only initial states and biases fitted; None where that diverges."""
     problem = baseline.problem
-    believed = {p.name: p.reference for p in problem.model.parameters if p.reference is not None}
-    found = fit(problem, {**problem.starts(), **believed}, baseline.fit.locals, frozen=True)
-    return None if found.diverged or not found.residuals else replace(baseline, fit=found)
+    references = {p.name: p.reference for p in problem.model.parameters if p.reference is not None}
+    frozen_fit = fit(problem, {**problem.starts(), **references}, baseline.fit.locals, frozen=True)
+    return None if frozen_fit.diverged or not frozen_fit.residuals else replace(baseline, fit=frozen_fit)
 
 
 def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> DisagreementView:
     """Maps of the residuals of one fitted model."""
-    problem, found, scatter = baseline.problem, baseline.fit, baseline.scatter
-    plain = [plain_residuals(problem, found, i, scatter) for i in range(len(problem.records))]
+    problem, model_fit, scatter = baseline.problem, baseline.fit, baseline.scatter
+    residuals = [plain_residuals(problem, model_fit, i, scatter) for i in range(len(problem.records))]
     outputs = problem.model.output_names
-    squares = [(r / scatter) ** 2 for r in plain]
+    squares = [(r / scatter) ** 2 for r in residuals]
     everything = np.concatenate(squares)
-    missing = tuple(missing_coefficients(problem, found, i, r, scatter) for i, r in enumerate(plain))
+    missing = tuple(missing_coefficients(problem, model_fit, i, r, scatter) for i, r in enumerate(residuals))
     return DisagreementView(
         stage=stage,
         gap=float(np.sqrt(np.nanmean(everything))),
@@ -77,7 +77,7 @@ def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> Disagreemen
             for i, s in enumerate(squares)
             for window in windows(problem.coarse[i].time, s, baseline.criteria)
         ),
-        regime=by_regime(replace(baseline, fit=replace(found, residuals=tuple(plain)))),
+        regime=by_regime(replace(baseline, fit=replace(model_fit, residuals=tuple(residuals)))),
         equations={
             n: float(np.sqrt(np.mean(np.concatenate([m[n] for m in missing]) ** 2))) for n in (missing[0] or {})
         },
@@ -127,11 +127,11 @@ def missing_coefficients(
 
 def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> float | None:
     """Coefficient that makes a unit rate of a state at the mean dynamic pressure; None where the model does not say."""
-    known, record = problem.model.constants, problem.records[index]
+    constants, record = problem.model.constants, problem.records[index]
     if state not in LINES or LINES[state] not in problem.model.definitions or "V" not in record.inputs:
         return None
     V = float(np.mean(record.inputs["V"]))
-    rho = float(np.mean(record.inputs["rho"])) if "rho" in record.inputs else known.get("rho", 0.0)
+    rho = float(np.mean(record.inputs["rho"])) if "rho" in record.inputs else constants.get("rho", 0.0)
     pressure = 0.5 * rho * V**2
     need = {
         "beta": ("m", "S"),
@@ -140,9 +140,9 @@ def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) ->
         "r": ("Izz", "S", "b"),
         "q": ("Iyy", "S", "c"),
     }
-    if pressure <= 0.0 or any(n not in known for n in need[state]):
+    if pressure <= 0.0 or any(n not in constants for n in need[state]):
         return None
-    inertia, *lengths = (known[n] for n in need[state])
+    inertia, *lengths = (constants[n] for n in need[state])
     factor = inertia / (pressure * float(np.prod(lengths)))
     return {"beta": V, "alpha": -V}.get(state, 1.0) * factor
 
@@ -150,8 +150,8 @@ def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) ->
 def by_regime(baseline: Baseline) -> dict[str, list[dict[str, float]]]:
     """Map of the disagreement over the flight regime: per signal, bins of rms residual / noise over all outputs."""
     squares = np.concatenate([(r / baseline.scatter) ** 2 for r in baseline.fit.residuals])
-    known = np.isfinite(squares).sum(axis=1)
-    total = np.where(known > 0, np.nansum(squares, axis=1) / np.maximum(known, 1), np.nan)
+    counts = np.isfinite(squares).sum(axis=1)
+    total = np.where(counts > 0, np.nansum(squares, axis=1) / np.maximum(counts, 1), np.nan)
     return {name: binned(values, total, baseline.criteria) for name, values in signals_of(baseline).items()}
 
 
@@ -173,12 +173,12 @@ def binned(values: Array, squares: Array, criteria: Criteria) -> list[dict[str, 
 def equation_of(form: Form) -> str:
     """The equation a form enters: a coefficient, a rate, an instrument or a control."""
     lines = list(form.terms)
-    named = [line for line in lines if line in EQUATIONS] or lines
+    coefficients = [line for line in lines if line in EQUATIONS] or lines
     if form.outputs or form.output_delays:
         return "measured " + ", ".join(form.outputs or form.output_delays)
     if form.transforms:
         return form.transforms[0].input
-    return ", ".join(named) or ", ".join(p.name for p in form.parameters)
+    return ", ".join(coefficients) or ", ".join(p.name for p in form.parameters)
 
 
 def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
@@ -203,8 +203,8 @@ def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
 
 def channels_that_gain(gain: Array, criteria: Criteria) -> list[int]:
     """Indices of the outputs that show an effect, best first. gain: (ny,)."""
-    least = criteria.channel_share * max(float(gain.max()), NOTHING)
-    return [int(i) for i in np.argsort(-gain) if gain[i] > least]
+    limit = criteria.channel_share * max(float(gain.max()), NOTHING)
+    return [int(i) for i in np.argsort(-gain) if gain[i] > limit]
 
 
 def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, float]]:
@@ -213,23 +213,23 @@ def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, 
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
     limit = max(criteria.span_share * float(smooth.max()), NOTHING)
     changes = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > limit).astype(int), [0]])))
-    found = [(a, b - 1) for a, b in zip(changes[::2], changes[1::2], strict=True) if b - a >= n // 2]
-    found.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
-    return [(float(time[a]), float(time[b])) for a, b in found]
+    spans = [(a, b - 1) for a, b in zip(changes[::2], changes[1::2], strict=True) if b - a >= n // 2]
+    spans.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
+    return [(float(time[a]), float(time[b])) for a, b in spans]
 
 
 def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str:
     """The condition under which most of the gain (N,) is made: the signal whose large values coincide with it best."""
-    best, text = criteria.regime_gain, "everywhere"
+    highest, text = criteria.regime_gain, "everywhere"
     for name, values in signals.items():
         size = np.abs(values - np.median(values))
         limit = float(np.quantile(size, criteria.regime_quantile))
-        inside = size > limit
-        if inside.mean() <= criteria.regime_least:
+        large = size > limit
+        if large.mean() <= criteria.regime_least:
             continue
-        ratio = float(np.sum(gain[inside])) / max(float(np.sum(np.maximum(gain, 0.0))), NOTHING) / inside.mean()
-        if ratio > best:
-            best = ratio
+        ratio = float(np.sum(gain[large])) / max(float(np.sum(np.maximum(gain, 0.0))), NOTHING) / large.mean()
+        if ratio > highest:
+            highest = ratio
             centre = float(np.median(values))
             if name not in DEGREES:
                 text = f"{name} more than {limit:.3g} from {centre:.3g}"
@@ -242,8 +242,8 @@ def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str
 
 def signals_of(child: Baseline) -> dict[str, Array]:
     problem = child.problem
-    shown = [np.nan_to_num(c.z - np.nan_to_num(r)) for c, r in zip(problem.coarse, child.fit.residuals, strict=True)]
-    signals = {n: np.concatenate([s[:, i] for s in shown]) for i, n in enumerate(problem.model.output_names)}
+    outputs = [np.nan_to_num(c.z - np.nan_to_num(r)) for c, r in zip(problem.coarse, child.fit.residuals, strict=True)]
+    signals = {n: np.concatenate([s[:, i] for s in outputs]) for i, n in enumerate(problem.model.output_names)}
     for i, s in enumerate(problem.model.inputs):
         if s.control or s.name in ("alpha", "V", "thrust"):
             signals[s.name] = np.concatenate([c.u[:, i] for c in problem.coarse])

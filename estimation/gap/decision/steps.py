@@ -43,8 +43,8 @@ def unknown_step(omnibus: Omnibus, gap: Gap) -> EffectStep:
 
 def how_it_shows(omnibus: Omnibus) -> str:
     """The strongest nameless signals in words."""
-    shown = [s for s in omnibus.leading if s.score > omnibus.threshold][:TOLD]
-    return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in shown)
+    significant = [s for s in omnibus.leading if s.score > omnibus.threshold][:TOLD]
+    return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in significant)
 
 
 def misfit_of(rest: Omnibus, criteria: Criteria) -> float:
@@ -61,9 +61,9 @@ def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: fl
     if effect.name not in dict(members):
         members = [(effect.name, weights.get(effect.name, 0.0)), *members]
     members.sort(key=lambda m: m[0] != effect.name)
-    followed = followed_by_timing(finding)
-    parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child
-    gap, held = gaps(parent, child, floor)
+    shifts = followed_by_timing(finding)
+    parent, child = as_sampled(finding.parent) if shifts else finding.parent, finding.child
+    gap, held_out_gap = gaps(parent, child, floor)
     titles = {e.name: e for e in setting.effects}
     return EffectStep(
         effect=effect.name, title=effect.title, form=form.label,
@@ -74,8 +74,8 @@ def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: fl
         units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
         where=locate(parent, child, equation_of(form)),
-        gap=gap, holdout=held, migrated=migrated(parent, child), absorbed=_absorbed(finding),
-        equation=form.equation or effect.equation, practical=practical(parent, child), followed=followed,
+        gap=gap, holdout=held_out_gap, migrated=migrated(parent, child), absorbed=_absorbed(finding),
+        equation=form.equation or effect.equation, practical=practical(parent, child), followed=shifts,
     )  # fmt: skip
 
 
@@ -84,22 +84,22 @@ def followed_by_timing(finding: AcceptedEffect) -> dict[str, float]:
     if not by_timing(finding.round_, finding.candidate):
         return {}
     values = finding.parent.fit.values
-    moved = {s.name: timing_of(s.name, values) for s in finding.parent.model.inputs if s.control}
-    return followers(moved, finding.round_.criteria)
+    shifts = {s.name: timing_of(s.name, values) for s in finding.parent.model.inputs if s.control}
+    return followers(shifts, finding.round_.criteria)
 
 
 def followers(moved: Mapping[str, float], criteria: Criteria) -> dict[str, float]:
     """Those of the surfaces that moved in time [s] by about as much as the one that moved most."""
-    least = criteria.followed_share * max(map(abs, moved.values()), default=0.0)
-    return {n: v for n, v in moved.items() if abs(v) > least}
+    limit = criteria.followed_share * max(map(abs, moved.values()), default=0.0)
+    return {n: v for n, v in moved.items() if abs(v) > limit}
 
 
 def as_sampled(parent: Baseline) -> Baseline:
     """The parent with its surfaces moving when they are seen to, and its attitudes shown when they are."""
     problem = parent.problem
-    late = [p.name for p in problem.model.parameters if p.role is ParameterRole.NUISANCE and p.unit == "s"]
-    values = {**parent.fit.values, **dict.fromkeys(late, 0.0)}
-    return replace(parent, fit=fit(problem, values, parent.fit.locals, held=late))
+    delays = [p.name for p in problem.model.parameters if p.role is ParameterRole.NUISANCE and p.unit == "s"]
+    values = {**parent.fit.values, **dict.fromkeys(delays, 0.0)}
+    return replace(parent, fit=fit(problem, values, parent.fit.locals, held=delays))
 
 
 def _separate(effect: Effect, names: Sequence[str]) -> str:
@@ -120,11 +120,11 @@ def _absorbed(finding: AcceptedEffect) -> float | None:
 def practical(parent: Baseline, child: Baseline) -> str:
     """What the effect is worth against the tolerances of flight-simulator qualification."""
     pairs = list(zip(parent.fit.residuals, child.fit.residuals, strict=True))
-    worth = {
+    changes = {
         name: float(np.degrees(np.nanmax(np.abs(np.concatenate([(p - q)[:, c] for p, q in pairs])))))
         for c, name in enumerate(parent.model.output_names)
     }
-    return worth_in_words(worth, parent.criteria)
+    return worth_in_words(changes, parent.criteria)
 
 
 def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
@@ -140,37 +140,37 @@ def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
     }
     judged = [(n, worth[n], *bands[n]) for n in bands if n in worth]
     words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]
-    beyond = any(w > b for _, w, b, _ in judged)
-    return ("matters: " if beyond else "real but within simulator tolerances: ") + ", ".join(words)
+    significant = any(w > b for _, w, b, _ in judged)
+    return ("matters: " if significant else "real but within simulator tolerances: ") + ", ".join(words)
 
 
 def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
     """Base derivatives that had absorbed part of the effect, farthest moved first; weights of a shape are none."""
     std, read = child.fit.std(), parent.clean.parameter_names
-    found = {}
+    migrations = {}
     for name in parent.fit.free:
         if child.problem.nuisance(name) or name not in std or name not in read:
             continue
-        before, after = parent.fit.values[name], child.fit.values[name]
-        bounds = abs(after - before) / max(std[name], 1e-300)
+        old, new = parent.fit.values[name], child.fit.values[name]
+        bounds = abs(new - old) / max(std[name], 1e-300)
         if bounds > child.criteria.migrated_bounds:
-            found[name] = Migration(before, after, bounds, parent.model.parameter(name).reference)
-    return dict(sorted(found.items(), key=lambda item: -item[1].bounds))
+            migrations[name] = Migration(old, new, bounds, parent.model.parameter(name).reference)
+    return dict(sorted(migrations.items(), key=lambda item: -item[1].bounds))
 
 
 def undetectable(round_: Round) -> list[Effect]:
     """Effects of which not even a multiple of the usual size would have passed the threshold on these flights."""
     projected = round_.screen.projected()
-    seen: dict[str, float] = {}
+    powers: dict[str, float] = {}
     effects = {h.effect.name: h.effect for h in round_.screen.hypotheses}
     for c, column in enumerate(round_.screen.columns):
         name = round_.screen.hypotheses[column.hypothesis].effect.name
         power = (
             np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis]) * column.parameter.typical
         )
-        seen[name] = max(seen.get(name, 0.0), float(power))
+        powers[name] = max(powers.get(name, 0.0), float(power))
     size, threshold = round_.criteria.blind_size, round_.threshold
-    return [effects[n] for n, power in seen.items() if size * power < threshold and not effects[n].tied_to]
+    return [effects[n] for n, power in powers.items() if size * power < threshold and not effects[n].tied_to]
 
 
 def effect_scores(round_: Round) -> dict[str, float]:
@@ -199,14 +199,14 @@ def detectable_sizes(round_: Round) -> dict[str, float]:
 
 def ties_of(round_: Round) -> tuple[Tie, ...]:
     cosines = round_.screen.projected().cosines()
-    found = []
+    ties = []
     columns = round_.screen.columns
     for i in range(len(columns)):
         for j in range(i + 1, len(columns)):
             a, b = round_.screen.hypotheses[columns[i].hypothesis], round_.screen.hypotheses[columns[j].hypothesis]
             if a.effect.name != b.effect.name and abs(cosines[i, j]) >= round_.criteria.tie:
-                found.append(Tie(a.label, b.label, float(abs(cosines[i, j]))))
-    return tuple(sorted(found, key=lambda t: -t.cosine))
+                ties.append(Tie(a.label, b.label, float(abs(cosines[i, j]))))
+    return tuple(sorted(ties, key=lambda t: -t.cosine))
 
 
 def nominal_threshold(hypotheses: int, criteria: Criteria) -> float:

@@ -45,8 +45,8 @@ def standing_round(setting: Setting, search: SearchState, kept: Sequence[Accepte
 
 def floor_about(setting: Setting, round_: Round) -> Floors:
     """What the gap measures on the nulls of a round, training and held-out flights."""
-    held = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
-    return floors(round_, round_.baseline.held_out, held, setting.options.seed)
+    holdout_errors = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
+    return floors(round_, round_.baseline.held_out, holdout_errors, setting.options.seed)
 
 
 def searched(setting: Setting, search: SearchState, round_: Round, decision: Decision) -> ShapeSearch:
@@ -70,31 +70,31 @@ def shaped_step(
     shape: CoefficientShape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]
 ) -> EffectStep:
     """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
-    where = locate(baseline, shape.measured.child, shape.fitted.increment.place.line)
+    location = locate(baseline, shape.measured.child, shape.fitted.increment.place.line)
     formulas = [formula for formula, _ in shape.plain]
-    known = alike(formulas, where.equation, baseline.clean, setting.effects, rejected)
-    curve = curve_of(shape, setting, where.regime, known)
+    catalogued = alike(formulas, location.equation, baseline.clean, setting.effects, rejected)
+    curve = curve_of(shape, setting, location.regime, catalogued)
     return EffectStep(
-        effect="unknown", title=UNNAMED if known else UNKNOWN, form="", confidence=0.0, members=(),
-        separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold, where=where,
+        effect="unknown", title=UNNAMED if catalogued else UNKNOWN, form="", confidence=0.0, members=(),
+        separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold, where=location,
         gap=shape.measured.gap, holdout=shape.measured.holdout, migrated={}, shape=curve,
     )  # fmt: skip
 
 
 def curve_of(shape: CoefficientShape, setting: Setting, regime: str, known: tuple[Alike, ...]) -> ShapeCurve:
     increment = shape.fitted.increment
-    place, flown = increment.place, increment.flown
+    place, limits = increment.place, increment.flown
     child = shape.measured.child
     final = FittedIncrement(increment, child.problem, child.fit, shape.fitted.gain)
     x, value, std = final.curve()
     unit = "rad" if place.variable in ANGLES else _unit(setting.base, place.variable)
     variables = (place.variable, place.by) if place.by else (place.variable,)
-    shown = [(p, c, True) for p, c in shape.plain] + [(p, c, False) for p, c in shape.refused]
+    formulas = [(p, c, True) for p, c in shape.plain] + [(p, c, False) for p, c in shape.refused]
     return ShapeCurve(
         output=place.line, variables=variables, grid=x, value=value / increment.reach, std=std / increment.reach, unit=unit,
-        low=flown.low, high=flown.high, closed=shape.measured.closed,
+        low=limits.low, high=limits.high, closed=shape.measured.closed,
         analytic=shape.plain[0][0].text if shape.plain else None,
-        candidates=tuple(_candidate(p, c, good) for p, c, good in shown),
+        candidates=tuple(_candidate(p, c, accepted) for p, c, accepted in formulas),
         rivals=tuple(
             (f.increment.place.line, tuple(n for n in (f.increment.place.variable, f.increment.place.by) if n),
              f.gain / shape.fitted.gain)
@@ -102,7 +102,7 @@ def curve_of(shape: CoefficientShape, setting: Setting, regime: str, known: tupl
         ),
         left_out=tuple((setting.prepared.names[o.flight], o.inside, o.gain) for o in shape.others),
         regime=regime,
-        separate_by=SLOW_SWEEP.format(x=place.variable, low=flown.low, high=flown.high, unit=unit), alike=known,
+        separate_by=SLOW_SWEEP.format(x=place.variable, low=limits.low, high=limits.high, unit=unit), alike=known,
     )  # fmt: skip
 
 
@@ -118,17 +118,17 @@ def happened(setting: Setting, round_: Round) -> Happened | None:
     """Events in time that leave nothing else to explain; None where there is none, or where something else is left."""
     setting.tell("what may have happened at one time", 0.94)
     try:
-        found = find_transients(round_)
-        if not found.found or found.cleared is None:
+        transients = find_transients(round_)
+        if not transients.found or transients.cleared is None:
             return None
-        rest = examine(found.cleared)
+        rest = examine(transients.cleared)
     except GapError:  # as above
         return None
     if rest.matters(round_.criteria):
         return None
     records, names = round_.baseline.problem.records, setting.prepared.names
-    flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in found.found]
-    return Happened([happening(f, setting.base, flight) for f, flight in zip(found.found, flights, strict=True)])
+    flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in transients.found]
+    return Happened([happening(f, setting.base, flight) for f, flight in zip(transients.found, flights, strict=True)])
 
 
 def happening(found: DetectedEvent, base: Model, flight: str) -> EventReport:
@@ -171,25 +171,27 @@ def held_back(baseline: Baseline, prepared: FlightRecords) -> HeldInstrument | N
     """The stale output that is farthest from the model where it repeats; None where none is too far."""
     problem, fit = baseline.problem, baseline.fit
     modelled = [problem.modelled(i, fit.values, local) for i, local in enumerate(fit.locals)]
-    seen = [(r, y) for r, y in zip(problem.records, modelled, strict=True) if y is not None and r.apart is not None]
+    pairs = [(r, y) for r, y in zip(problem.records, modelled, strict=True) if y is not None and r.apart is not None]
     step = max(float(np.median(np.diff(r.time))) for r in problem.records)
-    found = []
+    instruments = []
     for c, signal in enumerate(problem.model.outputs):
-        if signal.source in prepared.stale and seen:
-            far = np.concatenate([r.apart[:, c] - y[:, c] for r, y in seen if r.apart is not None])
-            near = np.concatenate([r.z[:, c] - y[:, c] for r, y in seen])
-            held = judged(signal.source, far[np.isfinite(far)], near[np.isfinite(near)], step, baseline.criteria)
-            found += [held] if held is not None else []
-    return max(found, key=lambda h: h.ratio, default=None)
+        if signal.source in prepared.stale and pairs:
+            repeated = np.concatenate([r.apart[:, c] - y[:, c] for r, y in pairs if r.apart is not None])
+            fresh = np.concatenate([r.z[:, c] - y[:, c] for r, y in pairs])
+            instrument = judged(
+                signal.source, repeated[np.isfinite(repeated)], fresh[np.isfinite(fresh)], step, baseline.criteria
+            )
+            instruments += [instrument] if instrument is not None else []
+    return max(instruments, key=lambda h: h.ratio, default=None)
 
 
 def judged(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> HeldInstrument | None:
     """Residuals of a channel where it repeats a value, (n,), against those at new values, (m,), of records sampled every `step`
     [s]; None where the former are little farther."""
-    usual = float(np.sqrt(np.mean(near**2))) if near.size else 0.0
-    if not far.size or usual <= 0.0:
+    reference = float(np.sqrt(np.mean(near**2))) if near.size else 0.0
+    if not far.size or reference <= 0.0:
         return None
-    ratio = float(np.sqrt(np.mean(far**2))) / usual
+    ratio = float(np.sqrt(np.mean(far**2))) / reference
     if ratio <= criteria.held_ratio:
         return None
     share = far.size / (far.size + near.size)
@@ -218,18 +220,18 @@ def alike(
         if _only_adds_to(line, form) and form.obstacle(model) is None
     ]
     return tuple(
-        _told(hypothesis, found, rejected)
+        _told(hypothesis, estimate, rejected)
         for formula in plain
         for hypothesis in one_term
-        if (found := _as_parameter(formula, hypothesis.form.terms[line][0], hypothesis.form.parameters[0].name))
+        if (estimate := _as_parameter(formula, hypothesis.form.terms[line][0], hypothesis.form.parameters[0].name))
         is not None
     )
 
 
 def _only_adds_to(line: str, form: Form) -> bool:
     """Whether all that a form does is to add one piece with one unknown to a line."""
-    more = form.states or form.transforms or form.outputs or form.output_delays or form.lines
-    return not more and [*form.terms] == [line] and len(form.terms[line]) == 1 and len(form.parameters) == 1
+    extras = form.states or form.transforms or form.outputs or form.output_delays or form.lines
+    return not extras and [*form.terms] == [line] and len(form.terms[line]) == 1 and len(form.parameters) == 1
 
 
 def _as_parameter(formula: Plain, piece: str, parameter: str) -> tuple[float, float] | None:
@@ -249,10 +251,10 @@ def _as_parameter(formula: Plain, piece: str, parameter: str) -> tuple[float, fl
 
 def _told(hypothesis: Hypothesis, found: tuple[float, float], rejected: Sequence[Rejected]) -> Alike:
     effect, parameter = hypothesis.effect, hypothesis.form.parameters[0]
-    said = [r.why for r in rejected if r.effect == hypothesis.label]
+    reasons = [r.why for r in rejected if r.effect == hypothesis.label]
     if not parameter.lower <= found[0] <= parameter.upper:
-        why = f"that is outside what is physically possible ({parameter.lower:g} to {parameter.upper:g})"
+        reason = f"that is outside what is physically possible ({parameter.lower:g} to {parameter.upper:g})"
     else:
-        little = bool(said) and said[-1].startswith("explains")
-        why = f"as a name it {said[-1] if little else 'does not stand by itself'}"
-    return Alike(effect.name, effect.title, parameter.name, found, parameter.unit, why)
+        explains_little = bool(reasons) and reasons[-1].startswith("explains")
+        reason = f"as a name it {reasons[-1] if explains_little else 'does not stand by itself'}"
+    return Alike(effect.name, effect.title, parameter.name, found, parameter.unit, reason)

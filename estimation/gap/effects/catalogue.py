@@ -138,8 +138,10 @@ def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
         raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")
     labels = [f.label for f in forms]
     if len(set(labels)) < len(labels):
-        twice = next(n for n in labels if labels.count(n) > 1)
-        raise EffectError(f"effect {data.get('name')!r}: two forms are called {twice!r}; give each a label of its own")
+        duplicate = next(n for n in labels if labels.count(n) > 1)
+        raise EffectError(
+            f"effect {data.get('name')!r}: two forms are called {duplicate!r}; give each a label of its own"
+        )
     texts = {k: str(data.pop(k, "")) for k in ("physics", "equation", "source", "signature", "separate_by", "family")}
     effect = Effect(
         name=data.pop("name"),
@@ -157,19 +159,19 @@ def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
 
 def _parameter(table: Mapping[str, Any]) -> EffectParameter:
     """An unknown of the file. Raises ValueError where its numbers are none, or do not enclose anything."""
-    made = EffectParameter(**table)
-    numbers = {"typical": made.typical, "lower": made.lower, "upper": made.upper}
-    numbers |= {} if isinstance(made.none, str) else {"none": made.none}
+    parameter = EffectParameter(**table)
+    numbers = {"typical": parameter.typical, "lower": parameter.lower, "upper": parameter.upper}
+    numbers |= {} if isinstance(parameter.none, str) else {"none": parameter.none}
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
             raise ValueError(
-                f"parameter {str(made.name)[:80]!r}: {key} = {str(value)[:40]!r} is not a number up to {LARGEST_NUMBER:g}"
+                f"parameter {str(parameter.name)[:80]!r}: {key} = {str(value)[:40]!r} is not a number up to {LARGEST_NUMBER:g}"
             )
-    if not made.lower < made.upper or not made.typical > 0.0:
-        raise ValueError(f"parameter {str(made.name)[:80]!r}: lower must be below upper, and typical above 0")
-    if not all(isinstance(text, str) for text in (made.name, made.unit, made.meaning)):
-        raise ValueError(f"parameter {str(made.name)[:80]!r}: name, unit and meaning are texts")
-    return made
+    if not parameter.lower < parameter.upper or not parameter.typical > 0.0:
+        raise ValueError(f"parameter {str(parameter.name)[:80]!r}: lower must be below upper, and typical above 0")
+    if not all(isinstance(text, str) for text in (parameter.name, parameter.unit, parameter.meaning)):
+        raise ValueError(f"parameter {str(parameter.name)[:80]!r}: name, unit and meaning are texts")
+    return parameter
 
 
 def _form(table: Mapping[str, Any], effect: str) -> Form:

@@ -60,9 +60,9 @@ ALIKE = 0.005  # of the cost: so far two fits of a base that lacks something mov
 def first_values(problem: LikelihoodProblem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
     """Shared values at which the first fit begins, the nearest of three: none (the model's own starts), a regression, and what
     another model of these flights has of the same derivatives (`known`)."""
-    taken = {n: known[n] for n in problem.parameters if n in known and not problem.nuisance(n)}
-    others = [values for values in (by_regression(problem), taken) if values]
-    return min([{}, *others], key=lambda values: cost_at(problem, values)) if others else {}
+    carried_over = {n: known[n] for n in problem.parameters if n in known and not problem.nuisance(n)}
+    candidates = [values for values in (by_regression(problem), carried_over) if values]
+    return min([{}, *candidates], key=lambda values: cost_at(problem, values)) if candidates else {}
 
 
 def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
@@ -70,7 +70,7 @@ def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
     measured, as those that an effect brings with it."""
     if len(problem.model.states) != len(problem.base.states):
         return {}
-    asked = tuple(n for n in problem.parameters if not problem.nuisance(n))
+    unknowns = tuple(n for n in problem.parameters if not problem.nuisance(n))
     flights = [
         FlightData(f"record {i}", len(r), (replace(s, first=0),), r.states, {}, (), ())
         for i, (r, s) in enumerate(zip(problem.records, problem.coarse, strict=True))
@@ -78,8 +78,8 @@ def by_regression(problem: LikelihoodProblem) -> dict[str, float]:
     ]
     if len(flights) < len(problem.records):
         return {}
-    found = start_values(Simulator.build(problem.model, asked, substeps=1, hold="linear"), flights)
-    return {} if found is None else {n: found[n] for n in asked}
+    estimates = start_values(Simulator.build(problem.model, unknowns, substeps=1, hold="linear"), flights)
+    return {} if estimates is None else {n: estimates[n] for n in unknowns}
 
 
 @dataclass(frozen=True)
@@ -167,20 +167,20 @@ def estimated_noise(
     """Stationary noise and the freedom of the surfaces in turn: each from what the other leaves of the residuals."""
     noise = begin if begin is not None and begin.freedom else None
     freedom = dict(noise.freedom) if noise is not None else {}
-    left = list(residuals)
+    unexplained = list(residuals)
     for turn in range(STEP_TURNS + 1):
         if turn > 0 or noise is None:
             noise = estimate_noise(
-                left, shapes, white**2, steps[0].criteria.least_noise * white**2, without, known, noise
+                unexplained, shapes, white**2, steps[0].criteria.least_noise * white**2, without, known, noise
             )
         if turn == STEP_TURNS:
             break
-        told = [
+        displacements = [
             displaced(whitener(noise, s), e, freedom, np.nan_to_num(r))
             for s, e, r in zip(shapes, steps, residuals, strict=True)
         ]
-        freedom = freedom_of(steps, told)
-        left = [r - e.response @ mean for r, e, (mean, _) in zip(residuals, steps, told, strict=True)]
+        freedom = freedom_of(steps, displacements)
+        unexplained = [r - e.response @ mean for r, e, (mean, _) in zip(residuals, steps, displacements, strict=True)]
     assert noise is not None
     return replace(noise, freedom=freedom)
 
@@ -197,18 +197,20 @@ def noise_parts(
     white = channel_noise(records)
     wandering = filtered_attitudes(records, outputs, white)
     step = float(np.median(np.diff(records[0].time)))
-    own = scatter.copy()
+    floor = scatter.copy()
     for n in wandering:
         if RATE_OF[n] in outputs:
-            own[outputs.index(RATE_OF[n])] *= criteria.own_gyro_noise
-    known: dict[NoisePart, float] = {}
+            floor[outputs.index(RATE_OF[n])] *= criteria.own_gyro_noise
+    strengths: dict[NoisePart, float] = {}
     for n in wandering:
-        known[NoisePart(NoiseSource.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (step * criteria.filter_memory)
+        strengths[NoisePart(NoiseSource.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (
+            step * criteria.filter_memory
+        )
         if RATE_OF[n] in outputs:
             shared = 1.0 - criteria.own_gyro_noise**2
-            known[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
+            strengths[NoisePart(NoiseSource.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
     filters = (NoiseSource.WANDERING, NoiseSource.GYRO)
-    return own, tuple(NoisePart(f, n) for n in RATE_OF if n not in wandering for f in filters), known
+    return floor, tuple(NoisePart(f, n) for n in RATE_OF if n not in wandering for f in filters), strengths
 
 
 def fit_baseline(
@@ -226,32 +228,34 @@ def fit_baseline(
     pass is done. Raises GapError when the motion diverges at the start and no start helps.
     """
     records = prepared.of(prepared.training)
-    level, found, problem = noise or NoiseModel(scatter**2, {}), begun, None
+    level, model_fit, problem = noise or NoiseModel(scatter**2, {}), begun, None
     for turn in range(0 if begun is None else 1 + known, PASSES + 1 + SPARE_PASSES):
-        if turn > PASSES and found is not None and found.converged:
+        if turn > PASSES and model_fit is not None and model_fit.converged:
             break
-        if found is None:
+        if model_fit is None:
             _, whiteners = whiteners_for(model, prepared, records, model.starts(), level, (), scatter)
         else:
-            at = {**model.starts(), **found.values}
-            level, whiteners = whiteners_for(model, prepared, records, at, None, found.residuals, scatter, level)
+            current = {**model.starts(), **model_fit.values}
+            level, whiteners = whiteners_for(
+                model, prepared, records, current, None, model_fit.residuals, scatter, level
+            )
         problem = LikelihoodProblem(model, prepared.base, records, whiteners, prepared.criteria)
-        found = _careful(problem, found, afar=turn if begun is None else PASSES)
-        if found.diverged:
+        model_fit = _careful(problem, model_fit, afar=turn if begun is None else PASSES)
+        if model_fit.diverged:
             raise GapError(
-                f"model {model.name} runs away on {_culprit(problem, found, prepared)}: the baseline itself is wrong for these "
-                "flights; check the aircraft file and the signs of the controls, or cut the flights into shorter segments"
+                f"model {model.name} runs away on {_culprit(problem, model_fit, prepared)}: the baseline itself is wrong for "
+                "these flights; check the aircraft file and the signs of the controls, or cut the flights into shorter segments"
             )
     assert problem is not None
-    assert found is not None
-    made = Baseline(problem, found, level, scatter, clean, prepared)
-    other = _calmer(made) if begun is None else None
-    if other is None:
-        return made
+    assert model_fit is not None
+    baseline = Baseline(problem, model_fit, level, scatter, clean, prepared)
+    calmer = _calmer(baseline) if begun is None else None
+    if calmer is None:
+        return baseline
     try:
-        return fit_baseline(model, clean, prepared, scatter, other, level)
+        return fit_baseline(model, clean, prepared, scatter, calmer, level)
     except GapError:  # it was as good with the noise of the first only
-        return made
+        return baseline
 
 
 def _calmer(baseline: Baseline) -> ModelFit | None:
@@ -260,9 +264,9 @@ def _calmer(baseline: Baseline) -> ModelFit | None:
     growing = growth(baseline.problem, baseline.fit)
     if growing < GROWS:
         return None
-    found = fit(baseline.problem, baseline.problem.starts())
-    close = not found.diverged and found.cost < baseline.fit.cost + max(AS_GOOD, ALIKE * baseline.fit.cost)
-    return found if close and growth(baseline.problem, found) < CALMER * growing else None
+    alternative = fit(baseline.problem, baseline.problem.starts())
+    close = not alternative.diverged and alternative.cost < baseline.fit.cost + max(AS_GOOD, ALIKE * baseline.fit.cost)
+    return alternative if close and growth(baseline.problem, alternative) < CALMER * growing else None
 
 
 def growth(problem: LikelihoodProblem, found: ModelFit) -> float:
@@ -277,10 +281,10 @@ def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | Non
     valley lacks would be counted for whatever the other model has not."""
     problem = replace(baseline.problem, model=model)
     ends = (_careful(problem, None, afar=1, known=baseline.fit.values), fit_from(problem, baseline.fit))
-    sound = [found for found in ends if not found.diverged]
-    if not sound:
+    finite = [found for found in ends if not found.diverged]
+    if not finite:
         return None
-    return replace(baseline, problem=problem, fit=min(sound, key=lambda found: found.cost), clean=clean)
+    return replace(baseline, problem=problem, fit=min(finite, key=lambda found: found.cost), clean=clean)
 
 
 def fit_from(problem: LikelihoodProblem, other: ModelFit, enough: float = ENOUGH, beyond: float = np.inf) -> ModelFit:
@@ -296,13 +300,13 @@ def deeper(baseline: Baseline, other: ModelFit) -> ModelFit | None:
     A gain over a fit that rests in a poorer valley is not the other model's. A base whose motion grows was left for one as good
     (`_calmer`), and is not taken back for less than it was left for.
     """
-    own = baseline.fit.cost
-    found = fit_from(baseline.problem, other, ROUGH, own - AS_GOOD)
-    if found.diverged or not found.cost < own - AS_GOOD:
+    cost = baseline.fit.cost
+    model_fit = fit_from(baseline.problem, other, ROUGH, cost - AS_GOOD)
+    if model_fit.diverged or not model_fit.cost < cost - AS_GOOD:
         return None
-    growing = growth(baseline.problem, found)
-    left = growing >= GROWS and growth(baseline.problem, baseline.fit) < CALMER * growing
-    return None if left and found.cost > own - ALIKE * own else found
+    growing = growth(baseline.problem, model_fit)
+    was_avoided = growing >= GROWS and growth(baseline.problem, baseline.fit) < CALMER * growing
+    return None if was_avoided and model_fit.cost > cost - ALIKE * cost else model_fit
 
 
 def _careful(
@@ -310,10 +314,10 @@ def _careful(
 ) -> ModelFit:
     """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
     nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
-    values, own = (first_values(problem, known), None) if begun is None else (begun.values, begun.locals)
+    values, local_values = (first_values(problem, known), None) if begun is None else (begun.values, begun.locals)
     if afar > 1:
-        return fit(problem, values, own)
-    first = fit(problem, values, own, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])
+        return fit(problem, values, local_values)
+    first = fit(problem, values, local_values, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])
     return first if first.diverged or afar == 0 else fit(problem, first.values, first.locals)
 
 

@@ -20,10 +20,10 @@ def channel_noise(records: Sequence[FlightRecord]) -> Array:
     span = np.zeros(ny)
     for k, record in enumerate(records):
         for i in range(ny):
-            seen = record.z[np.isfinite(record.z[:, i]), i]
-            if seen.size:
+            measured = record.z[np.isfinite(record.z[:, i]), i]
+            if measured.size:
                 levels[k, i] = noise_level(record.z[:, i])
-                span[i] = max(span[i], float(np.ptp(seen)))
+                span[i] = max(span[i], float(np.ptp(measured)))
     return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, 1e-9))
 
 
@@ -33,14 +33,14 @@ def filtered_attitudes(records: Sequence[FlightRecord], outputs: Sequence[str], 
     From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be.
     """
     step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
-    found = []
+    attitudes = []
     for attitude, rate in RATE_OF.items():
         if attitude in outputs:
-            given = [record.input_noise.get(rate, 0.0) for record in records]
-            noise = white[outputs.index(rate)] if rate in outputs else float(np.median(given))
+            input_levels = [record.input_noise.get(rate, 0.0) for record in records]
+            noise = white[outputs.index(rate)] if rate in outputs else float(np.median(input_levels))
             if white[outputs.index(attitude)] <= noise * step:
-                found.append(attitude)
-    return tuple(found)
+                attitudes.append(attitude)
+    return tuple(attitudes)
 
 
 def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array) -> Array:
@@ -81,27 +81,27 @@ def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
     """rms of how far a measured angle (N,) parts from its integrated rate (N,), without a constant and a drift. What it does
     between samples of which one is missing (NaN) is taken to be as wrong as the rest; None where most of it is missing."""
     dt = np.diff(time)
-    apart = np.diff(angle) - 0.5 * dt * (rate[1:] + rate[:-1])
-    known = np.isfinite(apart)
-    if np.mean(known) < KNOWN:
+    difference = np.diff(angle) - 0.5 * dt * (rate[1:] + rate[:-1])
+    measured = np.isfinite(difference)
+    if np.mean(measured) < KNOWN:
         return None
-    course = np.concatenate([[0.0], np.cumsum(np.where(known, apart, 0.0))]) / np.mean(known)
+    course = np.concatenate([[0.0], np.cumsum(np.where(measured, difference, 0.0))]) / np.mean(measured)
     return float(np.std(course - np.polyval(np.polyfit(time, course, 1), time)))
 
 
 def _widened(scatter: Array, column: int, errors: Sequence[float | None]) -> Array:
     """`scatter` with the usual one of the errors that are known for a column, where that is more."""
-    told = [e for e in errors if e is not None]
+    known_errors = [e for e in errors if e is not None]
     wider = scatter.copy()
-    wider[column] = max(scatter[column], float(np.median(told))) if told else scatter[column]
+    wider[column] = max(scatter[column], float(np.median(known_errors))) if known_errors else scatter[column]
     return wider
 
 
 def _measured(record: FlightRecord, outputs: Sequence[str], name: str) -> Array:
     """(N,) an output or an input, zero where the flight has neither."""
-    still = np.zeros(len(record))
-    seen = record.z[:, outputs.index(name)] if name in outputs else still
-    return record.inputs.get(name, still) if name not in outputs else seen if np.isfinite(seen).any() else still
+    zeros = np.zeros(len(record))
+    output = record.z[:, outputs.index(name)] if name in outputs else zeros
+    return record.inputs.get(name, zeros) if name not in outputs else output if np.isfinite(output).any() else zeros
 
 
 def sample_interval(records: Sequence[FlightRecord]) -> float:

@@ -64,15 +64,17 @@ class ProblemUnknowns:
         return np.array([self.problem.limits(n) for n in self.problem.free[: self.n]]).reshape(-1, 2).T
 
     def packed(self, locals_: Sequence[Local]) -> Array:
-        own = [[*(local.parameters[n] for n in self.problem.local_names), *local.x0] for local in locals_]
-        return np.concatenate([[self.values[n] for n in self.problem.free[: self.n]], *own])
+        local_rows = [[*(local.parameters[n] for n in self.problem.local_names), *local.x0] for local in locals_]
+        return np.concatenate([[self.values[n] for n in self.problem.free[: self.n]], *local_rows])
 
     def unpacked(self, unknowns: Array) -> tuple[dict[str, float], tuple[Local, ...]]:
         """Shared values by name, and every record's own."""
         names, count = self.problem.local_names, len(self.problem.local_names)
         shared = zip(self.problem.free[: self.n], unknowns[: self.n].tolist(), strict=True)
-        own = unknowns[self.n :].reshape(len(self.problem.records), -1)
-        locals_ = tuple(Local(row[count:].copy(), dict(zip(names, row[:count].tolist(), strict=True))) for row in own)
+        local_rows = unknowns[self.n :].reshape(len(self.problem.records), -1)
+        locals_ = tuple(
+            Local(row[count:].copy(), dict(zip(names, row[:count].tolist(), strict=True))) for row in local_rows
+        )
         return {**self.values, **dict(shared)}, locals_
 
     def clip(self, unknowns: Array) -> Array:
@@ -84,11 +86,11 @@ class ProblemUnknowns:
         first, self.begun = not self.begun, True
         values, locals_ = self.unpacked(unknowns)
         if first and derivatives:
-            made = [linearised_in(self.problem, i, values, local, self.n) for i, local in enumerate(locals_)]
-            known = tuple(m for m in made if m is not None)
-            if len(known) == len(made):
-                energies = [float(m.gram[-1, -1]) for m in known]
-                return WhitenedPoint(self.cost(values, locals_, energies), tuple(m.residual for m in known), known)
+            linearised = [linearised_in(self.problem, i, values, local, self.n) for i, local in enumerate(locals_)]
+            finite = tuple(m for m in linearised if m is not None)
+            if len(finite) == len(linearised):
+                energies = [float(m.gram[-1, -1]) for m in finite]
+                return WhitenedPoint(self.cost(values, locals_, energies), tuple(m.residual for m in finite), finite)
         problem, residuals = self.problem, []
         for i, local in enumerate(locals_):
             residual = problem.residual(i, values, local)
@@ -101,8 +103,8 @@ class ProblemUnknowns:
     def cost(self, values: Mapping[str, float], locals_: Sequence[Local], energies: Sequence[float]) -> float:
         """Half the whitened sums of squares of the records, with the priors."""
         problem = self.problem
-        own = sum(prior_cost(problem, problem.local_names, local.parameters) for local in locals_)
-        return prior_cost(problem, problem.free, values) + own + 0.5 * sum(energies)
+        local_cost = sum(prior_cost(problem, problem.local_names, local.parameters) for local in locals_)
+        return prior_cost(problem, problem.free, values) + local_cost + 0.5 * sum(energies)
 
     def step(self, unknowns: Array, point: WhitenedPoint, damping: float) -> SolverStep:
         """Gauss-Newton step; none, and `runaway` set, where a sensitivity leaves the finite numbers."""
@@ -124,8 +126,10 @@ class ProblemUnknowns:
         low, high = self.limits - unknowns[:n]
         low[list(self.held)] = high[list(self.held)] = 0.0
         shared = step_within(H, g, low, high)
-        own = [block.local(shared) for block in blocks]
-        return SolverStep(np.concatenate([shared, *own]), decrement + float(shared @ g - 0.5 * shared @ H @ shared))
+        local_steps = [block.local(shared) for block in blocks]
+        return SolverStep(
+            np.concatenate([shared, *local_steps]), decrement + float(shared @ g - 0.5 * shared @ H @ shared)
+        )
 
 
 def cost_at(problem: LikelihoodProblem, values: Mapping[str, float]) -> float:
@@ -139,10 +143,10 @@ def linearised_in(
     problem: LikelihoodProblem, index: int, values: Mapping[str, float], local: Local, n: int
 ) -> LinearisedRecord | None:
     """One record linearised in the first n shared unknowns and its own; None where the motion runs away."""
-    found = problem.linearised(index, values, local)
-    if found is None:
+    linear = problem.linearised(index, values, local)
+    if linear is None:
         return None
-    residual, dy = found
+    residual, dy = linear
     columns = np.concatenate([dy[:, :, :n], dy[:, :, len(problem.free) :], residual[:, :, None]], axis=2)
     return LinearisedRecord(residual, problem.whiteners[index].gram(columns))
 
@@ -194,7 +198,17 @@ def fit(
     )  # whitened residuals are nearly linear near the optimum: halving does, damping and combined steps repay nothing
     outcome = minimise(view, begin, options)
     point = outcome.point
-    done, own = view.unpacked(outcome.unknowns)
+    shared_values, local_values = view.unpacked(outcome.unknowns)
     converged = outcome.status is Status.CONVERGED and not view.runaway
     diverged = outcome.status is Status.DIVERGED or view.runaway
-    return ModelFit(problem.model, names, done, own, point.residuals, point.cost, view.hessian, converged, diverged)
+    return ModelFit(
+        problem.model,
+        names,
+        shared_values,
+        local_values,
+        point.residuals,
+        point.cost,
+        view.hessian,
+        converged,
+        diverged,
+    )

@@ -32,9 +32,9 @@ class MidSampleGrid:
 
     def with_inputs(self, u: Array) -> "MidSampleGrid":
         """The same with other inputs (N, nu) at the samples; only columns that differ are worked out."""
-        moved = np.flatnonzero((u != self.segment.u[::2]).any(axis=0))
+        changed = np.flatnonzero((u != self.segment.u[::2]).any(axis=0))
         values, rounding = self.segment.u.copy(), self.rounding.copy()
-        _fill(self.segment.time[::2], u, values, rounding, moved)
+        _fill(self.segment.time[::2], u, values, rounding, changed)
         return MidSampleGrid(replace(self.segment, u=values), rounding)
 
 
@@ -51,11 +51,11 @@ def fine_grid(segment: Segment) -> MidSampleGrid:
 
 def _fill(time: Array, u: Array, values: Array, rounding: Array, columns: np.ndarray) -> None:  # type: ignore[type-arg]
     """Write columns of the inputs u (N, nu) and of their middles into values and rounding (2N - 1, nu)."""
-    chosen = u[:, columns]
-    between = middles(time, chosen)
-    values[::2, columns] = chosen
-    values[1::2, columns] = between
-    rounding[1::2, columns] = between - 0.5 * (chosen[1:] + chosen[:-1])
+    samples = u[:, columns]
+    mid_values = middles(time, samples)
+    values[::2, columns] = samples
+    values[1::2, columns] = mid_values
+    rounding[1::2, columns] = mid_values - 0.5 * (samples[1:] + samples[:-1])
 
 
 def middles(time: Array, u: Array) -> Array:
@@ -75,9 +75,9 @@ def middles(time: Array, u: Array) -> Array:
 def _end_slope(h0: Array, h1: Array, m0: Array, m1: Array) -> Array:
     """Slope at an end from the two chords next to it, kept to the side of the first and within three times of it."""
     d = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
-    kept = np.where(np.sign(d) == np.sign(m0), d, 0.0)
+    limited = np.where(np.sign(d) == np.sign(m0), d, 0.0)
     steepest = 3.0 * m0  # of a cubic that is monotone there (Fritsch and Carlson 1980)
-    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > np.abs(steepest)), steepest, kept)
+    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > np.abs(steepest)), steepest, limited)
 
 
 @dataclass(frozen=True)
@@ -204,9 +204,9 @@ class LikelihoodProblem:
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
         grid, shared = self.grids[index], {**values, **local.parameters}
-        asked = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.asked]
-        paths = np.zeros((*grid.rounding.shape, len(asked)))
-        for k, j in enumerate(asked):
+        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.asked]
+        paths = np.zeros((*grid.rounding.shape, len(active)))
+        for k, j in enumerate(active):
             column = list(self.curvatures.values())[j]
             paths[:, column, k] = grid.rounding[:, column]
         segment = self.driven(grid, values)
@@ -214,10 +214,10 @@ class LikelihoodProblem:
         if not motion.finite or motion.dy is None or not max(motion.dy.max(), -motion.dy.min()) < LARGEST:
             return None
         residual = self.coarse[index].z - motion.y
-        n, m, own = len(self.parameters), len(self.curvatures), motion.dy.shape[2] - len(asked)
-        dy = np.zeros((*residual.shape, own + m))
-        dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:own]
-        dy[:, :, [n + j for j in asked]] = motion.dy[:, :, own:]
+        n, m, split = len(self.parameters), len(self.curvatures), motion.dy.shape[2] - len(active)
+        dy = np.zeros((*residual.shape, split + m))
+        dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:split]
+        dy[:, :, [n + j for j in active]] = motion.dy[:, :, split:]
         dy[~np.isfinite(residual)] = 0.0
         return residual, dy
 
@@ -268,10 +268,10 @@ def prior_terms(problem: LikelihoodProblem, names: Sequence[str], values: Mappin
     """(weights (n,), weighted distances (n,)) of the Gaussian priors of the named parameters."""
     weight, distance = np.zeros(len(names)), np.zeros(len(names))
     for i, name in enumerate(names):
-        believed = problem.prior(name)
-        if believed is not None:
-            weight[i] = 1.0 / believed[1] ** 2
-            distance[i] = weight[i] * (believed[0] - values[name])
+        prior = problem.prior(name)
+        if prior is not None:
+            weight[i] = 1.0 / prior[1] ** 2
+            distance[i] = weight[i] * (prior[0] - values[name])
     return weight, distance
 
 

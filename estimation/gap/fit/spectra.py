@@ -45,17 +45,17 @@ def steady_state(model: Model, segment: Segment) -> Array:
 
     A state that no output shows (a lag of a vane or of the flow) rests where the signal that it starts from does.
     """
-    known = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
-    return np.array([_rest(s, known, segment.x0[i]) for i, s in enumerate(model.states)])
+    levels = {n: level for n, level in zip(model.output_names, steady_outputs(model, segment), strict=True) if level}
+    return np.array([_rest(s, levels, segment.x0[i]) for i, s in enumerate(model.states)])
 
 
 def steady_outputs(model: Model, segment: Segment) -> Array:
     """(ny,) values of the outputs about which a record moves."""
     levels = np.zeros(len(model.outputs))
     for i, signal in enumerate(model.outputs):
-        seen = segment.z[np.isfinite(segment.z[:, i]), i]
-        if signal.name in STEADY and seen.size:
-            levels[i] = np.median(seen)
+        measured = segment.z[np.isfinite(segment.z[:, i]), i]
+        if signal.name in STEADY and measured.size:
+            levels[i] = np.median(measured)
     return levels
 
 
@@ -184,18 +184,18 @@ def shapes_of(
         parts[NoisePart(NoiseSource.RATE, name, lasting)] = reply[:, :, i] * (s / (s + 1 / lasting))[:, None]
         parts[NoisePart(NoiseSource.TWIST, name, fading)] = reply[:, :, i] / (1 + s * fading)[:, None]
     for j, name in enumerate(linear.controls):
-        moved = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
-        parts[NoisePart(NoiseSource.CONTROL, name)] = moved
+        response = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
+        parts[NoisePart(NoiseSource.CONTROL, name)] = response
         # of every record, for one flight's control may be too coarse to have its noise taken off, and the next one's not
-        parts[NoisePart(NoiseSource.PREPARED, name)] = moved * np.sqrt(left.get(name, np.zeros(s.size)))[:, None]
+        parts[NoisePart(NoiseSource.PREPARED, name)] = response * np.sqrt(left.get(name, np.zeros(s.size)))[:, None]
     for i, name in enumerate(model.output_names):
         if name in RATE_OF:
-            before = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
-            summed = (linear.dt / (1.0 - np.exp(-linear.dt / criteria.filter_memory) * before))[:, None] * np.eye(ny)[i]
+            delay = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
+            summed = (linear.dt / (1.0 - np.exp(-linear.dt / criteria.filter_memory) * delay))[:, None] * np.eye(ny)[i]
             parts[NoisePart(NoiseSource.WANDERING, name)] = summed
             if RATE_OF[name] in model.output_names:
-                own = np.eye(ny)[model.output_names.index(RATE_OF[name])]
-                parts[NoisePart(NoiseSource.GYRO, name)] = own + 0.5 * (1.0 + before)[:, None] * summed
+                rate_axis = np.eye(ny)[model.output_names.index(RATE_OF[name])]
+                parts[NoisePart(NoiseSource.GYRO, name)] = rate_axis + 0.5 * (1.0 + delay)[:, None] * summed
     return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, linear.dt)
 
 
@@ -209,12 +209,12 @@ def twist_memory(model: Model, criteria: Criteria) -> float:
 def as_seen(shapes: Shapes, measured: Array) -> Shapes:
     """The shapes of a record of which some samples were not measured, and count as zero: of white noise a share of the power is
     seen, of what has a course that share of its amplitude. measured: (N, ny)."""
-    seen = measured.mean(axis=0)
-    if (seen[seen > 0.0] == 1.0).all():
+    share = measured.mean(axis=0)
+    if (share[share > 0.0] == 1.0).all():
         return shapes
-    seen = np.where(seen > 0.0, seen, 1.0)
-    louder = seen if shapes.louder is None else shapes.louder * seen
-    return replace(shapes, parts={n: p * seen for n, p in shapes.parts.items()}, louder=louder)
+    share = np.where(share > 0.0, share, 1.0)
+    louder = share if shapes.louder is None else shapes.louder * share
+    return replace(shapes, parts={n: p * share for n, p in shapes.parts.items()}, louder=louder)
 
 
 def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
@@ -239,10 +239,10 @@ def whitener(noise: NoiseModel, shapes: Shapes) -> Whitener:
 
 def _stacked(shapes: Shapes, names: Sequence[NoisePart], ny: int) -> Complex:
     """(frequencies, ny, parts) responses of one record to the named parts."""
-    made = np.zeros((shapes.count // 2 + 1, ny, len(names)), complex)
+    stack = np.zeros((shapes.count // 2 + 1, ny, len(names)), complex)
     for j, name in enumerate(names):
-        made[:, :, j] = shapes.parts[name]
-    return made
+        stack[:, :, j] = shapes.parts[name]
+    return stack
 
 
 def estimate_noise(
@@ -277,23 +277,23 @@ def estimate_noise(
         R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING
     blocks = [_stacked(sh, names, ny) for sh in shapes]
     columns = [np.concatenate([s[:, :, None], g], axis=2) for s, g in zip(spectra, blocks, strict=True)]
-    turned = [np.ascontiguousarray(g.conj().transpose(0, 2, 1)) for g in blocks]
-    every = np.arange(ny)
+    adjoints = [np.ascontiguousarray(g.conj().transpose(0, 2, 1)) for g in blocks]
+    diagonal = np.arange(ny)
     for _ in range(turns):
         up_R, down_R = np.zeros(ny), np.zeros(ny)
-        up, down = np.zeros(len(names)), np.zeros(len(names))
-        for shape, w, g, g_turned, both in zip(shapes, weights, blocks, turned, columns, strict=True):
-            own = 1.0 if shape.louder is None else shape.louder
+        process_up, process_down = np.zeros(len(names)), np.zeros(len(names))
+        for shape, w, g, g_turned, block_columns in zip(shapes, weights, blocks, adjoints, columns, strict=True):
+            level = 1.0 if shape.louder is None else shape.louder
             S = (g * v) @ g_turned
-            S[:, every, every] += R * own
+            S[:, diagonal, diagonal] += R * level
             inverse = np.linalg.inv(S)
-            through = inverse @ both
-            a = through[:, :, 0]
-            up_R += own * (w @ (a.real**2 + a.imag**2))
-            down_R += own * (w @ inverse[:, every, every].real)
-            shown = (g_turned @ a[:, :, None])[:, :, 0]
-            up += w @ (shown.real**2 + shown.imag**2)
-            down += w @ np.sum(g_turned.transpose(0, 2, 1) * through[:, :, 1:], axis=1).real
+            solved_columns = inverse @ block_columns
+            a = solved_columns[:, :, 0]
+            up_R += level * (w @ (a.real**2 + a.imag**2))
+            down_R += level * (w @ inverse[:, diagonal, diagonal].real)
+            projected = (g_turned @ a[:, :, None])[:, :, 0]
+            process_up += w @ (projected.real**2 + projected.imag**2)
+            process_down += w @ np.sum(g_turned.transpose(0, 2, 1) * solved_columns[:, :, 1:], axis=1).real
         R = np.maximum(R * np.sqrt(up_R / down_R), floor)
-        v[free] = np.maximum(v * np.sqrt(up / down), FLOOR / power)[free]
+        v[free] = np.maximum(v * np.sqrt(process_up / process_down), FLOOR / power)[free]
     return NoiseModel(R, dict(zip(names, (float(x) for x in v), strict=True)))

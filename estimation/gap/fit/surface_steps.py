@@ -69,7 +69,7 @@ class SurfaceSteps:
 
 def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria: Criteria) -> SurfaceSteps:
     """The largest steps of all controls in a record and what a displacement half-way, or of a jump, does to the outputs."""
-    found: list[tuple[float, str, int, float]] = []
+    largest: list[tuple[float, str, int, float]] = []
     for j, signal in enumerate(model.inputs):
         if not signal.control or signal.name not in linear.controls:
             continue
@@ -77,11 +77,11 @@ def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria:
         scatter = GAUSSIAN * float(np.median(np.abs(step)))
         power = float(np.abs(linear.C @ linear.B[:, linear.controls.index(signal.name)] / linear.scale).max())
         for k in np.flatnonzero(np.abs(step) > criteria.surface_step * scatter):
-            found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
-    found = sorted(sorted(found, reverse=True)[: criteria.surface_steps_most], key=lambda e: (e[1], e[2]))
+            largest.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
+    largest = sorted(sorted(largest, reverse=True)[: criteria.surface_steps_most], key=lambda e: (e[1], e[2]))
     N, ny = len(segment), linear.C.shape[0]
-    replies = {c: _reply(linear, linear.controls.index(c), N) for c in {e[1] for e in found}}
-    places = [(control, k, step) for _, control, k, step in found]
+    replies = {c: _reply(linear, linear.controls.index(c), N) for c in {e[1] for e in largest}}
+    places = [(control, k, step) for _, control, k, step in largest]
     sharp = np.abs(linear.D) + linear.dt * np.abs(
         linear.C @ linear.B
     )  # by unit step: the jump, the kink over one interval
@@ -92,13 +92,13 @@ def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria:
             outputs.append(output)
             places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
     response = np.zeros((N, ny, len(places)))
-    for m, (name, at, size) in enumerate(places):
+    for m, (name, sample, size) in enumerate(places):
         if name in replies:
-            response[at + 1 :, :, m] = size * replies[name][: N - at - 1]
+            response[sample + 1 :, :, m] = size * replies[name][: N - sample - 1]
         else:
-            response[at, model.output_names.index(name), m] = size
+            response[sample, model.output_names.index(name), m] = size
     response[~np.isfinite(segment.z)] = 0.0
-    instants = np.array([at for _, at, _ in places], dtype=int)
+    instants = np.array([sample for _, sample, _ in places], dtype=int)
     sizes = np.array([size for _, _, size in places], dtype=float)
     return SurfaceSteps(tuple(name for name, _, _ in places), instants, sizes, response, criteria, frozenset(outputs))
 
@@ -151,14 +151,14 @@ def loosened(
     deviation each."""
     rows = whitener.strict(steps.spectrum) * steps.spread(freedom) if steps.name else None
     if others is not None and others.shape[2]:
-        more = whitener.strict(spectrum_of(others))
-        rows = more if rows is None else np.concatenate([rows, more], axis=1)
+        extra_rows = whitener.strict(spectrum_of(others))
+        rows = extra_rows if rows is None else np.concatenate([rows, extra_rows], axis=1)
     if rows is None:
         return whitener
-    seen = np.einsum("ij,ij->j", rows, rows) > SLIGHT
-    if not seen.any():  # a short stretch in which hardly anything moves
+    visible = np.einsum("ij,ij->j", rows, rows) > SLIGHT
+    if not visible.any():  # a short stretch in which hardly anything moves
         return whitener
-    return replace(whitener, slack=Slack(rows[:, seen]))
+    return replace(whitener, slack=Slack(rows[:, visible]))
 
 
 def displaced(
@@ -171,10 +171,10 @@ def displaced(
     spread = steps.spread(freedom)
     mean, variance = np.zeros(spread.size), spread**2
     E = whitener.strict(steps.spectrum)
-    shown = np.flatnonzero(np.einsum("ij,ij->j", E, E) * variance > SLIGHT)
-    E, r = E[:, shown], whitener.strict(spectrum_of(residual))[:, 0]
-    inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / variance[shown]))
-    mean[shown], variance[shown] = inverse @ (E.T @ r), np.diag(inverse)
+    visible = np.flatnonzero(np.einsum("ij,ij->j", E, E) * variance > SLIGHT)
+    E, r = E[:, visible], whitener.strict(spectrum_of(residual))[:, 0]
+    inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / variance[visible]))
+    mean[visible], variance[visible] = inverse @ (E.T @ r), np.diag(inverse)
     return mean, variance
 
 
@@ -205,24 +205,24 @@ def slow_errors(
     """Cosines of all controls in a record. left: control -> (frequencies,) variance per sample of its error."""
     count, step = len(segment), float(np.median(np.diff(segment.time)))
     names = [n for n in simulator.model.input_names if n in left]
-    nothing = SlowErrors(np.zeros((count, len(simulator.model.outputs), 0)), 0.0)
+    none = SlowErrors(np.zeros((count, len(simulator.model.outputs), 0)), 0.0)
     if not names:
-        return nothing
+        return none
     motion = simulator.run(segment, values, segment.x0)
     if not motion.finite:  # from where it is guessed to begin it runs away: the spectrum has to do
-        return nothing
+        return none
     cosines = min(int(2.0 * SLOW * count * step) + 1, MOST, count)
     basis = idct(np.eye(count)[:cosines], axis=1, norm="ortho")
-    at, frequencies = 0.5 * np.arange(cosines) / (count * step), np.fft.rfftfreq(count, step)
+    cosine_frequencies, frequencies = 0.5 * np.arange(cosines) / (count * step), np.fft.rfftfreq(count, step)
     courses = np.zeros((count, len(simulator.model.inputs), cosines * len(names)))
     for k, name in enumerate(names):
-        size = np.sqrt(np.interp(at, frequencies, left[name]))
-        mine = slice(k * cosines, (k + 1) * cosines)
-        courses[:, simulator.model.input_names.index(name), mine] = (basis * size[:, None]).T
-    between = np.concatenate([0.5 * (courses[1:] + courses[:-1]), courses[-1:]])
-    response = simulator.response(segment, values, segment.x0, courses, between)
+        size = np.sqrt(np.interp(cosine_frequencies, frequencies, left[name]))
+        columns = slice(k * cosines, (k + 1) * cosines)
+        courses[:, simulator.model.input_names.index(name), columns] = (basis * size[:, None]).T
+    mid_courses = np.concatenate([0.5 * (courses[1:] + courses[:-1]), courses[-1:]])
+    response = simulator.response(segment, values, segment.x0, courses, mid_courses)
     if not np.abs(response).max() < RUNAWAY:
-        return nothing
+        return none
     response[~np.isfinite(segment.z)] = 0.0
     return SlowErrors(response, 0.5 * (cosines - 0.5) / (count * step))  # half-way to the next one
 

@@ -51,8 +51,8 @@ class Slack:
 
     def forgiven(self, rows: Array) -> Array:
         """(m, k) whose inner products come off those of white rows (rows, k)."""
-        along = rows.T @ self.rows  # in this order the many rows are read as they lie
-        return np.asarray(solve_triangular(self._lower, along.T, lower=True, check_finite=False))
+        projections = rows.T @ self.rows  # in this order the many rows are read as they lie
+        return np.asarray(solve_triangular(self._lower, projections.T, lower=True, check_finite=False))
 
 
 @dataclass(frozen=True)
@@ -67,17 +67,17 @@ class White:
 
     def products(self, other: "White") -> Array:
         """(own columns, columns of the other)."""
-        made = self.rows.T @ other.rows
+        products = self.rows.T @ other.rows
         if self.forgiven is not None and other.forgiven is not None:
-            made -= self.forgiven.T @ other.forgiven
-        return np.asarray(made)
+            products -= self.forgiven.T @ other.forgiven
+        return np.asarray(products)
 
     def squares(self) -> Array:
         """(columns,) the product of each with itself."""
-        made = np.einsum("ij,ij->j", self.rows, self.rows)
+        squares = np.einsum("ij,ij->j", self.rows, self.rows)
         if self.forgiven is not None:
-            made -= np.einsum("ij,ij->j", self.forgiven, self.forgiven)
-        return np.asarray(made)
+            squares -= np.einsum("ij,ij->j", self.forgiven, self.forgiven)
+        return np.asarray(squares)
 
     def some(self, columns: NDArray[np.intp]) -> "White":
         """Some of the columns."""
@@ -163,7 +163,7 @@ def spectrum_of(columns: Array) -> Array:
     as zero."""
     block = zero_filled(columns[:, :, None] if columns.ndim == 2 else columns)
     count, ny, k = block.shape
-    there = rfft(block.reshape(count, ny * k), axis=0)
-    made = np.empty((there.shape[0], 2, ny * k))
-    made[:, 0], made[:, 1] = there.real, there.imag
-    return made.reshape(there.shape[0], 2 * ny, k)
+    transform = rfft(block.reshape(count, ny * k), axis=0)
+    parts = np.empty((transform.shape[0], 2, ny * k))
+    parts[:, 0], parts[:, 1] = transform.real, transform.imag
+    return parts.reshape(transform.shape[0], 2 * ny, k)

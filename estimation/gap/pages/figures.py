@@ -47,8 +47,8 @@ def _channels(axis: "Axes", stages: list[DisagreementView], colours: list[str]) 
     names = list(stages[0].channels)
     width = 0.8 / len(stages)
     for i, (view, colour) in enumerate(zip(stages, colours, strict=True)):
-        at = np.arange(len(names)) + (i - 0.5 * (len(stages) - 1)) * width
-        axis.bar(at, [view.channels[n] for n in names], width, color=colour, label=view.stage)
+        positions = np.arange(len(names)) + (i - 0.5 * (len(stages) - 1)) * width
+        axis.bar(positions, [view.channels[n] for n in names], width, color=colour, label=view.stage)
     axis.set_xticks(range(len(names)), names)
     axis.set_yscale("log")
     axis.axhline(1.0, color="k", lw=0.6)
@@ -77,8 +77,8 @@ def _missing(axis: "Axes", name: str, stages: list[DisagreementView], colours: l
         axis.plot(np.arange(course.size), course, lw=0.7, color=colour)
     for edge in np.cumsum([m[name].size for m in stages[0].missing])[:-1]:
         axis.axvline(edge, color=EDGE, lw=0.8)
-    shown = np.concatenate([m[name] for view in stages[-2:] for m in view.missing])
-    limit = 1.3 * float(np.abs(shown).max()) or 1.0
+    visible = np.concatenate([m[name] for view in stages[-2:] for m in view.missing])
+    limit = 1.3 * float(np.abs(visible).max()) or 1.0
     axis.set_ylim(-limit, limit)  # the frozen prior may run out of the picture: its place is what counts
     unit = "" if name.endswith("_dot") else " [1]"  # the rate of a state has that of its state
     axis.set_ylabel(f"missing ${tex(name)}${unit}", fontsize=8)

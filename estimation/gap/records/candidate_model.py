@@ -45,48 +45,48 @@ def with_nuisance(
     times in a log.
     """
     biased = [n for n in model.output_names if noise.get(n, 0.0) > 0 and f"bias_{n}" not in model.parameter_names]
-    own = {f"bias_{n}" for n in biased}
-    made = model.with_biases(*biased)
-    made = made.with_prior(**{f"bias_{n}": (0.0, criteria.bias_share * noise[n]) for n in biased})
-    made = _timed(made, sample_interval, criteria)
+    bias_names = {f"bias_{n}" for n in biased}
+    extended = model.with_biases(*biased)
+    extended = extended.with_prior(**{f"bias_{n}": (0.0, criteria.bias_share * noise[n]) for n in biased})
+    extended = _timed(extended, sample_interval, criteria)
     for attitude, interval in stamped.items():
         width = criteria.timing_share * max(sample_interval, interval)
-        made = _shown(made, attitude, {f"{TIMING}{attitude}": (f"{attitude}_dot", "s", width)})
+        extended = _shown(extended, attitude, {f"{TIMING}{attitude}": (f"{attitude}_dot", "s", width)})
     for attitude in filtered:
-        made = _shown(made, attitude, _of_a_filter(attitude, sample_interval, criteria))
-    marked = tuple(replace(p, role=ParameterRole.NUISANCE) if p.name in own else p for p in made.parameters)
-    made = replace(made, parameters=marked)
+        extended = _shown(extended, attitude, _of_a_filter(attitude, sample_interval, criteria))
+    marked = tuple(replace(p, role=ParameterRole.NUISANCE) if p.name in bias_names else p for p in extended.parameters)
+    extended = replace(extended, parameters=marked)
     beliefs = {
         p.name: (p.reference, criteria.prior_share * p.reference_std)
-        for p in made.parameters
+        for p in extended.parameters
         if p.reference is not None and p.reference_std and p.prior_mean is None
     }
-    return made.with_prior(**beliefs)  # type: ignore[arg-type]
+    return extended.with_prior(**beliefs)  # type: ignore[arg-type]
 
 
 def stamped_attitudes(model: Model, flights: Iterable[Flight]) -> dict[str, float]:
     """Attitude among the outputs -> the longest interval [s] at which the log of a flight has it with times of its own."""
-    found: dict[str, float] = {}
+    intervals: dict[str, float] = {}
     for flight in flights:
         for signal in model.outputs:
             rate = flight.native_rate(signal.source) if signal.name in RATE_OF else None
             if rate is not None:
-                found[signal.name] = max(found.get(signal.name, 0.0), 1.0 / rate)
-    return found
+                intervals[signal.name] = max(intervals.get(signal.name, 0.0), 1.0 / rate)
+    return intervals
 
 
 def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
     """`model` with controls that move a little before or after they were sampled: all together, and each by itself."""
     controls = [s.name for s in model.inputs if s.control and f"{TIMING}{s.name}" not in model.parameter_names]
     several = len(controls) > 1 and TOGETHER not in model.parameter_names
-    own = criteria.own_timing_share if several else criteria.timing_share
+    width = criteria.own_timing_share if several else criteria.timing_share
     if several:
         model = model.plus(
             parameters=[carried(TOGETHER, "s", criteria.timing_share * sample_interval)],
             transforms=[InputTransform("delay", name, (TOGETHER,)) for name in controls],
         )
     return model.plus(
-        parameters=[carried(f"{TIMING}{name}", "s", own * sample_interval) for name in controls],
+        parameters=[carried(f"{TIMING}{name}", "s", width * sample_interval) for name in controls],
         transforms=[InputTransform("delay", name, (f"{TIMING}{name}",)) for name in controls],
     )
 
@@ -116,9 +116,9 @@ def _of_a_filter(attitude: str, sample_interval: float, criteria: Criteria) -> d
 
 def _shown(model: Model, attitude: str, widths: Mapping[str, tuple[str, str, float]]) -> Model:
     """`model` with an attitude that shows more than itself. widths: unknown -> signal that it follows, unit, width."""
-    known = {*model.definitions, *model.state_names}
+    symbols = {*model.definitions, *model.state_names}
     for name, (follows, unit, width) in widths.items():
-        if follows in known and name not in model.parameter_names:
+        if follows in symbols and name not in model.parameter_names:
             model = model.plus(
                 outputs={attitude: f"{attitude} + {name}*{follows}"},
                 parameters=[carried(name, unit, width)],
@@ -134,7 +134,7 @@ def with_dormant(
     available: inputs all flights have. disturbed: states whose rates get an input `disturbance_<state>`, zero in every
     fit, through which simulated nulls are shaken.
     """
-    made = model.plus(
+    extended = model.plus(
         inputs=[Signal(DISTURBANCE.format(s)) for s in disturbed],
         terms={f"{s}_dot": DISTURBANCE.format(s) for s in disturbed},
     )
@@ -143,17 +143,17 @@ def with_dormant(
         for form in sorted(effect.forms, key=lambda f: -len(f.parameters)):
             if form.states or form.lines or form.frees or not all(s.name in available for s in form.inputs):
                 continue
-            if form.obstacle(model) is None and form.obstacle(made) is None:
-                made = _dormant(made, form)
-    return made
+            if form.obstacle(model) is None and form.obstacle(extended) is None:
+                extended = _dormant(extended, form)
+    return extended
 
 
 def _dormant(model: Model, form: Form) -> Model:
     quiet = replace(form, transforms=(), output_delays={})
-    added = quiet.added_to(model, fixed=True)
+    extended = quiet.added_to(model, fixed=True)
     names = {p.name for p in form.parameters}
-    marked = tuple(replace(p, role=ParameterRole.DORMANT) if p.name in names else p for p in added.parameters)
-    return replace(added, parameters=marked)
+    marked = tuple(replace(p, role=ParameterRole.DORMANT) if p.name in names else p for p in extended.parameters)
+    return replace(extended, parameters=marked)
 
 
 def awakened(model: Model, form: Form, at: Mapping[str, float] | None = None) -> Model:

@@ -49,11 +49,11 @@ def with_lost_rows(flight: Flight) -> Flight:
     if step is None:
         return flight
     steps = np.diff(flight.time) / step
-    whole = np.round(steps)
-    lost = (whole > 1.0) & (whole <= LONGEST_BRIDGE + 1) & (np.diff(flight.segment) == 0)
-    if not lost.any():
+    counts = np.round(steps)
+    missing = (counts > 1.0) & (counts <= LONGEST_BRIDGE + 1) & (np.diff(flight.segment) == 0)
+    if not missing.any():
         return flight
-    rows = np.cumsum(np.where(lost, whole, 1.0)).astype(int)
+    rows = np.cumsum(np.where(missing, counts, 1.0)).astype(int)
     rows = np.concatenate([[0], rows])
     time = np.interp(np.arange(rows[-1] + 1), rows, flight.time)
     columns = {n: np.full(time.size, np.nan) for n in flight.columns}
@@ -61,20 +61,20 @@ def with_lost_rows(flight: Flight) -> Flight:
         columns[name][rows] = values
     segment = flight.segment[np.searchsorted(rows, np.arange(time.size), side="right") - 1]
     count = time.size - len(flight)
-    said = f"{count} rows lost here and there ({count / time.size:.0%}): taken as not measured"
+    note = f"{count} rows lost here and there ({count / time.size:.0%}): taken as not measured"
     return Flight.build(
         flight.name, time, columns, segment=segment, provenance=flight.provenance, notes=flight.notes
-    ).with_notes(said)
+    ).with_notes(note)
 
 
 def clock_step(flight: Flight) -> float | None:
     """Step [s] of the clock on whose grid the rows lie; None where they lie on none."""
-    usual, within = flight.sample_interval, np.diff(flight.segment) == 0
+    interval, unbroken = flight.sample_interval, np.diff(flight.segment) == 0
     for finer in FINER:
-        steps = np.diff(flight.time)[within] / (usual / finer)
-        whole = np.maximum(np.round(steps), 1.0)
-        if np.mean(np.abs(steps - whole) < OFF_GRID) >= ON_GRID and np.mean(whole == 1.0) >= SINGLE:
-            return usual / finer
+        steps = np.diff(flight.time)[unbroken] / (interval / finer)
+        counts = np.maximum(np.round(steps), 1.0)
+        if np.mean(np.abs(steps - counts) < OFF_GRID) >= ON_GRID and np.mean(counts == 1.0) >= SINGLE:
+            return interval / finer
     return None
 
 
@@ -84,12 +84,12 @@ def without_unseen_moves(flight: Flight, controls: Sequence[str], outputs: Seque
     unseen = np.zeros(len(flight), bool)
     notes = []
     for control in (c for c in controls if flight.measured(c)):
-        moved = unseen_moves(flight[control], criteria)
-        if moved.any():
+        hidden = unseen_moves(flight[control], criteria)
+        if hidden.any():
             notes.append(
-                f"{control} not measured at {int(moved.sum())} samples while it moved: nothing is compared there"
+                f"{control} not measured at {int(hidden.sum())} samples while it moved: nothing is compared there"
             )
-        unseen |= moved
+        unseen |= hidden
     if not notes:
         return flight
     compared = {c: np.where(unseen, np.nan, flight[c]) for c in outputs if flight.measured(c)}
@@ -99,13 +99,13 @@ def without_unseen_moves(flight: Flight, controls: Sequence[str], outputs: Seque
 def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
     """(N,) samples of a few in a row that a control (N,) lacks, across which it changes by more than its scatter."""
     unseen = np.zeros(control.size, bool)
-    known = control[np.isfinite(control)]
-    if known.size < 2:
+    measured = control[np.isfinite(control)]
+    if measured.size < 2:
         return unseen
-    least = criteria.surface_step * GAUSSIAN * float(np.median(np.abs(np.diff(known))))
+    limit = criteria.surface_step * GAUSSIAN * float(np.median(np.abs(np.diff(measured))))
     for a, b in runs_of(~np.isfinite(control)):
-        inside = a > 0 and b < control.size and b - a <= LONGEST_BRIDGE
-        if inside and abs(control[b] - control[a - 1]) > least:
+        bridged = a > 0 and b < control.size and b - a <= LONGEST_BRIDGE
+        if bridged and abs(control[b] - control[a - 1]) > limit:
             unseen[a:b] = True
     return unseen
 
@@ -113,13 +113,13 @@ def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
 def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria: Criteria) -> Array:
     """(draws, N) what may be wrong with straight lines across unseen moves: the step may have been anywhere between the samples
     on either side."""
-    wrong = np.zeros((draws, control.size))
+    errors = np.zeros((draws, control.size))
     for a, b in runs_of(unseen_moves(control, criteria)):
-        at = np.arange(a, b)
-        share = (at - (a - 1.0)) / (b - (a - 1.0))
-        when = rng.uniform(a - 1.0, b, (draws, 1))
-        wrong[:, a:b] = ((at > when) - share) * (control[b] - control[a - 1])
-    return wrong
+        samples = np.arange(a, b)
+        share = (samples - (a - 1.0)) / (b - (a - 1.0))
+        instant = rng.uniform(a - 1.0, b, (draws, 1))
+        errors[:, a:b] = ((samples > instant) - share) * (control[b] - control[a - 1])
+    return errors
 
 
 Mask = NDArray[np.bool_]
@@ -151,31 +151,33 @@ def at_own_rates(
 def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flight:
     for column in outputs:
         lines = _lines(flight, flight[column])
-        every = _usual(np.flatnonzero(lines.ends), flight)
-        if every is not None and every > criteria.slow_control:
-            rate = 1.0 / (every * flight.sample_interval)
-            said = f"{column} lies on straight lines between values at {rate:.3g} Hz: compared at these only"
-            flight = flight.with_columns(**{column: np.where(lines.ends, lines.values, np.nan)}).with_notes(said)
+        spacing = _usual(np.flatnonzero(lines.ends), flight)
+        if spacing is not None and spacing > criteria.slow_control:
+            rate = 1.0 / (spacing * flight.sample_interval)
+            note = f"{column} lies on straight lines between values at {rate:.3g} Hz: compared at these only"
+            flight = flight.with_columns(**{column: np.where(lines.ends, lines.values, np.nan)}).with_notes(note)
     return flight
 
 
 def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
-    found = [s for s in (slow(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control]
-    if not found:
+    slow_controls = [
+        s for s in (slow(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control
+    ]
+    if not slow_controls:
         return flight
-    slowest = max(found, key=lambda s: s.every)
-    every = int(np.ceil(slowest.every - EARLY))
+    slowest = max(slow_controls, key=lambda s: s.every)
+    spacing = int(np.ceil(slowest.every - EARLY))
     fresh = {c: _fresh(flight, c) for c in outputs}
     keep = np.zeros(len(flight), bool)
-    for whole in flight.segments:
-        first = whole.start + _phase(slowest.new[whole], [f[whole] for f in fresh.values()], every)
-        keep[first : whole.stop : every] = True
+    for segment in flight.segments:
+        first = segment.start + _phase(slowest.new[segment], [f[segment] for f in fresh.values()], spacing)
+        keep[first : segment.stop : spacing] = True
     if not all((f & keep).any() for f in fresh.values()):  # a sensor that is new only where the control is not
         return flight
     rate = 1.0 / (slowest.every * flight.sample_interval)
-    names = " and ".join(s.column for s in found)
+    names = " and ".join(s.column for s in slow_controls)
     read = flight.with_columns(
-        **{c: np.where(f, flight[c], np.nan) for c, f in fresh.items()}, **{s.column: s.values for s in found}
+        **{c: np.where(f, flight[c], np.nan) for c, f in fresh.items()}, **{s.column: s.values for s in slow_controls}
     ).part(keep)
     return read.with_notes(
         f"values of {names} come at {rate:.3g} Hz only: the flight is read at {1.0 / read.sample_interval:.3g} Hz, for where "
@@ -195,24 +197,24 @@ def _phase(new: Mask, others: Sequence[Mask], every: int) -> int:
 def slow(flight: Flight, column: str) -> Slow | None:
     """What is known of a control whose values come more rarely than samples; None of one that is new in each."""
     values = flight[column]
-    known = np.isfinite(values)
-    if known.sum() < KNOTS or np.ptp(values[known]) == 0.0:
+    measured = np.isfinite(values)
+    if measured.sum() < KNOTS or np.ptp(values[measured]) == 0.0:
         return None
     fresh = _fresh(flight, column)
-    every = _usual(np.flatnonzero(fresh), flight)
-    if every is not None and every > 1.0:
-        return Slow(column, every, fresh, _joined(values, fresh, every))
+    spacing = _usual(np.flatnonzero(fresh), flight)
+    if spacing is not None and spacing > 1.0:
+        return Slow(column, spacing, fresh, _joined(values, fresh, spacing))
     lines = _lines(flight, values)
     logged = flight.native_rate(column)  # before an import drew its lines
-    stated = 1.0 / (logged * flight.sample_interval) if logged is not None and logged * LONGEST >= 1.0 else None
-    seen = _usual(np.flatnonzero(lines.ends), flight)
-    every = stated or seen
-    if every is None or every <= 1.0 or not fresh[known].all():
+    logged_spacing = 1.0 / (logged * flight.sample_interval) if logged is not None and logged * LONGEST >= 1.0 else None
+    line_spacing = _usual(np.flatnonzero(lines.ends), flight)
+    spacing = logged_spacing or line_spacing
+    if spacing is None or spacing <= 1.0 or not fresh[measured].all():
         return None
-    if seen is None:
-        return Slow(column, every, known, values)
-    drawn = _joined(lines.values, lines.ends | lines.rest, every)
-    return Slow(column, every, lines.ends, np.where(np.isfinite(drawn), drawn, values))
+    if line_spacing is None:
+        return Slow(column, spacing, measured, values)
+    interpolated = _joined(lines.values, lines.ends | lines.rest, spacing)
+    return Slow(column, spacing, lines.ends, np.where(np.isfinite(interpolated), interpolated, values))
 
 
 def _fresh(flight: Flight, column: str) -> Mask:
@@ -222,11 +224,11 @@ def _fresh(flight: Flight, column: str) -> Mask:
 
 def _joined(values: Array, known: Mask, every: float) -> Array:
     """Straight lines from one known value to the next, NaN across holes of more than a few of their intervals."""
-    at = np.flatnonzero(known)
-    here = np.arange(values.size)
-    after = np.clip(np.searchsorted(at, here), 1, at.size - 1)
-    close = (at[after] - at[after - 1] <= HOLE * every) & (here >= at[0]) & (here <= at[-1])
-    return np.where(close, np.interp(here, at, values[at]), np.nan)
+    knots = np.flatnonzero(known)
+    samples = np.arange(values.size)
+    next_knot = np.clip(np.searchsorted(knots, samples), 1, knots.size - 1)
+    close = (knots[next_knot] - knots[next_knot - 1] <= HOLE * every) & (samples >= knots[0]) & (samples <= knots[-1])
+    return np.where(close, np.interp(samples, knots, values[knots]), np.nan)
 
 
 @dataclass(frozen=True)
@@ -244,10 +246,10 @@ def _lines(flight: Flight, values: Array) -> _Lines:
     inner, bend, rest = (np.zeros(values.size, bool) for _ in range(3))
     inner[1:-1] = np.diff(flight.segment, 2) == 0
     with np.errstate(invalid="ignore"):
-        least = STRAIGHT * span_of(values[np.isfinite(values)])
-        moves, bends = np.abs(np.diff(values)) > least, np.diff(values, 2)
-        rest[1:-1] = (np.abs(np.diff(values))[:-1] <= least) & (np.abs(np.diff(values))[1:] <= least)
-        bend[1:-1] = ~((np.abs(bends) <= least) & moves[:-1])
+        limit = STRAIGHT * span_of(values[np.isfinite(values)])
+        moves, bends = np.abs(np.diff(values)) > limit, np.diff(values, 2)
+        rest[1:-1] = (np.abs(np.diff(values))[:-1] <= limit) & (np.abs(np.diff(values))[1:] <= limit)
+        bend[1:-1] = ~((np.abs(bends) <= limit) & moves[:-1])
     ends, at_ends = np.zeros(values.size, bool), values.copy()
     for a, b in runs_of(bend & inner):
         share = 0.0
@@ -255,9 +257,9 @@ def _lines(flight: Flight, values: Array) -> _Lines:
             b - a == BETWEEN and bends[a - 1] * bends[a] > 0.0
         ):  # the end of a line between two samples bends the course at both
             share = float(bends[a] / (bends[a - 1] + bends[a]))
-        near = a + round(share)
-        ends[near] = True
-        at_ends[near] = values[a] + share * (values[a] - values[a - 1])
+        nearest = a + round(share)
+        ends[nearest] = True
+        at_ends[nearest] = values[a] + share * (values[a] - values[a - 1])
     return _Lines(ends, at_ends, rest)
 
 
@@ -267,6 +269,6 @@ def _usual(at: NDArray[np.int64], flight: Flight) -> float | None:
     steps = steps[steps * flight.sample_interval <= LONGEST]
     if steps.size < KNOTS:
         return None
-    usual = float(np.median(steps))
-    close = np.abs(steps - usual) <= max(APART * usual, float(usual >= CLOCKS))
+    spacing = float(np.median(steps))
+    close = np.abs(steps - spacing) <= max(APART * spacing, float(spacing >= CLOCKS))
     return float(np.mean(steps[close])) if np.mean(close) >= EVEN else None

@@ -37,26 +37,26 @@ def backward_check(
     exchanged where a rival now explains the same flights better. None where all stand."""
     last = findings[-1]
     for finding in findings[:-1]:
-        others = [f for f in findings if f is not finding]
+        rest = [f for f in findings if f is not finding]
         old = finding.candidate
-        without = afresh_with(setting, others, last.child)
-        if without is None:
+        reduced = afresh_with(setting, rest, last.child)
+        if reduced is None:
             continue
-        gain = 2.0 * (without.fit.cost - last.child.fit.cost)
+        gain = 2.0 * (reduced.fit.cost - last.child.fit.cost)
         if idle(gain, finding.round_.threshold):
-            why = f"no longer needed once {last.candidate.hypothesis.label} is in the model"
+            reason = f"no longer needed once {last.candidate.hypothesis.label} is in the model"
             fresh = fit_baseline(
-                without.model, without.clean, setting.prepared, setting.scatter, without.fit, without.noise
+                reduced.model, reduced.clean, setting.prepared, setting.scatter, reduced.fit, reduced.noise
             )
-            kept = [replace(f, child=fresh) if f is last else f for f in others]
-            return kept, [Rejected(old.hypothesis.label, why)]
-        rival = _rival(setting, without, finding, last.round_, gain)
+            updated = [replace(f, child=fresh) if f is last else f for f in rest]
+            return updated, [Rejected(old.hypothesis.label, reason)]
+        rival = _rival(setting, reduced, finding, last.round_, gain)
         if rival is not None:
-            why = f"{rival[0].hypothesis.label} explains the same better with the other effects in the model"
+            reason = f"{rival[0].hypothesis.label} explains the same better with the other effects in the model"
             candidate, child = rival
             choice = Choice((candidate,), {candidate.hypothesis.effect.name: 1.0}, ())
-            exchanged = AcceptedEffect(last.round_, choice, candidate, without, child)
-            return [*others, exchanged], [Rejected(old.hypothesis.label, why)]
+            exchanged = AcceptedEffect(last.round_, choice, candidate, reduced, child)
+            return [*rest, exchanged], [Rejected(old.hypothesis.label, reason)]
     return None
 
 
@@ -80,16 +80,16 @@ def _rival(
     scatter = _of_each(screen, *(alone(round_) for round_ in rounds))
     gains = linear_gains(screen, problem)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
-    found = []
+    candidates = []
     for h in questioners(gains / scatter, criteria):
         hypothesis = screen.hypotheses[h]
         if hypothesis.key != old.candidate.hypothesis.key:
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
             rival = assess(problem, without.fit, hypothesis, fitted, float(scatter[h]))
-            found.append(material(rival, interval, noise, criteria))
+            candidates.append(material(rival, interval, noise, criteria))
     inflation = _of_each(screen, *(by_name(round_) for round_ in rounds))
     asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=inflation)
-    for rival in better_rivals(found, gain / own_inflation(old.candidate), last.threshold, criteria):
+    for rival in better_rivals(candidates, gain / own_inflation(old.candidate), last.threshold, criteria):
         if deeper(without, rival.fit) is not None:  # its gain is that of another valley
             continue
         child, _ = confirmed(setting, asked, rival, nameless=0.0)
@@ -113,29 +113,29 @@ def better_rivals(
 ) -> list[FittedHypothesis]:
     """The significant candidates that gain more than an accepted effect's `gain` by a clear margin, the most first; gains over
     what the nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
-    sound = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
-    better = [(gained, c) for gained, c in sound if gained > gain + criteria.exchange]
-    return [c for _, c in sorted(better, key=lambda pair: -pair[0])]
+    significant = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
+    ahead = [(gained, c) for gained, c in significant if gained > gain + criteria.exchange]
+    return [c for _, c in sorted(ahead, key=lambda pair: -pair[0])]
 
 
 def shape_gain(setting: Setting, round_: Round) -> float:
     """What the best function of one variable without a name gains about a fitted model (twice the log-likelihood); nothing where
     none stands out of the nulls."""
-    flown = ModelMotion.of(round_.baseline.problem, round_.baseline.fit)
-    return rank(flown, round_, places_of(setting.base)).best_gain
+    motion = ModelMotion.of(round_.baseline.problem, round_.baseline.fit)
+    return rank(motion, round_, places_of(setting.base)).best_gain
 
 
 def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | None:
     """The round's base in the better valley to which the best significant candidate leads, or None: what is gained there without
     the candidate is not its own, and the round has to be asked again."""
-    best = choice.best
-    if best is None or best.score < round_.threshold:
+    candidate = choice.best
+    if candidate is None or candidate.score < round_.threshold:
         return None
-    found, base = deeper(round_.baseline, best.fit), round_.baseline
-    if found is None:
+    model_fit, base = deeper(round_.baseline, candidate.fit), round_.baseline
+    if model_fit is None:
         return None
     try:
-        return fit_baseline(base.model, base.clean, setting.prepared, setting.scatter, found, base.noise)
+        return fit_baseline(base.model, base.clean, setting.prepared, setting.scatter, model_fit, base.noise)
     except GapError:  # better with the noise it has only
         return None
 
@@ -145,7 +145,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     findings: list[AcceptedEffect] = []
     rounds: list[Round] = []
     rejected: list[Rejected] = []
-    again = 0
+    restarts = 0
     while True:
         try:
             round_ = setting.screened(baseline, len(rounds))
@@ -162,12 +162,12 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
             break
         setting.tell(f"round {len(rounds)}: full fits", 0.1 + 0.8 * len(rounds) / (setting.options.most + 1))
         choice = choose(round_, setting.prepared)
-        better = _better_base(setting, round_, choice) if again < DEEPER else None
-        if better is not None:
-            baseline, again = better, again + 1
+        deeper_base = _better_base(setting, round_, choice) if restarts < DEEPER else None
+        if deeper_base is not None:
+            baseline, restarts = deeper_base, restarts + 1
             rounds.pop()
             continue
-        again = 0
+        restarts = 0
         finding, words = accept(setting, round_, choice, omnibus, partial(shape_gain, setting, round_))
         rejected += [*choice.rejected, *words]
         if finding is None:
@@ -176,7 +176,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
         if len(findings) > 1:
             questioned = backward_check(setting, findings)
             if questioned is not None:
-                findings, said = questioned
-                rejected += said
+                findings, notes = questioned
+                rejected += notes
         baseline = findings[-1].child
     return SearchState(tuple(findings), tuple(rounds), omnibus, tuple(rejected))

@@ -84,10 +84,10 @@ class Setting:
 
     def child(self, parent: Baseline, candidate: FittedHypothesis) -> Baseline:
         """The parent with a candidate's form, fitted afresh with its own noise."""
-        at = {n: v for n, (v, _) in candidate.estimates.items()}
-        clean = candidate.hypothesis.form.added_to(parent.clean, at)
-        noise, known = candidate.noise or parent.noise, candidate.noise is not None
-        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, noise, known)
+        values = {n: v for n, (v, _) in candidate.estimates.items()}
+        clean = candidate.hypothesis.form.added_to(parent.clean, values)
+        noise, has_noise = candidate.noise or parent.noise, candidate.noise is not None
+        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, noise, has_noise)
 
     def screened(self, baseline: Baseline, number: int) -> Round:
         """One round of nulls and screen about a fitted model."""
@@ -117,7 +117,7 @@ def afresh_with(setting: Setting, findings: Sequence[AcceptedEffect], child: Bas
     where the motion runs away without that."""
     model, clean = setting.working, setting.clean
     for f in findings:
-        at = {n: v for n, (v, _) in f.candidate.estimates.items()}
+        values = {n: v for n, (v, _) in f.candidate.estimates.items()}
         form = f.candidate.hypothesis.form
-        model, clean = awakened(model, form, at), form.added_to(clean, at)
+        model, clean = awakened(model, form, values), form.added_to(clean, values)
     return fit_afresh(child, model, clean)

@@ -73,9 +73,9 @@ def regressed(x: Array, target: Array, increment: Increment) -> list[Sketch]:
     base = np.column_stack(free) if free else np.zeros((x.size, 0))
     wanted = _without(target, base)
     total = max(float(wanted @ wanted), np.finfo(float).tiny)
-    made = []
+    sketches = []
     for formula in FORMULAS:
-        best: Sketch | None = None
+        closest: Sketch | None = None
         for width in (s * float(np.abs(x).max()) for s in (SHARES if formula.wide else (1.0,))):
             column = _without(formula.value(x, width), base)
             length = float(column @ column)
@@ -83,10 +83,10 @@ def regressed(x: Array, target: Array, increment: Increment) -> list[Sketch]:
                 continue  # the base has it
             size = float(column @ wanted) / length
             sketch = Sketch(formula, width, size, float(np.sum((wanted - size * column) ** 2)) / total)
-            best = sketch if best is None or sketch.left < best.left else best
-        if best is not None:
-            made.append(best)
-    return sorted(made, key=lambda s: s.left)
+            closest = sketch if closest is None or sketch.left < closest.left else closest
+        if closest is not None:
+            sketches.append(closest)
+    return sorted(sketches, key=lambda s: s.left)
 
 
 def _without(values: Array, base: Array) -> Array:
@@ -117,18 +117,20 @@ def refitted(baseline: Baseline, increment: Increment, sketch: Sketch) -> Plain 
     term += f"*{place.by}/{increment.reach:.17g}" if place.by else ""
     model = baseline.model.plus(terms={place.line: term}, parameters=unknowns)
     problem = replace(baseline.problem, model=model)
-    found = fit(problem, {**baseline.fit.values, SIZE: sketch.size, WIDTH: sketch.width}, baseline.fit.locals)
-    if found.diverged:
+    model_fit = fit(problem, {**baseline.fit.values, SIZE: sketch.size, WIDTH: sketch.width}, baseline.fit.locals)
+    if model_fit.diverged:
         return None
-    std = found.std()
+    std = model_fit.std()
     names = {"a": SIZE} | ({"w": WIDTH} if sketch.formula.wide else {})
     scale = {"a": 1.0 / increment.reach, "w": 1.0}
-    estimates = {n: (float(found.values[p]) * scale[n], float(std.get(p, np.inf)) * scale[n]) for n, p in names.items()}
+    estimates = {
+        n: (float(model_fit.values[p]) * scale[n], float(std.get(p, np.inf)) * scale[n]) for n, p in names.items()
+    }
     text = f"a*{sketch.formula.written(place.variable)}" + (f"*{place.by}" if place.by else "")
-    return Plain(text, estimates, problem, found, 2.0 * (baseline.fit.cost - found.cost), sketch.left)
+    return Plain(text, estimates, problem, model_fit, 2.0 * (baseline.fit.cost - model_fit.cost), sketch.left)
 
 
 def plain_formulas(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[Plain]:
     """The formulas nearest to a spline, refitted."""
-    made = [refitted(baseline, fitted.increment, s) for s in sketched(fitted, flown)[:REFITTED]]
-    return [p for p in made if p is not None]
+    formulas = [refitted(baseline, fitted.increment, s) for s in sketched(fitted, flown)[:REFITTED]]
+    return [p for p in formulas if p is not None]

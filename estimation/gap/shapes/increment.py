@@ -82,7 +82,9 @@ class Increment:
         """(N, unknowns) at x (N,)."""
         u = np.clip(self.flown.scaled(x), -1.0, 1.0)
         extra = [
-            c for c, wanted in ((u, self.place.lacks_line), (np.ones_like(u), self.place.lacks_constant)) if wanted
+            c
+            for c, needed_here in ((u, self.place.lacks_line), (np.ones_like(u), self.place.lacks_constant))
+            if needed_here
         ]
         return np.column_stack([basis().columns(u), *extra])
 
@@ -113,8 +115,8 @@ class FittedIncrement:
         """(x, value, standard deviation) over the range flown; inflation: of the variance, from nulls."""
         x = np.linspace(self.increment.flown.low, self.increment.flown.high, POINTS)
         columns = self.increment.columns(x)
-        at = [self.fit.free.index(n) for n in self.increment.weights]
-        covariance = pseudo_inverse(self.fit.hessian)[0][np.ix_(at, at)]
+        indices = [self.fit.free.index(n) for n in self.increment.weights]
+        covariance = pseudo_inverse(self.fit.hessian)[0][np.ix_(indices, indices)]
         variance = np.einsum("ij,jk,ik->i", columns, covariance, columns)
         return x, columns @ self.increment.vector(self.fit.values), np.sqrt(np.maximum(variance * inflation, 0.0))
 
@@ -122,10 +124,10 @@ class FittedIncrement:
 def fit_increment(baseline: Baseline, increment: Increment) -> FittedIncrement | None:
     """Base and increment fitted together on the training flights; None where that runs away."""
     problem = replace(baseline.problem, model=increment.added_to(baseline.model))
-    found = fit(problem, baseline.fit.values, baseline.fit.locals)
-    if found.diverged:
+    model_fit = fit(problem, baseline.fit.values, baseline.fit.locals)
+    if model_fit.diverged:
         return None
-    return FittedIncrement(increment, problem, found, 2.0 * (baseline.fit.cost - found.cost))
+    return FittedIncrement(increment, problem, model_fit, 2.0 * (baseline.fit.cost - model_fit.cost))
 
 
 @dataclass(frozen=True)
@@ -141,31 +143,33 @@ class HoldoutPrediction:
 def left_out(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[HoldoutPrediction]:
     """Every training flight predicted from the others, with and without the increment."""
     flights = [r.flight for r in baseline.problem.records]
-    made = []
+    predictions = []
     for flight in dict.fromkeys(flights):
-        others = [i for i, f in enumerate(flights) if f != flight]
-        own = [i for i, f in enumerate(flights) if f == flight]
-        if not others:
+        training = [i for i, f in enumerate(flights) if f != flight]
+        holdout = [i for i, f in enumerate(flights) if f == flight]
+        if not training:
             continue
         variable = fitted.increment.place.variable
-        reached = Range.of([flown.courses[i][variable] for i in others])
-        inside = float(np.mean([reached.inside(flown.courses[i][variable]) for i in own]))
-        without = predicted(baseline.problem, baseline.fit, others, own, {})
-        with_ = predicted(fitted.problem, fitted.fit, others, own, fitted.increment.edges(reached))
-        gain = -np.inf if with_ is None else np.inf if without is None else 2.0 * (without - with_)
-        made.append(HoldoutPrediction(flight, inside, float(gain)))
-    return made
+        limits = Range.of([flown.courses[i][variable] for i in training])
+        share = float(np.mean([limits.inside(flown.courses[i][variable]) for i in holdout]))
+        base_cost = predicted(baseline.problem, baseline.fit, training, holdout, {})
+        increment_cost = predicted(fitted.problem, fitted.fit, training, holdout, fitted.increment.edges(limits))
+        gain = (
+            -np.inf if increment_cost is None else np.inf if base_cost is None else 2.0 * (base_cost - increment_cost)
+        )
+        predictions.append(HoldoutPrediction(flight, share, float(gain)))
+    return predictions
 
 
 def predicted(
     problem: LikelihoodProblem, found: ModelFit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
 ) -> float | None:
     """Whitened cost of the records `own` with what the records `others` tell; None where the motion runs away."""
-    told = fit(only(problem, others), found.values, [found.locals[i] for i in others])
-    if told.diverged:
+    trained = fit(only(problem, others), found.values, [found.locals[i] for i in others])
+    if trained.diverged:
         return None
-    asked = fit(only(problem, own), {**told.values, **edges}, [found.locals[i] for i in own], frozen=True)
-    return None if asked.diverged else asked.cost
+    tested = fit(only(problem, own), {**trained.values, **edges}, [found.locals[i] for i in own], frozen=True)
+    return None if tested.diverged else tested.cost
 
 
 def only(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProblem:
@@ -179,8 +183,8 @@ def only(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProble
 
 def confirmed(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
     """Whether every flight that lies in the range of the others is predicted better, and there is one."""
-    asked = [f for f in found if f.inside >= criteria.form_inside]
-    return bool(asked) and all(f.gain > 0.0 for f in asked)
+    testable = [f for f in found if f.inside >= criteria.form_inside]
+    return bool(testable) and all(f.gain > 0.0 for f in testable)
 
 
 def closed(before: float, after: float, floor: float) -> float:
@@ -193,8 +197,8 @@ def closed(before: float, after: float, floor: float) -> float:
 def asked(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
     """Whitened energy of a fitted model on the held-out flights, shared parameters frozen; on the training flights where there
     are none. problem, found: on the training flights; noise: by which it is weighed."""
-    held = replace(baseline, problem=problem, fit=found, noise=noise).held_out
-    return 2.0 * (found.cost if held is None else held[1].cost)
+    held_out = replace(baseline, problem=problem, fit=found, noise=noise).held_out
+    return 2.0 * (found.cost if held_out is None else held_out[1].cost)
 
 
 def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> float:
@@ -202,27 +206,29 @@ def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> f
 
     The upper end, not the middle: one day's weather and one flight's surfaces are not the average ones.
     """
-    held = child.held_out
-    if held is None:
-        own = errors[: len(child.problem.records)]
-        return _upper(child.problem, child.fit, NullFlyer.build(child.problem, child.fit, child.noise, own), seed)
-    own = errors[len(errors) - len(held[0].records) :]
-    return _upper(*held, NullFlyer.build(*held, child.noise, own), seed)
+    held_out = child.held_out
+    if held_out is None:
+        record_errors = errors[: len(child.problem.records)]
+        return _upper(
+            child.problem, child.fit, NullFlyer.build(child.problem, child.fit, child.noise, record_errors), seed
+        )
+    record_errors = errors[len(errors) - len(held_out[0].records) :]
+    return _upper(*held_out, NullFlyer.build(*held_out, child.noise, record_errors), seed)
 
 
 def _upper(problem: LikelihoodProblem, found: ModelFit, flyer: NullFlyer, seed: int) -> float:
     total = np.zeros(NULLS)
     for i in range(len(problem.records)):
-        flown = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
-        whole = [np.full(problem.coarse[i].z.shape, np.nan) if f is None else f for f in flown]
-        here = RecordTangent.of(problem, found, i, whole)
-        total += here.squares(here.fixed)[-NULLS:]
+        residuals = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
+        filled = [np.full(problem.coarse[i].z.shape, np.nan) if f is None else f for f in residuals]
+        tangent = RecordTangent.of(problem, found, i, filled)
+        total += tangent.squares(tangent.fixed)[-NULLS:]
     return float(np.quantile(total, problem.criteria.floor_level))
 
 
 def refitted_with(problem: LikelihoodProblem, found: ModelFit, child: Baseline) -> tuple[LikelihoodProblem, ModelFit]:
     """A model fitted to the training flights again, weighed with the noise of another."""
-    same = LikelihoodProblem(
+    reweighted = LikelihoodProblem(
         problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria
     )
-    return same, fit(same, found.values, found.locals)
+    return reweighted, fit(reweighted, found.values, found.locals)

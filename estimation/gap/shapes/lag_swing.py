@@ -43,22 +43,22 @@ def late(course: Array, time: Array, memory: float) -> Array:
 
 def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> LaggedTerm | None:
     """The place and time constant that gain most by linear theory, where they stand out of the nulls."""
-    asked = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
+    candidates = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
 
     def changes(i: int) -> Iterator[Array]:
         courses, time = flown.courses[i], flown.segments[i].time
-        lags = [(p.line, late(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in asked]
+        lags = [(p.line, late(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in candidates]
         return flown.changes(i, lags)
 
     gram = gram_of(round_.tangent, changes)
-    gains = Projected.of(gram, len(flown.problem.free), len(asked)).scores() ** 2
-    result = ranked([p for p, _ in asked], gains, round_.criteria)
+    gains = Projected.of(gram, len(flown.problem.free), len(candidates)).scores() ** 2
+    result = ranked([p for p, _ in candidates], gains, round_.criteria)
     if not result.order:
         return None
-    best = result.order[0]
-    place, time = asked[best]
+    leader = result.order[0]
+    place, time = candidates[leader]
     return LaggedTerm(
-        place.line, place.variable, time, float(result.gains[best]), float(result.scores[best]), result.threshold
+        place.line, place.variable, time, float(result.gains[leader]), float(result.scores[leader]), result.threshold
     )
 
 
@@ -93,15 +93,15 @@ class _AtOnce:
 
 def oscillator(course: Array, time: Array, frequency: float, damping: float) -> Array:
     """(N,) what an oscillator of unit size makes of a course (N,) that is straight between samples, begun at rest where it is."""
-    over, under = _recursion(float(np.median(np.diff(time))), frequency, damping)
-    return np.asarray(course[0] + lfilter(over, under, course - course[0]))
+    numerator, denominator = _recursion(float(np.median(np.diff(time))), frequency, damping)
+    return np.asarray(course[0] + lfilter(numerator, denominator, course - course[0]))
 
 
 @lru_cache(maxsize=256)
 def _recursion(step: float, frequency: float, damping: float) -> tuple[Array, Array]:
     square = frequency * frequency
-    over, under, _ = cont2discrete(([square], [1.0, 2.0 * damping * frequency, square]), step, method="foh")
-    return np.ravel(over), np.ravel(under)
+    numerator, denominator, _ = cont2discrete(([square], [1.0, 2.0 * damping * frequency, square]), step, method="foh")
+    return np.ravel(numerator), np.ravel(denominator)
 
 
 def frequencies(time: Array) -> Array:
@@ -127,8 +127,8 @@ def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
     result = ranked(groups, gains, round_.criteria)
     if not result.order:
         return None
-    best = result.order[0]
-    line, coarse, _ = result.places[best]
+    leader = result.order[0]
+    line, coarse, _ = result.places[leader]
     finer = _Grams.of(
         flown,
         round_.tangent,
@@ -136,22 +136,22 @@ def find_swing(flown: ModelMotion, round_: Round) -> SwingingTerm | None:
         drives,
         [_Ask(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives],
     )
-    near, gained = finer.gained()
-    at = int(np.argmax(gained[:, 0]))
-    _, frequency, damping = near[at]
+    groups_near, gained = finer.gained()
+    nearest = int(np.argmax(gained[:, 0]))
+    _, frequency, damping = groups_near[nearest]
     if not rings(damping, round_.criteria):
         return None
-    span = range(at * len(drives), (at + 1) * len(drives))
-    whole = finer.with_what_follows(line)
-    needed = _needed(whole, span)
-    sizes = solved(whole.B[np.ix_(needed, needed)], whole.b[needed, 0])
+    span = range(nearest * len(drives), (nearest + 1) * len(drives))
+    projected = finer.with_what_follows(line)
+    selected = _needed(projected, span)
+    sizes = solved(projected.B[np.ix_(selected, selected)], projected.b[selected, 0])
     return SwingingTerm(
         line,
-        {finer.asks[k].by: float(x) / flown.reach(finer.asks[k].by) for k, x in zip(needed, sizes, strict=True)},
+        {finer.asks[k].by: float(x) / flown.reach(finer.asks[k].by) for k, x in zip(selected, sizes, strict=True)},
         float(frequency),
         float(damping),
-        whole.gain(span) - len(span),
-        float(result.scores[best]),
+        projected.gain(span) - len(span),
+        float(result.scores[leader]),
         result.threshold,
     )
 
@@ -163,15 +163,15 @@ def rings(damping: float, criteria: Criteria) -> bool:
 
 def _needed(projected: Projected, span: Sequence[int]) -> list[int]:
     """Of the columns that drive one oscillator those needed: the best alone, then each that gains beside those before."""
-    chosen: list[int] = []
-    before = 0.0
-    while len(chosen) < len(span):
-        gained = {k: projected.gain([*chosen, k]) for k in span if k not in chosen}
-        best = max(gained, key=lambda k: gained[k])
-        if chosen and gained[best] - before < NEEDED:
+    selected: list[int] = []
+    gain = 0.0
+    while len(selected) < len(span):
+        gained = {k: projected.gain([*selected, k]) for k in span if k not in selected}
+        leader = max(gained, key=lambda k: gained[k])
+        if selected and gained[leader] - gain < NEEDED:
             break
-        chosen, before = [*chosen, best], gained[best]
-    return chosen
+        selected, gain = [*selected, leader], gained[leader]
+    return selected
 
 
 @dataclass(frozen=True)
@@ -218,8 +218,8 @@ class _Grams:
         return self._beside(line, at_once=True)
 
     def _beside(self, line: str, at_once: bool) -> Projected:
-        taken = [] if at_once else [self.n + k for k, one in enumerate(self.at_once) if one.line == line]
+        removed = [] if at_once else [self.n + k for k, column in enumerate(self.at_once) if column.line == line]
         first = self.n + len(self.at_once)
-        own = [first + k for k, ask in enumerate(self.asks) if ask.line == line]
-        index = [*range(self.n), *taken, *own, *range(first + len(self.asks), len(self.gram))]
-        return Projected.of(self.gram[np.ix_(index, index)], self.n + len(taken), len(own))
+        columns = [first + k for k, ask in enumerate(self.asks) if ask.line == line]
+        index = [*range(self.n), *removed, *columns, *range(first + len(self.asks), len(self.gram))]
+        return Projected.of(self.gram[np.ix_(index, index)], self.n + len(removed), len(columns))

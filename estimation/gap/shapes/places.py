@@ -48,22 +48,22 @@ class Place:
 
 def coefficient_lines(model: Model) -> tuple[str, ...]:
     """Lines that hold derivatives of the aircraft: its coefficients, or its rates where the model names none."""
-    own = {p.name for p in model.parameters if p.role in (ParameterRole.DERIVATIVE, ParameterRole.CONSTANT)}
+    parameters = {p.name for p in model.parameters if p.role in (ParameterRole.DERIVATIVE, ParameterRole.CONSTANT)}
     return tuple(
         line
         for line, text in model.definitions.items()
-        if names_in(text) & own and not line.endswith("_measured") and line not in model.output_names
+        if names_in(text) & parameters and not line.endswith("_measured") and line not in model.output_names
     )
 
 
 def variables_of(model: Model, lines: Sequence[str]) -> tuple[str, ...]:
     """What the coefficients' own terms multiply, angle of attack, and airspeed where it is a state."""
-    known = {*model.parameter_names, *model.constants, *lines}
-    moving = {*model.state_names, *model.input_names, *model.definitions}
-    found = [n for line in lines for product in products_in(model.definitions[line]) for n in sorted(product)]
-    chosen = [n for n in dict.fromkeys(found) if n in moving and n not in known]
-    more = [n for n in EXTRA_STATES if n in model.state_names] + [n for n in EXTRA_INPUTS if n in model.input_names]
-    return tuple(dict.fromkeys([*chosen, *more]))
+    fixed_names = {*model.parameter_names, *model.constants, *lines}
+    signals = {*model.state_names, *model.input_names, *model.definitions}
+    factors = [n for line in lines for product in products_in(model.definitions[line]) for n in sorted(product)]
+    variables = [n for n in dict.fromkeys(factors) if n in signals and n not in fixed_names]
+    extras = [n for n in EXTRA_STATES if n in model.state_names] + [n for n in EXTRA_INPUTS if n in model.input_names]
+    return tuple(dict.fromkeys([*variables, *extras]))
 
 
 def places_of(model: Model) -> tuple[Place, ...]:
@@ -77,7 +77,13 @@ def products_of(model: Model) -> tuple[Place, ...]:
     """Every coefficient by a function of one variable times another."""
     lines = coefficient_lines(model)
     variables = variables_of(model, lines)
-    return tuple(_place(model, line, v, by) for line in lines for v in variables for by in variables if v != by)
+    return tuple(
+        _place(model, line, v, multiplier)
+        for line in lines
+        for v in variables
+        for multiplier in variables
+        if v != multiplier
+    )
 
 
 def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
@@ -85,12 +91,12 @@ def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
     product the constant is the derivative by the second variable."""
     free = set(model.free_names)
     terms = products_in(model.definitions[line])
-    carried = [product - free for product in terms if len(product & free) == 1]
+    linear_terms = [product - free for product in terms if len(product & free) == 1]
     single = bool((names_in(model.definitions[line]) - frozenset().union(*terms)) & free)
-    alone = {n for product in carried if len(product) == 1 for n in product}
+    linear_names = {n for product in linear_terms if len(product) == 1 for n in product}
     if by:
-        return Place(line, variable, True, by not in alone, by)
-    return Place(line, variable, variable not in alone, not single)
+        return Place(line, variable, True, by not in linear_names, by)
+    return Place(line, variable, variable not in linear_names, not single)
 
 
 @dataclass(frozen=True)
@@ -110,8 +116,8 @@ class ModelMotion:
         model = problem.model
         lines = coefficient_lines(problem.base)
         variables = variables_of(problem.base, lines)
-        felt = [n for n in ACCELERATIONS if n in model.definitions]
-        names = tuple(dict.fromkeys((*variables, *lines, *felt)))
+        accelerations = [n for n in ACCELERATIONS if n in model.definitions]
+        names = tuple(dict.fromkeys((*variables, *lines, *accelerations)))
         probe = model.plus(
             inputs=[Signal(INCREMENT.format(n)) for n in lines],
             terms={n: INCREMENT.format(n) for n in lines},
@@ -120,9 +126,9 @@ class ModelMotion:
         simulator = Simulator.build(probe, (), substeps=1, hold="linear")
         segments, courses = [], []
         for i, local in enumerate(fit.locals):
-            driven = problem.driven(problem.grids[i], fit.values)
-            still = np.zeros((driven.u.shape[0], len(lines)))
-            segment = replace(driven, u=np.ascontiguousarray(np.concatenate([driven.u, still], axis=1)))
+            inputs = problem.driven(problem.grids[i], fit.values)
+            zeros = np.zeros((inputs.u.shape[0], len(lines)))
+            segment = replace(inputs, u=np.ascontiguousarray(np.concatenate([inputs.u, zeros], axis=1)))
             y = simulator.run(segment, {**fit.values, **local.parameters}, local.x0).y
             segments.append(segment)
             courses.append({n: y[:, probe.output_names.index(n)] for n in names})
@@ -134,18 +140,18 @@ class ModelMotion:
 
     def moves(self, variable: str) -> bool:
         """Whether a variable was flown over any range at all."""
-        flown = self.range_of(variable)
-        return flown.half > FLOWN * max(abs(flown.middle), FLOWN)
+        limits = self.range_of(variable)
+        return limits.half > FLOWN * max(abs(limits.middle), FLOWN)
 
     def columns(self, place: Place, index: int, flown: Range) -> Array:
         """(2N - 1, columns) of an increment along one record."""
         u = np.clip(flown.scaled(self.courses[index][place.variable]), -1.0, 1.0)
-        made = basis().columns(u)
-        extra = [c for c, wanted in ((u, place.lacks_line), (np.ones_like(u), place.lacks_constant)) if wanted]
-        made = np.column_stack([made, *extra])
+        values = basis().columns(u)
+        extra = [c for c, is_needed in ((u, place.lacks_line), (np.ones_like(u), place.lacks_constant)) if is_needed]
+        values = np.column_stack([values, *extra])
         if place.by:
-            made *= (self.courses[index][place.by] / self.reach(place.by))[:, None]
-        return np.ascontiguousarray(made)
+            values *= (self.courses[index][place.by] / self.reach(place.by))[:, None]
+        return np.ascontiguousarray(values)
 
     def reach(self, variable: str) -> float:
         """Largest size of a variable: what a multiplier is counted in."""
@@ -154,18 +160,18 @@ class ModelMotion:
     def changes(self, index: int, asks: Sequence[tuple[str, Array]]) -> Iterator[Array]:
         """(N, ny) changes of the outputs of a record by unit of each of `asks`, by linear theory: a coefficient and the course
         (2N - 1,) of a part of it. Nothing where they run away or nothing was measured."""
-        segment, own, outputs = self.segments[index], self.fit.locals[index], len(self.problem.model.outputs)
+        segment, local, outputs = self.segments[index], self.fit.locals[index], len(self.problem.model.outputs)
 
         def respond(moved: Array) -> Array | None:
             motion = self.simulator.run_by_middles(
-                segment, {**self.fit.values, **own.parameters}, own.x0, sensitivities=True, moved=moved
+                segment, {**self.fit.values, **local.parameters}, local.x0, sensitivities=True, moved=moved
             )
             if motion.dy is None or not motion.finite:
                 return None
             return motion.dy[:, :outputs, -moved.shape[2] :].copy()
 
-        through = [(INCREMENT.format(line), course) for line, course in asks]
-        return responses(respond, self.simulator.model.input_names, through, ~np.isfinite(self.fit.residuals[index]))
+        courses = [(INCREMENT.format(line), course) for line, course in asks]
+        return responses(respond, self.simulator.model.input_names, courses, ~np.isfinite(self.fit.residuals[index]))
 
 
 def spread_of(place: Place, scale: float, criteria: Criteria) -> Array:

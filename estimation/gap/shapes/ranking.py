@@ -54,14 +54,14 @@ def rank(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> Ranked[P
         spread = spread_of(place, flown.scale[place.line], criteria)
         limits = flown.range_of(place.variable)
         begin = len(asks[0])
-        for i, own in enumerate(asks):
-            own += [(place.line, course) for course in flown.columns(place, i, limits).T]
+        for i, record_asks in enumerate(asks):
+            record_asks += [(place.line, course) for course in flown.columns(place, i, limits).T]
         spans.append(range(begin, len(asks[0])))
         weights.append(1.0 / spread**2)
     gram = gram_of(round_.tangent, lambda i: flown.changes(i, asks[i]))
     projected = Projected.of(gram, len(problem.free), len(asks[0]))
-    every = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
-    return ranked(usable, every, criteria)
+    gains = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
+    return ranked(usable, gains, criteria)
 
 
 def penalised(projected: Projected, span: Sequence[int], weight: Array) -> Array:
@@ -75,7 +75,7 @@ def ranked(places: Sequence[Asked], gains: Array, criteria: Criteria) -> Ranked[
     """gains: (places, 1 + nulls). The threshold is raised like that of a name."""
     if not places:
         return Ranked((), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
-    usual = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # a mean is made by the few nulls that run away
-    scores = np.sqrt(gains / usual[:, None])
+    medians = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # a mean is made by the few nulls that run away
+    scores = np.sqrt(gains / medians[:, None])
     limit = criteria.null_margin * upper_quantile(scores[:, 1:].max(axis=0), criteria.null_level)
-    return Ranked(tuple(places), gains[:, 0], scores[:, 0], usual, limit)
+    return Ranked(tuple(places), gains[:, 0], scores[:, 0], medians, limit)

@@ -82,15 +82,15 @@ class Measured:
     def closed(self) -> float:
         """Share of the gap that is gone, of what nothing hidden would leave; by the plain gap or by whitened energy, whichever
         sees it better: the one counts the gusts of the day, the other every small error of the base."""
-        plain = self.holdout or self.gap
-        return max(self.energy_closed, closed(plain.before**2, plain.after**2, self.highest**2))
+        gap = self.holdout or self.gap
+        return max(self.energy_closed, closed(gap.before**2, gap.after**2, self.highest**2))
 
     def by(self, plain: Plain, task: SearchTask) -> float:
         """The same for a formula in place of the increment."""
-        problem, found = refitted_with(plain.problem, plain.fit, self.child)
-        if found.diverged:
+        problem, model_fit = refitted_with(plain.problem, plain.fit, self.child)
+        if model_fit.diverged:
             return 0.0
-        return closed(self.before, asked(problem, found, self.child, self.child.noise), self.floor)
+        return closed(self.before, asked(problem, model_fit, self.child, self.child.noise), self.floor)
 
 
 @dataclass(frozen=True)
@@ -122,22 +122,22 @@ def find_shape(round_: Round, task: SearchTask, at_length: bool) -> ShapeSearch:
     """A function of one variable, or something that swings; at length also a function of two, and, where none closes the gap,
     whether a memory gains."""
     baseline = round_.baseline
-    flown = ModelMotion.of(baseline.problem, baseline.fit)
+    motion = ModelMotion.of(baseline.problem, baseline.fit)
     singles = places_of(task.prepared.base)
-    ranking = rank(flown, round_, singles)
-    swing = find_swing(flown, round_)
-    least = swing.gain if swing is not None else 0.0
-    shape, tried = _best(round_, task, flown, ranking, least)
+    ranking = rank(motion, round_, singles)
+    swing = find_swing(motion, round_)
+    minimum = swing.gain if swing is not None else 0.0
+    shape, attempts = _best(round_, task, motion, ranking, minimum)
     if shape is not None or not at_length:
-        return ShapeSearch(shape, tuple(tried), swing if shape is None else None)
+        return ShapeSearch(shape, tuple(attempts), swing if shape is None else None)
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
         products = [p for p in products_of(task.prepared.base) if p.line == line]
-        shape, more = _best(round_, task, flown, rank(flown, round_, products), least)
-        tried += more
-    memory = find_memory(flown, round_, singles) if shape is None else None
+        shape, product_attempts = _best(round_, task, motion, rank(motion, round_, products), minimum)
+        attempts += product_attempts
+    memory = find_memory(motion, round_, singles) if shape is None else None
     followers = [f for f in (memory, swing) if f is not None and shape is None]
-    return ShapeSearch(shape, tuple(tried), max(followers, key=lambda f: f.gain, default=None))
+    return ShapeSearch(shape, tuple(attempts), max(followers, key=lambda f: f.gain, default=None))
 
 
 def _best(
@@ -147,46 +147,53 @@ def _best(
     name gains, as a nameless term does."""
     baseline, criteria = round_.baseline, round_.criteria
     fits: dict[int, FittedIncrement] = {}
-    tried: list[Tried] = []
+    attempts: list[Tried] = []
     for i in ranking.order[:FITTED]:
         fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown, criteria))
         if fitted is None:
-            tried.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
+            attempts.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
         else:
             fits[i] = fitted
     term = max(best_term(round_), least) if fits else 0.0
-    again = MeasuredAgain(baseline, task.seed)
+    remeasured = MeasuredAgain(baseline, task.seed)
     for i in sorted(fits, key=lambda k: -fits[k].gain):
         fitted = fits[i]
         if fitted.gain < criteria.named_share * term:
-            why = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
-            tried.append(Tried(ranking.places[i], fitted.gain, why))
+            reason = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
+            attempts.append(Tried(ranking.places[i], fitted.gain, reason))
             continue
-        if float(ranking.scores[i]) * math.sqrt(again.share(fitted.gain, fitted.fit)) < ranking.threshold:
-            why = "gains nearly as much where only the controls are measured again"
-            tried.append(Tried(ranking.places[i], fitted.gain, why))
+        if float(ranking.scores[i]) * math.sqrt(remeasured.share(fitted.gain, fitted.fit)) < ranking.threshold:
+            reason = "gains nearly as much where only the controls are measured again"
+            attempts.append(Tried(ranking.places[i], fitted.gain, reason))
             continue
-        others = left_out(baseline, fitted, flown)
-        if not confirmed(others, criteria):
-            why = "does not predict every training flight better than the base where that is left out"
-            tried.append(Tried(ranking.places[i], fitted.gain, why))
+        predictions = left_out(baseline, fitted, flown)
+        if not confirmed(predictions, criteria):
+            reason = "does not predict every training flight better than the base where that is left out"
+            attempts.append(Tried(ranking.places[i], fitted.gain, reason))
             continue
         measured = _measured(task, baseline, fitted)
         if measured is None:
-            tried.append(Tried(ranking.places[i], fitted.gain, "the model with it runs away"))
+            attempts.append(Tried(ranking.places[i], fitted.gain, "the model with it runs away"))
             continue
         if measured.closed < criteria.closed_share:
-            tried.append(Tried(ranking.places[i], fitted.gain, f"closes only {measured.closed:.0%} of the gap"))
+            attempts.append(Tried(ranking.places[i], fitted.gain, f"closes only {measured.closed:.0%} of the gap"))
             continue
         rivals = runners_up(fitted, [f for k, f in fits.items() if k != i], criteria)
         formulas = [(p, measured.by(p, task)) for p in plain_formulas(baseline, fitted, flown)]
-        offered, refused = as_good(formulas, measured.energy_closed, criteria)
+        accepted, rejected = as_good(formulas, measured.energy_closed, criteria)
         score = float(ranking.scores[i])
         shape = CoefficientShape(
-            fitted, measured, tuple(others), tuple(rivals), tuple(offered), tuple(refused), score, ranking.threshold
+            fitted,
+            measured,
+            tuple(predictions),
+            tuple(rivals),
+            tuple(accepted),
+            tuple(rejected),
+            score,
+            ranking.threshold,
         )
-        return shape, tried
-    return None, tried
+        return shape, attempts
+    return None, attempts
 
 
 def best_term(round_: Round) -> float:
@@ -197,8 +204,8 @@ def best_term(round_: Round) -> float:
 
 def runners_up(best: FittedIncrement, others: Sequence[FittedIncrement], criteria: Criteria) -> list[FittedIncrement]:
     """Other places that gain nearly as much, most first."""
-    near = [f for f in others if f.gain >= criteria.named_share * best.gain]
-    return sorted(near, key=lambda f: -f.gain)
+    rivals = [f for f in others if f.gain >= criteria.named_share * best.gain]
+    return sorted(rivals, key=lambda f: -f.gain)
 
 
 def as_good(
@@ -206,8 +213,8 @@ def as_good(
 ) -> tuple[list[tuple[Plain, float]], list[tuple[Plain, float]]]:
     """Formulas that close no less than the spline does, but for a little, best first; and the others."""
     ordered = sorted(plain, key=lambda p: (-p[1], -p[0].gain))
-    good = [p for p in ordered if p[1] >= closed - criteria.form_equal]
-    return good, [p for p in ordered if p not in good]
+    equal = [p for p in ordered if p[1] >= closed - criteria.form_equal]
+    return equal, [p for p in ordered if p not in equal]
 
 
 def _measured(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> Measured | None:
@@ -222,16 +229,16 @@ def _measure(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> M
     child = fit_baseline(
         fitted.problem.model, baseline.clean, task.prepared, baseline.scatter, fitted.fit, baseline.noise
     )
-    own = task.screened(child)
-    same = refitted_with(baseline.problem, baseline.fit, child)
-    if same[1].diverged:
+    child_round = task.screened(child)
+    reweighted = refitted_with(baseline.problem, baseline.fit, child)
+    if reweighted[1].diverged:
         return None
-    floor = task.floors(own)
+    floor = task.floors(child_round)
     return Measured(
         child,
-        own,
+        child_round,
         *gaps(baseline, child, floor),
-        asked(*same, baseline, child.noise),
+        asked(*reweighted, baseline, child.noise),
         asked(child.problem, child.fit, child, child.noise),
         floor_energy(child, task.errors, task.seed),
         floor.highest,

@@ -51,14 +51,14 @@ def basis() -> Basis:
     splines = np.nan_to_num(BSpline(padded, np.eye(count), DEGREE)(u))
     second = np.diff(np.eye(count), n=2, axis=0)
     values, vectors = np.linalg.eigh(second.T @ second)
-    chosen = slice(2, 2 + KEPT)  # the first two are not penalised: constant and line
-    made = splines @ vectors[:, chosen]
+    selected = slice(2, 2 + KEPT)  # the first two are not penalised: constant and line
+    columns = splines @ vectors[:, selected]
     straight = np.stack([np.ones(FINE), u], axis=1)
-    made -= straight @ np.linalg.lstsq(straight, made, rcond=None)[0]
-    made /= np.sqrt(np.mean(made**2, axis=0))
+    columns -= straight @ np.linalg.lstsq(straight, columns, rcond=None)[0]
+    columns /= np.sqrt(np.mean(columns**2, axis=0))
     inner = knots[1:-1]
-    powers = np.linalg.lstsq(_powers(u, inner), made, rcond=None)[0].T
-    return Basis(inner, powers, np.sqrt(values[2] / values[chosen]))
+    powers = np.linalg.lstsq(_powers(u, inner), columns, rcond=None)[0].T
+    return Basis(inner, powers, np.sqrt(values[2] / values[selected]))
 
 
 @dataclass(frozen=True)
@@ -97,32 +97,32 @@ def lines(tag: str, variable: str, weights: Sequence[str]) -> tuple[str, ...]:
     """
     shape = basis()
     u = f"{tag}_u"
-    made = [f"{u} = (min(max({variable}, {tag}_low), {tag}_high) - {tag}_middle)/{tag}_half"]
-    made += [f"{u}_{k} = max(0, {u} - {_number(knot)})^3" for k, knot in enumerate(shape.knots, 1)]
+    texts = [f"{u} = (min(max({variable}, {tag}_low), {tag}_high) - {tag}_middle)/{tag}_half"]
+    texts += [f"{u}_{k} = max(0, {u} - {_number(knot)})^3" for k, knot in enumerate(shape.knots, 1)]
     pieces = ["1", u, f"{u}^2", f"{u}^3", *(f"{u}_{k}" for k in range(1, INNER + 1))]
     for j, row in enumerate(shape.powers, 1):
-        made.append(f"{tag}_{j} = " + " + ".join(f"{_number(a)}*{p}" for a, p in zip(row, pieces, strict=True)))
+        texts.append(f"{tag}_{j} = " + " + ".join(f"{_number(a)}*{p}" for a, p in zip(row, pieces, strict=True)))
     sum_ = " + ".join(f"{w}*{tag}_{j}" for j, w in enumerate(weights[:KEPT], 1))
     for piece, weight in zip((u, "1"), weights[KEPT:], strict=False):
         sum_ += f" + {weight}*{piece}"
-    return (*made, f"{tag} = {sum_}")
+    return (*texts, f"{tag} = {sum_}")
 
 
 def polynomial(weights: Array, rest: Sequence[float] = ()) -> Array:
     """(4 + INNER,) weights of the powers of a sum of columns; rest: of u and of 1, where there are any."""
-    made = basis().powers.T @ weights
+    coefficients = basis().powers.T @ weights
     for k, value in zip((1, 0), rest, strict=False):
-        made[k] += value
-    return np.asarray(made)
+        coefficients[k] += value
+    return np.asarray(coefficients)
 
 
 def curve_lines(tag: str, variable: str, flown: Range, powers: Array) -> tuple[str, ...]:
     """Equation lines of one curve as numbers, for a model that a person reads. powers: from `polynomial`."""
     u = f"{tag}_u"
-    held = f"min(max({variable}, {_number(flown.low)}), {_number(flown.high)})"
+    clipped = f"min(max({variable}, {_number(flown.low)}), {_number(flown.high)})"
     pieces = ["1", u, f"{u}^2", f"{u}^3", *(f"max(0, {u} - {_number(k)})^3" for k in basis().knots)]
     sum_ = " + ".join(f"{_number(a)}*{p}" for a, p in zip(powers, pieces, strict=True))
-    return f"{u} = ({held} - {_number(flown.middle)})/{_number(flown.half)}", f"{tag} = {sum_}"
+    return f"{u} = ({clipped} - {_number(flown.middle)})/{_number(flown.half)}", f"{tag} = {sum_}"
 
 
 def _number(value: float) -> str:

@@ -67,17 +67,17 @@ def screen_round(
     """Screen every applicable hypothesis and calibrate the scores on simulated nulls; threshold: rule for the largest ones."""
     problem = baseline.problem
     flyer = NullFlyer.build(problem, baseline.fit, baseline.noise, errors)
-    flown = fly_nulls(flyer, nulls, seed, tell)
-    if len(flown) < nulls:
+    null_residuals = fly_nulls(flyer, nulls, seed, tell)
+    if len(null_residuals) < nulls:
         raise GapError(
-            f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
+            f"only {len(null_residuals)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
         )
     hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
-    tangent = Tangent(problem, baseline.fit, tuple(flown))
+    tangent = Tangent(problem, baseline.fit, tuple(null_residuals))
     screen = build_screen(tangent, hypotheses)
-    alike = like_the_flights(screen.projected().energy, baseline.criteria)
-    if not alike.all():
-        screen, tangent = screen.with_nulls(alike), tangent.of(alike)
+    comparable = like_the_flights(screen.projected().energy, baseline.criteria)
+    if not comparable.all():
+        screen, tangent = screen.with_nulls(comparable), tangent.of(comparable)
         nulls = len(tangent.nulls)
     gains = linear_gains(screen, problem, 0)
     null_gains = linear_gains(screen, problem, slice(1, 1 + nulls))
@@ -95,9 +95,9 @@ def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:
     answers: of sets with such a base two nulls in three had 1.2 to 400 times the energy of the flights, all others 0.93 to 1.03.
     What is left of them has to be enough to set a threshold by; else all count, and hide more than they should.
     """
-    alike = energy[1:] < criteria.null_energy * energy[0]
-    enough = np.count_nonzero(alike) >= max(criteria.nulls_least * alike.size, 1.0)
-    return alike if enough else np.ones(alike.size, dtype=bool)
+    comparable = energy[1:] < criteria.null_energy * energy[0]
+    sufficient = np.count_nonzero(comparable) >= max(criteria.nulls_least * comparable.size, 1.0)
+    return comparable if sufficient else np.ones(comparable.size, dtype=bool)
 
 
 def name_threshold(largest: Array, criteria: Criteria) -> float:

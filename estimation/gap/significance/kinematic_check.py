@@ -129,14 +129,14 @@ def kinematic_check(
     """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them at the most. model: whose
     planes are asked; without one the lateral."""
     lines = model.definitions if model is not None else {}
-    asked = []
+    checks = []
     if "Cm" not in lines or "CY" in lines:
-        asked.append(_checked(kinematic_model(criteria), NEEDED, flights, effects, nulls, seed, criteria))
+        checks.append(_checked(kinematic_model(criteria), NEEDED, flights, effects, nulls, seed, criteria))
     if "Cm" in lines:
-        asked.append(
+        checks.append(
             _checked(pitch_kinematic_model(criteria), NEEDED_TO_PITCH, flights, effects, nulls, seed, criteria)
         )
-    return clearest(asked)
+    return clearest(checks)
 
 
 def clearest(checks: Sequence[KinematicCheck]) -> KinematicCheck:
@@ -153,9 +153,9 @@ def _checked(
     seed: int,
     criteria: Criteria,
 ) -> KinematicCheck:
-    lacking = sorted({n for f in flights for n in needed if not f.measured(n)})
-    if lacking:
-        return KinematicCheck("undecided", "", 0.0, 0.0, f"not measured: {', '.join(lacking)}")
+    missing = sorted({n for f in flights for n in needed if not f.measured(n)})
+    if missing:
+        return KinematicCheck("undecided", "", 0.0, 0.0, f"not measured: {', '.join(missing)}")
     instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
     prepared = prepare_flights(base, instruments, flights, (), criteria)
     scatter = channel_noise(prepared.records)
@@ -186,8 +186,8 @@ def judged(round_: Round) -> KinematicCheck:
     scores = round_.standardised()
     if not scores.size:
         return KinematicCheck("undecided", "", 0.0, round_.threshold, "no instrument error applies")
-    best = int(np.argmax(scores))
-    label, score = round_.screen.hypotheses[best].label, float(scores[best])
+    leader = int(np.argmax(scores))
+    label, score = round_.screen.hypotheses[leader].label, float(scores[leader])
     if score > round_.threshold:
         return KinematicCheck(
             "sensor", label, score, round_.threshold, "measured motion contradicts its own kinematics"

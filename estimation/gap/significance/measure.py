@@ -55,9 +55,9 @@ def _plain_rows(problem: LikelihoodProblem, found: ModelFit, index: int, residua
     finite = np.isfinite(problem.coarse[index].z)
     if linear is None:  # a motion so touchy that its initial state cannot be bettered: measured as it stands
         return (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
-    own = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
+    local_columns = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
     rows = (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
-    J = own.reshape(rows.shape[0], -1)
+    J = local_columns.reshape(rows.shape[0], -1)
     weights, _ = local_prior(problem, found.locals[index], J.shape[1])
     return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
 
@@ -69,12 +69,12 @@ def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
     errors of the parameters, would condemn every model. None where there is no held-out flight; infinite where the motion runs
     away on one.
     """
-    held = baseline.held_out if noise is baseline.noise else baseline.on_holdout(noise)
-    if held is None:
+    held_out = baseline.held_out if noise is baseline.noise else baseline.on_holdout(noise)
+    if held_out is None:
         return None
-    problem, found = held
+    problem, model_fit = held_out
     try:
-        tangent = Tangent(problem, found)
+        tangent = Tangent(problem, model_fit)
         grams = [tangent.record(i).gram for i in range(len(problem.records))]
     except GapError:
         return np.inf
@@ -130,25 +130,25 @@ def floors(
 ) -> Floors:
     """Gap of the nulls of a round after the same refit, by linear theory about the fitted point."""
     baseline = round_.baseline
-    problem, found, scatter = baseline.problem, baseline.fit, baseline.scatter
+    problem, model_fit, scatter = baseline.problem, baseline.fit, baseline.scatter
     n = len(problem.free)
     screen = round_.screen
     G, first, m = screen.total(), n + screen.k + 1, len(round_.null_residuals)
     shift = solved(G[:n, :n], G[:n, first : first + m])  # (n, nulls)
-    flown = [np.stack(nulls, axis=2) for nulls in zip(*round_.null_residuals, strict=True)]
-    training = _gaps(problem, found, flown, shift, scatter)
+    null_records = [np.stack(nulls, axis=2) for nulls in zip(*round_.null_residuals, strict=True)]
+    training = _gaps(problem, model_fit, null_records, shift, scatter)
     if held is None:
         return Floors(training, np.zeros(0), round_.criteria)
     flyer = NullFlyer.build(*held, baseline.noise, held_errors)
-    flown = [_flown(flyer, i, m, seed) for i in range(len(held[0].records))]
-    return Floors(training, _gaps(*held, flown, shift, scatter), round_.criteria)
+    null_records = [_flown(flyer, i, m, seed) for i in range(len(held[0].records))]
+    return Floors(training, _gaps(*held, null_records, shift, scatter), round_.criteria)
 
 
 def _flown(flyer: NullFlyer, index: int, count: int, seed: int) -> Array:
     """(N, ny, count) residuals of the nulls of one held-out record; NaN where one diverges."""
     nowhere = np.full(flyer.problem.coarse[index].z.shape, np.nan)
-    flown = (flyer.fly(index, Stream.HELD_OUT_NULLS.generator(seed, index, number)) for number in range(count))
-    return np.stack([nowhere if residual is None else residual for residual in flown], axis=2)
+    residuals = (flyer.fly(index, Stream.HELD_OUT_NULLS.generator(seed, index, number)) for number in range(count))
+    return np.stack([nowhere if residual is None else residual for residual in residuals], axis=2)
 
 
 def _gaps(problem: LikelihoodProblem, found: ModelFit, flown: Sequence[Array], shift: Array, scatter: Array) -> Array:
@@ -165,8 +165,8 @@ def _after_refit(
     linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
     if linear is None:
         return _plainly(problem, found, index, np.nan_to_num(residuals), scatter), _values(problem, index)
-    moved = np.nan_to_num(residuals) - linear[1][:, :, : len(problem.free)] @ shift
-    return _plainly(problem, found, index, moved, scatter), _values(problem, index)
+    refitted = np.nan_to_num(residuals) - linear[1][:, :, : len(problem.free)] @ shift
+    return _plainly(problem, found, index, refitted, scatter), _values(problem, index)
 
 
 def _values(problem: LikelihoodProblem, index: int) -> float:
@@ -206,19 +206,19 @@ def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, .
         return ()
     n, first = screen.n, screen.n + screen.k
     pooled = screen.total()
-    together = solved(pooled[:n, :n], pooled[:n, first:])
+    joint = solved(pooled[:n, :n], pooled[:n, first:])
     chi2 = []
     for flight in flights:
         G = screen.total([flight])  # with the priors, so that what one flight cannot tell stays where it is believed
-        apart = solved(G[:n, :n], G[:n, first:]) - together
-        chi2.append(np.sum(apart * (G[:n, :n] @ apart), axis=0))
+        difference = solved(G[:n, :n], G[:n, first:]) - joint
+        chi2.append(np.sum(difference * (G[:n, :n] @ difference), axis=0))
     table = np.array(chi2)
-    usual, limit = usual_and_limit(table[:, 1:], round_.criteria)
-    rows = zip(flights, table[:, 0], usual, limit, strict=True)
-    return tuple(Repeatability(names[f], float(chi), float(u), float(most)) for f, chi, u, most in rows)
+    medians, limit = usual_and_limit(table[:, 1:], round_.criteria)
+    rows = zip(flights, table[:, 0], medians, limit, strict=True)
+    return tuple(Repeatability(names[f], float(chi), float(u), float(upper)) for f, chi, u, upper in rows)
 
 
 def usual_and_limit(nulls: Array, criteria: Criteria) -> tuple[Array, Array]:
     """(flights,) median of the nulls' chi2 (flights, nulls), and what a flight of a repeating set stays below."""
-    usual = np.median(nulls, axis=1)
-    return usual, usual * np.quantile((nulls / usual[:, None]).max(axis=0), criteria.repeat_level)
+    medians = np.median(nulls, axis=1)
+    return medians, medians * np.quantile((nulls / medians[:, None]).max(axis=0), criteria.repeat_level)

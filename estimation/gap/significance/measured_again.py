@@ -55,13 +55,13 @@ class MeasuredAgain:
         problem = self.baseline.problem
         exact = [InputErrors({}) for _ in problem.records]
         flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
-        made = []
+        repeats = []
         for number in range(REPEATS):
             rng = Stream.MEASURED_AGAIN.generator(self.seed, number)
             records = [self._remade(flyer, index, rng) for index in range(len(problem.records))]
             if all(r is not None for r in records):
-                made.append(tuple(r for r in records if r is not None))
-        return tuple(made)
+                repeats.append(tuple(r for r in records if r is not None))
+        return tuple(repeats)
 
     def share(self, gain: float, found: ModelFit) -> float:
         """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
@@ -81,18 +81,22 @@ class MeasuredAgain:
 
     def _remade(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> Remade | None:
         problem, values = self.baseline.problem, self.baseline.fit.values
-        record, taken, prepared = problem.records[index], problem.coarse[index].u.copy(), problem.coarse[index].u.copy()
+        record, true_inputs, prepared = (
+            problem.records[index],
+            problem.coarse[index].u.copy(),
+            problem.coarse[index].u.copy(),
+        )
         for column, signal in enumerate(problem.model.inputs):
             noise = record.input_noise.get(signal.name, 0.0)
             if signal.control and noise > 0.0:
-                taken[:, column] = course(record, signal.name, taken[:, column], noise, rng)
-                measured = taken[:, column] + noise * rng.standard_normal(len(taken))
+                true_inputs[:, column] = course(record, signal.name, true_inputs[:, column], noise, rng)
+                measured = true_inputs[:, column] + noise * rng.standard_normal(len(true_inputs))
                 prepared[:, column] = prepared_anew(record, signal.name, measured, noise, self.baseline)
-        outputs = flyer.observed(index, rng, problem.driven(problem.grids[index].with_inputs(taken), values))
-        usual = problem.modelled(index, values, self.baseline.fit.locals[index], inputs=prepared)
-        if outputs is None or usual is None:
+        outputs = flyer.observed(index, rng, problem.driven(problem.grids[index].with_inputs(true_inputs), values))
+        modelled = problem.modelled(index, values, self.baseline.fit.locals[index], inputs=prepared)
+        if outputs is None or modelled is None:
             return None
-        return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - usual))
+        return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - modelled))
 
 
 def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit) -> float | None:
@@ -109,27 +113,27 @@ def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit)
 def own_share(gain: float, without: float, criteria: Criteria) -> float:
     """The share of a gain that is the effect's own, within 0 to 1. without: what is gained where the effect is not."""
     by_noise = max(0.5 * (gain + without), 0.0)
-    own = 0.5 * (gain - without) - criteria.control_noise_known * by_noise
-    return float(np.clip(own / gain, 0.0, 1.0))
+    share = 0.5 * (gain - without) - criteria.control_noise_known * by_noise
+    return float(np.clip(share / gain, 0.0, 1.0))
 
 
 def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
     """(N,) a course that a control may have taken: as prepared, with one draw of what that leaves open; by its steps, where the
     measured values stand with all of their noise, without it."""
-    near = record.raw.get(name)
-    drawn = record.wrong.get(name)
-    error = 0.0 if drawn is None or not len(drawn) else np.asarray(drawn[rng.integers(len(drawn))], float)
-    if near is None or not near.any():
+    raw = record.raw.get(name)
+    draws = record.wrong.get(name)
+    error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
+    if raw is None or not raw.any():
         return np.asarray(prepared + error)
     smooth = denoise_many([prepared], noise=noise)[0].values
-    return np.where(near, smooth, prepared + error)
+    return np.where(raw, smooth, prepared + error)
 
 
 def prepared_anew(record: FlightRecord, name: str, measured: Array, noise: float, baseline: Baseline) -> Array:
     """(N,) a measured control without its noise, by its steps as measured where the record's own is."""
     smooth = denoise_many([measured], noise=noise)[0].values
-    near = record.raw.get(name)
-    if near is None or not near.any():
+    raw = record.raw.get(name)
+    if raw is None or not raw.any():
         return smooth
     interval = float(np.median(np.diff(record.time)))
     return with_raw_steps(smooth, measured, noise, baseline.criteria.surface_step, interval)[0]

@@ -38,8 +38,8 @@ class InputErrors:
 
     def course(self, names: Sequence[str], number: int) -> Array:
         """(N, names) one course of the errors of all inputs, zero where an input has none."""
-        still = np.zeros(next(iter(self.bank.values())).shape[1])
-        return np.column_stack([self.bank[n][number] if n in self.bank else still for n in names])
+        zeros = np.zeros(next(iter(self.bank.values())).shape[1])
+        return np.column_stack([self.bank[n][number] if n in self.bank else zeros for n in names])
 
 
 def with_errors(
@@ -56,10 +56,10 @@ def with_errors(
 def spectrum(courses: Array) -> Array:
     """(frequencies,) variance per sample of random courses (many, N), smoothed over a share of the frequency to either side."""
     power = np.mean(np.abs(np.fft.rfft(courses, axis=1)) ** 2, axis=0) / courses.shape[1]
-    at = np.arange(power.size)
-    reach = np.maximum(1, np.round(SMOOTHED * at)).astype(int)
+    bins = np.arange(power.size)
+    reach = np.maximum(1, np.round(SMOOTHED * bins)).astype(int)
     total = np.concatenate([[0.0], np.cumsum(power)])
-    low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, power.size)
+    low, high = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, power.size)
     return np.asarray((total[high] - total[low]) / (high - low))
 
 
@@ -67,11 +67,11 @@ def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -
     """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
     bank = {}
     for signal in model.inputs:
-        sigma, drawn = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
-        if drawn is None or (sigma <= 0.0 and not drawn.any()):
+        sigma, draws = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
+        if draws is None or (sigma <= 0.0 and not draws.any()):
             continue
-        near = record.raw.get(signal.name, np.zeros(drawn.shape[1], dtype=bool))
-        bank[signal.name] = np.where(near, sigma * rng.standard_normal(drawn.shape), np.asarray(drawn, float))
+        raw = record.raw.get(signal.name, np.zeros(draws.shape[1], dtype=bool))
+        bank[signal.name] = np.where(raw, sigma * rng.standard_normal(draws.shape), np.asarray(draws, float))
     return InputErrors(bank)
 
 
@@ -120,13 +120,13 @@ class NullFlyer:
         for segment in problem.coarse:
             linear = linear_motion(problem.model, problem.simulator, segment, fit.values)
             steps = find_surface_steps(problem.model, linear, segment, problem.criteria)
-            own = np.array([n in steps.jumping for n in steps.name], dtype=bool)
+            is_jump = np.array([n in steps.jumping for n in steps.name], dtype=bool)
             column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
-            jumps.append((steps.at[own], column, (steps.step * steps.spread(noise.freedom))[own]))
+            jumps.append((steps.at[is_jump], column, (steps.step * steps.spread(noise.freedom))[is_jump]))
         modelled = tuple(_modelled(problem, fit, i, errors[i]) for i in range(len(problem.records)))
-        driven = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
+        inputs = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
         intervals = tuple(float(np.median(np.diff(segment.time))) for segment in problem.coarse)
-        return cls(problem, fit, noise, modelled, tuple(jumps), states, driven, intervals)
+        return cls(problem, fit, noise, modelled, tuple(jumps), states, inputs, intervals)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
@@ -152,8 +152,8 @@ class NullFlyer:
             coarse.z.shape
         )
         self._wander(noise, interval, rng)
-        at, output, size = self.jumps[index]
-        np.add.at(noise, (at, output), size * rng.standard_normal(size.size))
+        samples, output, size = self.jumps[index]
+        np.add.at(noise, (samples, output), size * rng.standard_normal(size.size))
         observed = motion.y + noise
         observed[~np.isfinite(coarse.z)] = np.nan
         return np.asarray(observed)
@@ -188,30 +188,30 @@ class NullFlyer:
             for part, strength in self.noise.process.items()
             if part.source in ON_FORCES and part.of in self.states
         ]
-        drawn = rng.standard_normal((len(at_work), len(u)))
+        white = rng.standard_normal((len(at_work), len(u)))
         for memory in dict.fromkeys(part.memory for part, _ in at_work):
-            alike = [i for i, (part, _) in enumerate(at_work) if part.memory == memory]
-            slow = _slow(drawn[alike], h, memory) if memory else np.zeros((len(alike), len(u)))
-            for i, course in zip(alike, slow, strict=True):
+            group = [i for i, (part, _) in enumerate(at_work) if part.memory == memory]
+            slow = _slow(white[group], h, memory) if memory else np.zeros((len(group), len(u)))
+            for i, course in zip(group, slow, strict=True):
                 part, strength = at_work[i]
                 # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
-                shown = course if part.source is NoiseSource.TWIST else drawn[i] - course
-                u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * shown
+                disturbance = course if part.source is NoiseSource.TWIST else white[i] - course
+                u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * disturbance
 
 
 def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors) -> Modelled | None:
     """Courses of errors with which the model runs away are left out."""
-    own, coarse = fit.locals[index], problem.coarse[index]
-    usual = problem.modelled(index, fit.values, own)
-    if usual is None:
+    local, coarse = fit.locals[index], problem.coarse[index]
+    nominal = problem.modelled(index, fit.values, local)
+    if nominal is None:
         return None
     names = problem.model.input_names
-    found = (
-        problem.modelled(index, fit.values, own, inputs=coarse.u + errors.course(names, number))
+    perturbed = (
+        problem.modelled(index, fit.values, local, inputs=coarse.u + errors.course(names, number))
         for number in range(errors.count)
     )
-    changes = [outputs - usual for outputs in found if outputs is not None]
-    return Modelled(usual, np.array(changes).reshape(len(changes), *coarse.z.shape))
+    changes = [outputs - nominal for outputs in perturbed if outputs is not None]
+    return Modelled(nominal, np.array(changes).reshape(len(changes), *coarse.z.shape))
 
 
 def _slow(white: Array, h: float, tau: float) -> Array:
@@ -238,13 +238,13 @@ def fly_nulls(
 
 
 def _nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None]) -> Iterator[tuple[Array, ...]]:
-    made = 0
+    finished = 0
     for number in range(2 * count):
-        if made == count:
+        if finished == count:
             return
         rng = Stream.NULLS.generator(seed, number)
         residuals = [flyer.fly(i, rng) for i in range(len(flyer.problem.records))]
         if all(r is not None for r in residuals):
-            made += 1
-            tell(made)
+            finished += 1
+            tell(finished)
             yield tuple(r for r in residuals if r is not None)

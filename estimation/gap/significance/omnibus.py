@@ -61,12 +61,12 @@ class Omnibus:
 
 def examine(round_: Round) -> Omnibus:
     """All three families on the residuals of a round's baseline."""
-    problem, found, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
+    problem, model_fit, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
     nulls = len(round_.null_residuals)
     terms, term_null = _terms(round_.tangent)
-    white = whitened(problem, found, round_)
+    white = whitened(problem, model_fit, round_)
     times, time_null = restless_times(problem, white, nulls)
-    activity, activity_null = scatter_with_activity(problem, found, white, nulls)
+    activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
     return summed_up([*terms, *times, *activity], np.max([term_null, time_null, activity_null], axis=0), criteria)
 
 
@@ -81,10 +81,10 @@ def _regressors(problem: LikelihoodProblem, found: ModelFit, index: int) -> dict
     """(signal, shape) -> (N,) functions of the fitted motion and the controls."""
     residual = found.residuals[index]
     coarse = problem.coarse[index]
-    shown = np.nan_to_num(coarse.z - np.nan_to_num(residual))
-    signals = {n: shown[:, i] for i, n in enumerate(problem.model.output_names)}
+    outputs = np.nan_to_num(coarse.z - np.nan_to_num(residual))
+    signals = {n: outputs[:, i] for i, n in enumerate(problem.model.output_names)}
     signals |= {s.name: coarse.u[:, i] for i, s in enumerate(problem.model.inputs) if s.control}
-    made = {}
+    regressors = {}
     for name, s in signals.items():
         for shape, values in (
             ("linear", s),
@@ -92,32 +92,35 @@ def _regressors(problem: LikelihoodProblem, found: ModelFit, index: int) -> dict
             ("even", s**2),
             ("rate", np.gradient(s, coarse.time)),
         ):
-            made[(name, shape)] = values
-    return made
+            regressors[(name, shape)] = values
+    return regressors
 
 
 def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[tuple[str, str], Array]]:
     """Functions of every record, (signal, shape) -> (N,), of unit rms over all records: a term has one coefficient in all of
     them. Of unit rms in each, it had the same size in a record of quiet flight as in one full of manoeuvres, where all that moves
     is gusts and the hand that answers them."""
-    made: list[dict[tuple[str, str], Array]] = [{} for _ in regressors]
+    scaled: list[dict[tuple[str, str], Array]] = [{} for _ in regressors]
     for key in sorted(set.intersection(*(set(r) for r in regressors))):
         rms = float(np.sqrt(np.mean(np.concatenate([r[key] for r in regressors]) ** 2)))
-        for to, own in zip(made, regressors, strict=True):
+        for target, source in zip(scaled, regressors, strict=True):
             if rms > 0.0:
-                to[key] = own[key] / rms
-    return made
+                target[key] = source[key] / rms
+    return scaled
 
 
 def _terms(tangent: Tangent) -> tuple[list[OmnibusSignal], Array]:
     """Scores of nameless terms on the data, and the largest standardised score of every null."""
-    problem, found = tangent.problem, tangent.fit
+    problem, model_fit = tangent.problem, tangent.fit
     doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
     places = {**{n: n for n in problem.model.output_names}, **doors}
-    regressors = pooled([_regressors(problem, found, i) for i in range(len(problem.records))])
+    regressors = pooled([_regressors(problem, model_fit, i) for i in range(len(problem.records))])
     keys = [(place, *k) for place in places for k in regressors[0] if not (place == k[0] and k[1] == "linear")]
-    asks = [[(place, own[(signal, shape)]) for place, signal, shape in keys] for own in regressors]
-    gram = gram_of(tangent, lambda i: _changes(problem, found, i, asks[i]))
+    asks = [
+        [(place, record_regressors[(signal, shape)]) for place, signal, shape in keys]
+        for record_regressors in regressors
+    ]
+    gram = gram_of(tangent, lambda i: _changes(problem, model_fit, i, asks[i]))
     z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
     signals = [
         OmnibusSignal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
@@ -141,16 +144,16 @@ def _changes(problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequ
     """(N, ny) changes of the outputs by each of `asks`: an output that a tenth of its scatter is added to in the course of a
     regressor (N,) of unit rms, or a door with what goes through it."""
     z, outputs = problem.coarse[index].z, problem.model.output_names
-    driven = through_doors(problem, found, index, [ask for ask in asks if ask[0] not in outputs])
-    made = []
+    responses = through_doors(problem, found, index, [ask for ask in asks if ask[0] not in outputs])
+    changes = []
     for place, regressor in asks:
         if place in outputs:
             change, column = np.zeros_like(z), outputs.index(place)
             change[:, column] = regressor * (TENTH * float(np.nanstd(z[:, column])) or 1.0)
         else:
-            change = next(driven)
-        made.append(change)
-    return made
+            change = next(responses)
+        changes.append(change)
+    return changes
 
 
 def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list[Array]:
@@ -158,14 +161,14 @@ def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list
     result = []
     for i in range(len(problem.records)):
         stack = np.stack([found.residuals[i], *(null[i] for null in round_.null_residuals)], axis=2)
-        left = np.nan_to_num(stack)
+        residuals = np.nan_to_num(stack)
         linear = problem.linearised(i, found.values, found.locals[i])
         if linear is not None:  # else the local unknowns stay where they are, on data and nulls alike
             dy = linear[1]
             n = dy.shape[2]
-            gram = problem.whiteners[i].gram(np.concatenate([dy, left], axis=2))
-            left = left - dy @ solved(gram[:n, :n], gram[:n, n:])
-        result.append(problem.whiteners[i].series(left))
+            gram = problem.whiteners[i].gram(np.concatenate([dy, residuals], axis=2))
+            residuals = residuals - dy @ solved(gram[:n, :n], gram[:n, n:])
+        result.append(problem.whiteners[i].series(residuals))
     return result
 
 
@@ -181,9 +184,9 @@ def restless_times(problem: LikelihoodProblem, white: Sequence[Array], nulls: in
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
         for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:RESTLESS], z.shape[:2]), strict=True):
             span = (float(time[w * width]), float(time[(w + 1) * width - 1]))
-            what = f"residual {float(np.exp(energy[w, c, 0] / 2)):.1f} times its usual size"
+            words = f"residual {float(np.exp(energy[w, c, 0] / 2)):.1f} times its usual size"
             place, flight = problem.model.output_names[c], problem.records[i].flight
-            signals.append(OmnibusSignal("time", place, what, float(z[w, c, 0]), flight=flight, span=span))
+            signals.append(OmnibusSignal("time", place, words, float(z[w, c, 0]), flight=flight, span=span))
     return signals, largest
 
 
@@ -218,8 +221,8 @@ def scatter_with_activity(
     total: dict[tuple[int, str], Array] = {}
     jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
     for i, series in enumerate(white):
-        (own,) = pooled([_regressors(problem, found, i)])
-        for (name, shape), values in own.items():
+        (regressors,) = pooled([_regressors(problem, found, i)])
+        for (name, shape), values in regressors.items():
             # fast surfaces between two samples leave scatter of their own, and so does what jumps with them: rates of
             # theirs say nothing here, nor does the scatter of an output that jumps
             if shape not in ("even", "rate") or (shape == "rate" and name in jumping):
@@ -229,11 +232,11 @@ def scatter_with_activity(
                 total[key] = total.get(key, 0.0) + follows(values, series[:, c], problem.criteria)
     signals = []
     largest = np.zeros(nulls)
-    for (c, what), values in total.items():
+    for (c, words), values in total.items():
         z = beside_others(values)
         largest = np.maximum(largest, z[1:])
         signals.append(
-            OmnibusSignal("activity", problem.model.output_names[c], f"scatter grows with {what}", float(z[0]))
+            OmnibusSignal("activity", problem.model.output_names[c], f"scatter grows with {words}", float(z[0]))
         )
     return signals, largest
 

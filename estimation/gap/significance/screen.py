@@ -67,7 +67,7 @@ def sensitivity(
     trial = replace(problem, model=model)
     two_sided = not one_sided(column, none, problem.criteria)
     steps = (SMALL * column.typical, -SMALL * column.typical) if two_sided else (LARGE * column.typical,)
-    found = []
+    changes = []
     for i in range(len(problem.records)):
         outputs = []
         for step in steps:
@@ -76,9 +76,9 @@ def sensitivity(
             if residual is None:
                 return None
             outputs.append(residual)
-        before = outputs[1] if two_sided else base_residuals[i]
-        found.append(np.nan_to_num((before - outputs[0]) / (2 * steps[0] if two_sided else steps[0])))
-    return found
+        reference = outputs[1] if two_sided else base_residuals[i]
+        changes.append(np.nan_to_num((reference - outputs[0]) / (2 * steps[0] if two_sided else steps[0])))
+    return changes
 
 
 def one_sided(parameter: EffectParameter, none: float, criteria: Criteria) -> bool:
@@ -142,15 +142,15 @@ class Screen:
             return None
         n, r = self.n, self.n + self.k + column
         theta = list(range(n))
-        both = theta + [n + c for c in self.span(hypothesis)]
+        extended = theta + [n + c for c in self.span(hypothesis)]
         total = 0.0
-        for held in names:
-            others = self.total([f for f in names if f != held])
-            own = self.total([held]) - self.prior
+        for flight in names:
+            training = self.total([f for f in names if f != flight])
+            holdout = self.total([flight]) - self.prior
             costs = []
-            for index in (theta, both):
-                x = solved(others[np.ix_(index, index)], others[index, r])
-                costs.append(x @ own[np.ix_(index, index)] @ x - 2 * x @ own[index, r])
+            for index in (theta, extended):
+                x = solved(training[np.ix_(index, index)], training[index, r])
+                costs.append(x @ holdout[np.ix_(index, index)] @ x - 2 * x @ holdout[index, r])
             total += float(costs[0] - costs[1])
         return total
 
@@ -208,18 +208,20 @@ def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
     problem, fit = tangent.problem, tangent.fit
     columns: list[HypothesisColumn] = []
     changes: list[list[Array]] = []
-    kept: list[Hypothesis] = []
+    included: list[Hypothesis] = []
     for hypothesis in hypotheses:
-        found = [(p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters]
-        if any(c is None or max(np.abs(x).max() for x in c) == 0.0 for _, c in found):
+        sensitivities = [
+            (p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters
+        ]
+        if any(c is None or max(np.abs(x).max() for x in c) == 0.0 for _, c in sensitivities):
             continue  # diverges, or these flights do not excite it at all
-        for parameter, change in found:
-            columns.append(HypothesisColumn(len(kept), parameter))
+        for parameter, change in sensitivities:
+            columns.append(HypothesisColumn(len(included), parameter))
             changes.append(change or [])
-        kept.append(hypothesis)
+        included.append(hypothesis)
     grams = tuple(tangent.record(i).gram_with([c[i] for c in changes]) for i in range(len(problem.records)))
     prior = shared_prior(problem, fit, grams[0].shape[0], len(columns))
-    return Screen(problem.free, tuple(kept), tuple(columns), grams, prior, tuple(r.flight for r in problem.records))
+    return Screen(problem.free, tuple(included), tuple(columns), grams, prior, tuple(r.flight for r in problem.records))
 
 
 def shared_prior(problem: LikelihoodProblem, fit: ModelFit, size: int, k: int) -> Array:
@@ -249,16 +251,16 @@ def linear_gains(
     """Gains in twice the log-likelihood by linear theory, (hypotheses,) for one residual column, (columns, hypotheses)
     for a slice of them; zero where the sign is physically impossible."""
     projected = screen.projected(flights)
-    chosen = column if isinstance(column, slice) else slice(column, column + 1)
-    gains = np.zeros((projected.b[:, chosen].shape[1], len(screen.hypotheses)))
+    residual_columns = column if isinstance(column, slice) else slice(column, column + 1)
+    gains = np.zeros((projected.b[:, residual_columns].shape[1], len(screen.hypotheses)))
     for h in range(len(screen.hypotheses)):
         span = screen.span(h)
-        gains[:, h] = projected.gains(span, chosen)
+        gains[:, h] = projected.gains(span, residual_columns)
         if len(span) == 1:
             p = screen.columns[span[0]].parameter
             none = p.null_value(problem.model)
             if one_sided(p, none, problem.criteria):
-                gains[projected.b[span[0], chosen] < 0, h] = 0.0
+                gains[projected.b[span[0], residual_columns] < 0, h] = 0.0
     return gains if isinstance(column, slice) else gains[0]
 
 

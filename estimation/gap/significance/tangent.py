@@ -57,15 +57,15 @@ def responses(
     where a change runs away, or where `unmeasured` (N, ny).
     """
     for first in range(0, len(asks), AT_ONCE):
-        some = asks[first : first + AT_ONCE]
-        du = np.zeros((len(some[0][1]), len(inputs), len(some)))
-        for k, (name, course) in enumerate(some):
+        batch = asks[first : first + AT_ONCE]
+        du = np.zeros((len(batch[0][1]), len(inputs), len(batch)))
+        for k, (name, course) in enumerate(batch):
             du[:, inputs.index(name), k] = course
         changes = respond(du)
         if changes is None:
-            changes = np.zeros((*unmeasured.shape, len(some)))
+            changes = np.zeros((*unmeasured.shape, len(batch)))
         changes[unmeasured] = 0.0
-        for k in range(len(some)):
+        for k in range(len(batch)):
             alive = np.abs(changes[:, :, k]).max() < RUNAWAY
             yield changes[:, :, k] if alive else np.zeros(unmeasured.shape)
 
@@ -97,24 +97,27 @@ class RecordTangent:
     @classmethod
     def of(cls, problem: LikelihoodProblem, fit: ModelFit, index: int, nulls: Sequence[Array]) -> "RecordTangent":
         """nulls: residuals (N, ny) of this record. Raises GapError where the fitted motion cannot be linearised."""
-        found = problem.linearised(index, fit.values, fit.locals[index])
-        if found is None:
+        linear = problem.linearised(index, fit.values, fit.locals[index])
+        if linear is None:
             raise GapError(
                 f"model {problem.base.name}: the motion runs away from the smallest change of a parameter; cut the flights into "
                 "shorter segments"
             )
-        residual, dy = found
+        residual, dy = linear
         missing, n = ~np.isfinite(residual), len(problem.free)
         block = np.concatenate([dy, residual[:, :, None], *(null[:, :, None] for null in nulls)], axis=2)
         block[missing] = 0.0
-        every = problem.whiteners[index].white(block)
-        at = np.arange(dy.shape[2])
-        of_own, fixed = every.some(at[n:]), every.some(np.concatenate([at[:n], np.arange(at.size, block.shape[2])]))
-        weight, distance = local_prior(problem, fit.locals[index], at.size - n)
-        left = pseudo_inverse(of_own.products(of_own) + np.diag(weight))[0]
-        own = of_own.products(fixed)
-        own[:, n] += distance
-        return cls(problem, index, TangentColumns(fixed, own), left, of_own, missing)
+        white = problem.whiteners[index].white(block)
+        indices = np.arange(dy.shape[2])
+        of_own, fixed = (
+            white.some(indices[n:]),
+            white.some(np.concatenate([indices[:n], np.arange(indices.size, block.shape[2])])),
+        )
+        weight, distance = local_prior(problem, fit.locals[index], indices.size - n)
+        inverse = pseudo_inverse(of_own.products(of_own) + np.diag(weight))[0]
+        local_products = of_own.products(fixed)
+        local_products[:, n] += distance
+        return cls(problem, index, TangentColumns(fixed, local_products), inverse, of_own, missing)
 
     @property
     def size(self) -> int:
@@ -145,12 +148,12 @@ class RecordTangent:
         """Gram matrix of [shared unknowns | changes | residuals]."""
         if not len(changes):
             return self.gram
-        n, more = len(self.problem.free), self.columns(changes)
-        across, own = self.products(more, self.fixed), self.products(more, more)
+        n, extra = len(self.problem.free), self.columns(changes)
+        across, among = self.products(extra, self.fixed), self.products(extra, extra)
         return np.block(
             [
                 [self.gram[:n, :n], across[:, :n].T, self.gram[:n, n:]],
-                [across[:, :n], own, across[:, n:]],
+                [across[:, :n], among, across[:, n:]],
                 [self.gram[n:, :n], across[:, n:].T, self.gram[n:, n:]],
             ]
         )
@@ -172,10 +175,10 @@ class Tangent:
         """One record. Raises GapError where the fitted motion cannot be linearised."""
         if index in self._kept:
             return self._kept[index]
-        made = RecordTangent.of(self.problem, self.fit, index, [null[index] for null in self.nulls])
-        if made.size + sum(record.size for record in self._kept.values()) <= KEPT:
-            self._kept[index] = made
-        return made
+        tangent = RecordTangent.of(self.problem, self.fit, index, [null[index] for null in self.nulls])
+        if tangent.size + sum(record.size for record in self._kept.values()) <= KEPT:
+            self._kept[index] = tangent
+        return tangent
 
     def of(self, kept: NDArray[np.bool_]) -> "Tangent":
         """The same with some of the nulls. kept: (nulls,)."""

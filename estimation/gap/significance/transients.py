@@ -120,12 +120,12 @@ class Asked:
 def asked_of(problem: LikelihoodProblem) -> Asked:
     """Every event that these records could show."""
     events: list[TransientEvent] = []
-    inside: list[tuple[int, ...]] = []
+    members: list[tuple[int, ...]] = []
     columns: list[EventColumn] = []
 
     def put(event: TransientEvent, made: Sequence[EventColumn]) -> None:
         events.append(event)
-        inside.append(tuple(range(len(columns), len(columns) + len(made))))
+        members.append(tuple(range(len(columns), len(columns) + len(made))))
         columns.extend(made)
 
     times = [segment.time for segment in problem.coarse]
@@ -136,14 +136,14 @@ def asked_of(problem: LikelihoodProblem) -> Asked:
             [EventColumn(i, name, Course.RAMP, a, b) for i, a, b in ends],
         )
         for i, time in enumerate(times):
-            for at in np.arange(time[FEWEST], time[-FEWEST], EVERY):
-                span = (float(at), float(time[-1]))
+            for begin in np.arange(time[FEWEST], time[-FEWEST], EVERY):
+                span = (float(begin), float(time[-1]))
                 put(TransientEvent(EventKind.SLIP, name, i, *span), [EventColumn(i, name, Course.STEP, *span)])
     doors = [n for n in problem.model.input_names if is_door(n)]
     for i, time in enumerate(times if doors else ()):
         for width in STRETCHES:
-            for at in np.arange(time[0], time[-1] - width, width / 3.0):
-                span = (float(at), float(at + width))
+            for begin in np.arange(time[0], time[-1] - width, width / 3.0):
+                span = (float(begin), float(begin + width))
                 put(
                     TransientEvent(EventKind.BURST, "", i, *span),
                     [EventColumn(i, d, Course.SWELL, *span) for d in doors],
@@ -151,7 +151,7 @@ def asked_of(problem: LikelihoodProblem) -> Asked:
                 for d in (d for d in doors if d in AIR):
                     air = d.removeprefix(DISTURBANCE.format(""))
                     put(TransientEvent(EventKind.BURST, "", i, *span, air=air), [EventColumn(i, d, Course.TURN, *span)])
-    return Asked(tuple(events), tuple(inside), tuple(columns))
+    return Asked(tuple(events), tuple(members), tuple(columns))
 
 
 @dataclass(frozen=True)
@@ -173,37 +173,43 @@ class Products:
 
     @classmethod
     def of(cls, asked: Asked, tangent: Tangent) -> "Products":
-        problem, found = tangent.problem, tangent.fit
+        problem, model_fit = tangent.problem, tangent.fit
         n, m, count = len(problem.free), 1 + len(tangent.nulls), len(asked.columns)
-        outer, across, raw = shared_prior(problem, found, n + m, 0), np.zeros((count, n + m)), np.zeros(count)
+        outer, across, raw = shared_prior(problem, model_fit, n + m, 0), np.zeros((count, n + m)), np.zeros(count)
         several = {e: columns for e, columns in enumerate(asked.inside) if len(columns) > 1}
-        own = {e: np.zeros((len(columns),) * 2) for e, columns in several.items()}
+        within_events = {e: np.zeros((len(columns),) * 2) for e, columns in several.items()}
         for i in range(len(problem.records)):
-            record, here = tangent.record(i), asked.showing_in(i)
-            columns = record.columns(list(_changes(problem, found, i, asked, here)))
+            record, local_columns = tangent.record(i), asked.showing_in(i)
+            columns = record.columns(list(_changes(problem, model_fit, i, asked, local_columns)))
             outer += record.gram
-            across[here], raw[here] = record.products(columns, record.fixed), record.squares(columns)
-            at = {c: j for j, c in enumerate(here)}
-            for e, inside in several.items():
-                some = [j for j, c in enumerate(inside) if c in at]
-                if some:
-                    together = columns.some([at[inside[j]] for j in some])
-                    own[e][np.ix_(some, some)] += record.products(together, together)
-        return cls(tangent, asked, n, outer, across, raw, own)
+            across[local_columns], raw[local_columns] = record.products(columns, record.fixed), record.squares(columns)
+            position = {c: j for j, c in enumerate(local_columns)}
+            for e, members in several.items():
+                local_members = [j for j, c in enumerate(members) if c in position]
+                if local_members:
+                    member_columns = columns.some([position[members[j]] for j in local_members])
+                    within_events[e][np.ix_(local_members, local_members)] += record.products(
+                        member_columns, member_columns
+                    )
+        return cls(tangent, asked, n, outer, across, raw, within_events)
 
     def rows(self, event: int) -> dict[int, Array]:
         """Of every column of an event its products (columns,) with all."""
-        made: dict[int, Array] = {}
-        columns, problem, found = self.asked.inside[event], self.tangent.problem, self.tangent.fit
+        rows: dict[int, Array] = {}
+        columns, problem, model_fit = self.asked.inside[event], self.tangent.problem, self.tangent.fit
         for i in dict.fromkeys(self.asked.columns[c].record for c in columns):
-            record, here = self.tangent.record(i), self.asked.showing_in(i)
-            all_here = record.columns(list(_changes(problem, found, i, self.asked, here)))
-            at = {c: j for j, c in enumerate(here)}
-            inside = [c for c in columns if c in at]
-            for c, row in zip(inside, record.products(all_here.some([at[c] for c in inside]), all_here), strict=True):
-                made[c] = np.zeros(len(self.asked.columns))
-                made[c][here] = row
-        return made
+            record, local_columns = self.tangent.record(i), self.asked.showing_in(i)
+            all_here = record.columns(list(_changes(problem, model_fit, i, self.asked, local_columns)))
+            position = {c: j for j, c in enumerate(local_columns)}
+            local_members = [c for c in columns if c in position]
+            for c, row in zip(
+                local_members,
+                record.products(all_here.some([position[c] for c in local_members]), all_here),
+                strict=True,
+            ):
+                rows[c] = np.zeros(len(self.asked.columns))
+                rows[c][local_columns] = row
+        return rows
 
 
 def _changes(
@@ -211,13 +217,15 @@ def _changes(
 ) -> Iterator[Array]:
     """(N, ny) changes of the outputs of a record by unit size of some columns in it."""
     z, outputs, time = problem.coarse[index].z, problem.model.output_names, problem.coarse[index].time
-    some = [asked.columns[c] for c in columns]
-    through = through_doors(problem, found, index, [(c.place, c.over(time)) for c in some if c.place not in outputs])
-    for column in some:
+    requested = [asked.columns[c] for c in columns]
+    door_changes = through_doors(
+        problem, found, index, [(c.place, c.over(time)) for c in requested if c.place not in outputs]
+    )
+    for column in requested:
         if column.place in outputs:
             yield _in_output(z, outputs.index(column.place), column.over(time))
         else:
-            yield next(through)
+            yield next(door_changes)
 
 
 def _in_output(z: Array, column: int, course: Array) -> Array:
@@ -238,79 +246,83 @@ class ProjectedColumns:
     @classmethod
     def of(cls, products: Products, taken: Sequence[int], rows: Mapping[int, Array]) -> "ProjectedColumns":
         """taken: columns that are projected out; rows: their products with all."""
-        n, across, inside = products.n, products.across, list(taken)
-        right = np.concatenate([products.outer[:n, n:], across[inside, n:]])
-        known = np.concatenate([products.outer[:n, :n], across[inside, :n]])
-        cross = np.column_stack([across[:, :n], *(rows[c] for c in inside)])  # (columns, n + taken)
-        square = np.column_stack([known, np.concatenate([across[inside, :n].T, cross[inside, n:]])])
-        back = solved(square, np.concatenate([cross.T, right], axis=1))
-        along, rest = back[:, : len(cross)], back[:, len(cross) :]
+        n, across, removed = products.n, products.across, list(taken)
+        right = np.concatenate([products.outer[:n, n:], across[removed, n:]])
+        base = np.concatenate([products.outer[:n, :n], across[removed, :n]])
+        cross = np.column_stack([across[:, :n], *(rows[c] for c in removed)])  # (columns, n + taken)
+        square = np.column_stack([base, np.concatenate([across[removed, :n].T, cross[removed, n:]])])
+        solution = solved(square, np.concatenate([cross.T, right], axis=1))
+        column_part, rest = solution[:, : len(cross)], solution[:, len(cross) :]
         several = {e: list(products.asked.inside[e]) for e in products.own}
-        own = {e: products.own[e] - cross[at] @ along[:, at] for e, at in several.items()}
-        return cls(products.raw - np.sum(cross * along.T, axis=1), across[:, n:] - cross @ rest, own)
+        within_events = {
+            e: products.own[e] - cross[members] @ column_part[:, members] for e, members in several.items()
+        }
+        return cls(products.raw - np.sum(cross * column_part.T, axis=1), across[:, n:] - cross @ rest, within_events)
 
 
 def find_transients(round_: Round) -> Transients:
     """Events one after the other as long as one stands out of the nulls, each projected out before the next is looked for; then
     those that the later ones have made idle are dropped."""
-    asked = asked_of(round_.baseline.problem)
-    products, criteria = Products.of(asked, round_.tangent), round_.criteria
+    events = asked_of(round_.baseline.problem)
+    products, criteria = Products.of(events, round_.tangent), round_.criteria
     rows: dict[int, Array] = {}
-    taken: list[int] = []
+    selected: list[int] = []
     for _ in range(MOST):
-        scores, gains, limit = _scored(products, taken, rows, criteria)
-        best = int(np.argmax(scores))
-        if scores[best] <= limit:
+        scores, gains, limit = _scored(products, selected, rows, criteria)
+        leader = int(np.argmax(scores))
+        if scores[leader] <= limit:
             break
-        taken.append(best)
-        rows |= products.rows(best)
-    for e in list(taken):
-        others = [o for o in taken if o != e]
-        scores, _, limit = _scored(products, others, rows, criteria)
+        selected.append(leader)
+        rows |= products.rows(leader)
+    for e in list(selected):
+        remaining = [o for o in selected if o != e]
+        scores, _, limit = _scored(products, remaining, rows, criteria)
         if scores[e] <= limit:
-            taken = others
-    made = []
-    inside = [c for e in taken for c in asked.inside[e]]
-    at = dict(zip(inside, _estimates(products, inside, rows), strict=True))
-    for e in taken:
-        scores, gains, limit = _scored(products, [o for o in taken if o != e], rows, criteria)
-        sizes = tuple(at[c] for c in asked.inside[e])
-        made.append(DetectedEvent(asked.events[e], float(scores[e]), limit, float(gains[e]), sizes))
-    made.sort(key=lambda f: -f.score)
-    return Transients(tuple(made), _without(round_, asked, {c: v for c, (v, _) in at.items()}) if made else round_)
+            selected = remaining
+    detected = []
+    members = [c for e in selected for c in events.inside[e]]
+    estimates = dict(zip(members, _estimates(products, members, rows), strict=True))
+    for e in selected:
+        scores, gains, limit = _scored(products, [o for o in selected if o != e], rows, criteria)
+        sizes = tuple(estimates[c] for c in events.inside[e])
+        detected.append(DetectedEvent(events.events[e], float(scores[e]), limit, float(gains[e]), sizes))
+    detected.sort(key=lambda f: -f.score)
+    return Transients(
+        tuple(detected), _without(round_, events, {c: v for c, (v, _) in estimates.items()}) if detected else round_
+    )
 
 
 def _scored(
     products: Products, taken: Sequence[int], rows: Mapping[int, Array], criteria: Criteria
 ) -> tuple[Array, Array, float]:
     """(events,) scores and gains of all events beside those taken, nothing for the latter; and the limit from the nulls."""
-    asked = products.asked
-    beside = ProjectedColumns.of(products, [c for e in taken for c in asked.inside[e]], rows)
-    single = beside.b**2 / np.maximum(beside.square, TINY)[:, None]
-    single[beside.square <= SEEN * products.raw] = 0.0
-    gains = np.zeros((len(asked.events), beside.b.shape[1]))
-    for e, columns in enumerate(asked.inside):
+    events = products.asked
+    projected = ProjectedColumns.of(products, [c for e in taken for c in events.inside[e]], rows)
+    single = projected.b**2 / np.maximum(projected.square, TINY)[:, None]
+    single[projected.square <= SEEN * products.raw] = 0.0
+    gains = np.zeros((len(events.events), projected.b.shape[1]))
+    for e, columns in enumerate(events.inside):
         if e not in taken:
-            gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, beside, e)
-    unknowns = np.array([len(c) for c in asked.inside])
-    scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in asked.events])
+            gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, projected, e)
+    unknowns = np.array([len(c) for c in events.inside])
+    scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in events.events])
     return scores, gains[:, 0], event_limit(largest, criteria)
 
 
 def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round | None:
     """The round with the events taken out of what was measured and the base fitted again; None where that runs away."""
-    problem, found = round_.baseline.problem, round_.baseline.fit
+    problem, model_fit = round_.baseline.problem, round_.baseline.fit
     z = [r.z for r in problem.records]
     for c, size in sizes.items():
         i = asked.columns[c].record
-        z[i] = z[i] - size * next(_changes(problem, found, i, asked, [c]))
-    records = tuple(replace(r, z=own) for r, own in zip(problem.records, z, strict=True))
+        z[i] = z[i] - size * next(_changes(problem, model_fit, i, asked, [c]))
+    records = tuple(replace(r, z=outputs) for r, outputs in zip(problem.records, z, strict=True))
     cleared = replace(problem, records=records)
-    again = fit(cleared, found.values, found.locals)
-    if again.diverged:
+    refitted = fit(cleared, model_fit.values, model_fit.locals)
+    if refitted.diverged:
         return None
-    baseline = replace(round_.baseline, problem=cleared, fit=again)
-    return replace(round_, baseline=baseline, tangent=Tangent(cleared, again, round_.null_residuals))
+    baseline = replace(round_.baseline, problem=cleared, fit=refitted)
+    return replace(round_, baseline=baseline, tangent=Tangent(cleared, refitted, round_.null_residuals))
 
 
 def event_limit(largest: Array, criteria: Criteria) -> float:
@@ -325,12 +337,14 @@ def standing_out(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> t
     The scatter is that of a whole group of events: one instant's own is known from the nulls to a tenth, by which a neighbour
     would be taken for it.
     """
-    own = gains[:, 1:].mean(axis=1) / unknowns
-    pooled = {g: max(float(np.mean([o for o, h in zip(own, groups, strict=True) if h == g])), 1.0) for g in set(groups)}
-    even = gains / np.array([pooled[g] for g in groups])[:, None]
+    scatters = gains[:, 1:].mean(axis=1) / unknowns
+    pooled = {
+        g: max(float(np.mean([o for o, h in zip(scatters, groups, strict=True) if h == g])), 1.0) for g in set(groups)
+    }
+    scaled = gains / np.array([pooled[g] for g in groups])[:, None]
     # of as many unknowns the largest gain is the largest score
-    largest = [equivalent(even[unknowns == k, 1:].max(axis=0), np.array(k)) for k in np.unique(unknowns)]
-    return equivalent(even[:, 0], unknowns), np.asarray(np.max(largest, axis=0))
+    largest = [equivalent(scaled[unknowns == k, 1:].max(axis=0), np.array(k)) for k in np.unique(unknowns)]
+    return equivalent(scaled[:, 0], unknowns), np.asarray(np.max(largest, axis=0))
 
 
 def equivalent(gains: Array, unknowns: Array) -> Array:
@@ -352,10 +366,10 @@ def _estimates(products: Products, inside: Sequence[int], rows: Mapping[int, Arr
     """Sizes of the events taken with their bounds, fitted together."""
     if not inside:
         return []
-    n, at = products.n, list(inside)
-    cross, right = products.across[at, :n], products.outer[:n, n]
-    back = solved(products.outer[:n, :n], np.concatenate([cross.T, right[:, None]], axis=1))
-    B = np.array([rows[c][at] for c in at]) - cross @ back[:, :-1]
-    b = products.across[at, n] - cross @ back[:, -1]
+    n, members = products.n, list(inside)
+    cross, right = products.across[members, :n], products.outer[:n, n]
+    solution = solved(products.outer[:n, :n], np.concatenate([cross.T, right[:, None]], axis=1))
+    B = np.array([rows[c][members] for c in members]) - cross @ solution[:, :-1]
+    b = products.across[members, n] - cross @ solution[:, -1]
     size, bound = solved(B, b), np.sqrt(np.diag(np.linalg.pinv(B, hermitian=True)))
     return list(zip(size.tolist(), bound.tolist(), strict=True))

@@ -36,18 +36,18 @@ class DelayedHistory:
         steps = (self._newest - time) / self.step
         if self._xp.flights is None:
             steps = min(max(steps, 0.0), len(self._values) - 2)
-            whole = int(steps)
-            part = steps - whole
-            return (1.0 - part) * self._values[-1 - whole] + part * self._values[-2 - whole]
+            index = int(steps)
+            part = steps - index
+            return (1.0 - part) * self._values[-1 - index] + part * self._values[-2 - index]
         steps = np.clip(np.broadcast_to(steps, (self._xp.flights,)), 0.0, len(self._values) - 2)
-        whole = steps.astype(int)
-        part = steps - whole
-        out = np.empty(self._xp.flights)
-        for k in np.unique(whole):
-            chosen = whole == k
+        index = steps.astype(int)
+        part = steps - index
+        values = np.empty(self._xp.flights)
+        for k in np.unique(index):
+            mask = index == k
             newer, older = self._values[-1 - int(k)], self._values[-2 - int(k)]
-            out[chosen] = ((1.0 - part) * newer + part * older)[chosen]
-        return out
+            values[mask] = ((1.0 - part) * newer + part * older)[mask]
+        return values
 
 
 class Joint(NamedTuple):
@@ -73,8 +73,8 @@ def _aileron(m: "Motion") -> Value:
 
 def _stand_aileron(m: "Motion", aileron: Value) -> None:
     """Let the aileron stand there, the elevator where it was."""
-    both = 0.5 * (m.surface_left + m.surface_right)
-    m.surface_left, m.surface_right = both - aileron, both + aileron
+    elevator = 0.5 * (m.surface_left + m.surface_right)
+    m.surface_left, m.surface_right = elevator - aileron, elevator + aileron
 
 
 LEFT = Joint(attrgetter("arm_left"), lambda m, angle: setattr(m, "surface_left", angle))
@@ -98,12 +98,12 @@ class _Delay(HiddenEffect):
         self._past = [DelayedHistory(longest, self.plant.step_size, joint.arm(m), self.xp) for joint in self.joints]
 
     def linkage(self, m: "Motion", x: State) -> None:
-        for past, joint in zip(self._past, self.joints, strict=False):  # none before the start
-            joint.stand(m, past.at(m.t - self.size))
+        for history, joint in zip(self._past, self.joints, strict=False):  # none before the start
+            joint.stand(m, history.at(m.t - self.size))
 
     def commit(self, m: "Motion", x: State) -> None:
-        for past, joint in zip(self._past, self.joints, strict=False):
-            past.push(m.t, joint.arm(m))
+        for history, joint in zip(self._past, self.joints, strict=False):
+            history.push(m.t, joint.arm(m))
 
 
 class AileronDelay(_Delay):
@@ -292,5 +292,5 @@ class ElevatorCompliance(HiddenEffect):
     typical = 0.15
 
     def linkage(self, m: "Motion", x: State) -> None:
-        both = 0.5 * (m.surface_left + m.surface_right)
-        _stand_elevator(m, both * (1.0 - self.size * (m.qbar / 200.0 - 1.0)))
+        elevator = 0.5 * (m.surface_left + m.surface_right)
+        _stand_elevator(m, elevator * (1.0 - self.size * (m.qbar / 200.0 - 1.0)))

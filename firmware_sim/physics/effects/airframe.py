@@ -38,15 +38,15 @@ class StallSeparation(HiddenEffect):
     def coefficients(self, m: "Motion", x: State) -> None:
         xp = self.xp
         lift = self.plant.derivatives["CL_alpha"] * m.alpha
-        lost = []
+        losses = []
         for i in (0, 1):
             attached = xp.clip(x[self.at + i], 0.0, 1.0)
             factor = 0.5 * (1.0 + xp.sqrt(attached))
-            lost.append(self.size * 0.5 * lift * (1.0 - factor * factor))
-        left, right = lost
-        m.CL = m.CL - left - right
-        m.CD = m.CD + 0.5 * (left + right)
-        m.Cl = m.Cl + self.ARM * (right - left)
+            losses.append(self.size * 0.5 * lift * (1.0 - factor * factor))
+        left_loss, right_loss = losses
+        m.CL = m.CL - left_loss - right_loss
+        m.CD = m.CD + 0.5 * (left_loss + right_loss)
+        m.Cl = m.Cl + self.ARM * (right_loss - left_loss)
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         for i, side in ((0, -1.0), (1, 1.0)):
@@ -66,8 +66,8 @@ class IndicialLag(HiddenEffect):
         x[self.at] = m.beta
 
     def coefficients(self, m: "Motion", x: State) -> None:
-        behind = x[self.at] - m.beta
-        m.Cl = m.Cl + self.plant.derivatives["Cl_beta"] * behind
+        lag_angle = x[self.at] - m.beta
+        m.Cl = m.Cl + self.plant.derivatives["Cl_beta"] * lag_angle
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         dx[self.at] = (m.beta - x[self.at]) / self.xp.maximum(self.size, 1e-3)
@@ -103,12 +103,12 @@ class LiftFromAlphaRate(HiddenEffect):
         force = m.qbar * craft.area
         plane = xp.sqrt(m.ua * m.ua + m.wa * m.wa)
         rate = alpha_rate(m, m.X / mass, m.Z / mass) / (1.0 + force * per_rate / (mass * plane))
-        more = per_rate * rate
-        drag = self.plant.derivatives["CD_k"] * more * (2.0 * m.CL + more)
+        lift = per_rate * rate
+        drag = self.plant.derivatives["CD_k"] * lift * (2.0 * m.CL + lift)
         ca, sa = xp.cos(m.alpha), xp.sin(m.alpha)
-        m.CL, m.CD = m.CL + more, m.CD + drag
-        m.X = m.X + force * (more * sa - drag * ca)
-        m.Z = m.Z - force * (more * ca + drag * sa)
+        m.CL, m.CD = m.CL + lift, m.CD + drag
+        m.X = m.X + force * (lift * sa - drag * ca)
+        m.Z = m.Z - force * (lift * ca + drag * sa)
 
 
 class ThrustLag(HiddenEffect):
@@ -153,12 +153,12 @@ class RoughAir(HiddenEffect):
 
     def wind(self, m: "Motion", x: State) -> None:
         sin = self.xp.sin
-        along = 17.0 * m.t
+        distance = 17.0 * m.t
         lateral: Value = 0.0
         vertical: Value = 0.0
         for number, amplitude, phase_v, phase_w in getattr(self, "_waves", ()):
-            lateral = lateral + amplitude * sin(number * along + phase_v)
-            vertical = vertical + amplitude * sin(number * along + phase_w)
+            lateral = lateral + amplitude * sin(number * distance + phase_v)
+            vertical = vertical + amplitude * sin(number * distance + phase_w)
         m.gust_v = m.gust_v + 17.0 * self.size * lateral
         m.gust_w = m.gust_w + 0.5 * 17.0 * self.size * vertical
 

@@ -103,9 +103,9 @@ class InertialUnitLate(SensorEffect):
         self._past = {c: DelayedHistory(longest, step, getattr(m, c), self.xp) for c in self.CHANNELS}
 
     def commit(self, m: "Motion", x: State) -> None:
-        for channel, past in self._past.items():
-            past.push(m.t, getattr(m, channel))
+        for channel, history in self._past.items():
+            history.push(m.t, getattr(m, channel))
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        for channel, past in self._past.items():
-            setattr(s, channel, getattr(s, channel) + past.at(m.t - self.size) - getattr(m, channel))
+        for channel, history in self._past.items():
+            setattr(s, channel, getattr(s, channel) + history.at(m.t - self.size) - getattr(m, channel))

@@ -25,10 +25,10 @@ def adds(hook: str, **amounts: Amount) -> Hook:
     """Adds to quantities of the motion in one hook, all worked out before any is changed."""
 
     def act(effect: HiddenEffect, m: "Motion", x: State) -> None:
-        more = {quantity: amount(effect, m) for quantity, amount in amounts.items()}
-        if "CL" in more:
-            m.CD = m.CD + effect.plant.derivatives["CD_k"] * more["CL"] * (2.0 * m.CL + more["CL"])
-        for quantity, value in more.items():
+        additions = {quantity: amount(effect, m) for quantity, amount in amounts.items()}
+        if "CL" in additions:
+            m.CD = m.CD + effect.plant.derivatives["CD_k"] * additions["CL"] * (2.0 * m.CL + additions["CL"])
+        for quantity, value in additions.items():
             setattr(m, quantity, getattr(m, quantity) + value)
 
     return hook, act
@@ -48,8 +48,8 @@ def shows(**values: Callable[[Any, Sensed, "Motion"], Value]) -> Hook:
     """What instruments are shown instead, all worked out before any is changed."""
 
     def act(effect: HiddenEffect, s: Sensed, m: "Motion", x: State) -> None:
-        shown = {channel: value(effect, s, m) for channel, value in values.items()}
-        for channel, value in shown.items():
+        readings = {channel: value(effect, s, m) for channel, value in values.items()}
+        for channel, value in readings.items():
             setattr(s, channel, value)
 
     return "sense", act
@@ -68,8 +68,8 @@ def properties(**values: Callable[[Any, Host], Value]) -> Hook:
 
 def row(name: str, title: str, group: str, unit: str, typical: float, physics: str, *hooks: Hook) -> type[HiddenEffect]:
     """One effect of the table."""
-    about = {"name": name, "title": title, "group": group, "unit": unit, "typical": typical, "__doc__": physics}
-    return type(name, (HiddenEffect,), {**about, **dict(hooks), "catalogued": group != UNLISTED})
+    attributes = {"name": name, "title": title, "group": group, "unit": unit, "typical": typical, "__doc__": physics}
+    return type(name, (HiddenEffect,), {**attributes, **dict(hooks), "catalogued": group != UNLISTED})
 
 
 def _over(m: "Motion") -> Value:

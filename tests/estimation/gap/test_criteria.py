@@ -101,7 +101,7 @@ def test_rooms_get_the_criteria_from_the_run_and_have_none_of_their_own() -> Non
         for path, tree in sources()
         if any(isinstance(n, ast.Name) and n.id == "AS_SET" for n in ast.walk(tree)) and path.name != "criteria.py"
     ]
-    assert users == ["search/search_state.py"]
+    assert users == ["search/state.py"]
     assert Options().criteria == AS_SET
     assert replace(Criteria(), strong=2.0) != AS_SET
     assert BENCHMARK.startswith("set by hand")
