@@ -11,7 +11,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from daq.identification.airframe import GRAVITY, Airframe, Sample
+from daq.contract.constants import GRAVITY
+from daq.identification.airframe import Airframe, Sample
 from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
 from daq.identification.surfaces import Between, cubic_weights
 

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import DERIVATIVES, GRAVITY, Airframe
+from daq.contract.constants import GRAVITY
+from daq.identification.airframe import DERIVATIVES, Airframe
 from daq.identification.monitor.bank import MonitoredEffect
 from daq.identification.monitor.evidence import ORDER
 from daq.identification.monitor.surfaces import BLIND, Kinds, Pair, SurfacesBetween, kind_of
