@@ -11,7 +11,8 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 from daq.identification.airframe import Airframe, Sample
-from daq.identification.live import LiveEstimates, LiveEstimator
+from daq.identification.estimates import LiveEstimates
+from daq.identification.live import LiveEstimator
 from daq.identification.regression import LATERAL, Regression
 
 HORIZON = 900.0

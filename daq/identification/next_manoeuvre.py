@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daq.contract.constants import GRAVITY
 from daq.identification.airframe import EQUATIONS, Airframe, Sample
-from daq.identification.live import EquationInformation
+from daq.identification.estimates import EquationInformation
 from daq.identification.regression import LATERAL, Regression
 
 Array = NDArray[np.float64]

@@ -97,10 +97,8 @@ class RowMaker:
     def _joined(self, row: Row) -> Row | None:
         """The row with those before it that were too short by themselves; None while it is too short yet."""
         if self._part is not None:
-            before = self._part
-            row = Row(
-                row.time, before.span + row.span, before.measured + row.measured, before.instruments + row.instruments
-            )
+            part = self._part
+            row = Row(row.time, part.span + row.span, part.measured + row.measured, part.instruments + row.instruments)
         self._part = row if row.span < self._regression.shortest_row else None
         return row if self._part is None else None
 
@@ -112,10 +110,10 @@ class RowMaker:
             surface.middle(times, values)
             for surface, values in zip(self._curves, zip(*map(self._deflections, four), strict=True), strict=True)
         ]
-        measured, held = curves[: len(curves) // 2], curves[len(curves) // 2 :]
-        integral = self._simulated.advance(four[1].sample, four[2].sample, *held)
+        measured, smoothed = curves[: len(curves) // 2], curves[len(curves) // 2 :]
+        integral = self._simulated.advance(four[1].sample, four[2].sample, *smoothed)
         self._scans[-2] = four[2]._replace(motion=self._simulated.motion)
-        simulated = np.array([*integral[: len(self._regression.states)], *(c.integral for c in held)])
+        simulated = np.array([*integral[: len(self._regression.states)], *(c.integral for c in smoothed)])
         surfaces = np.array([c.integral for c in measured])
         self._integrals.append((simulated, surfaces, all(c.sure for c in self._curves)))
 

@@ -9,7 +9,8 @@ Plain floats on purpose: with four states numpy would only add overhead.
 
 import math
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Generic, NamedTuple, TypeVar
 
 from daq.contract.constants import GRAVITY
 from daq.identification.airframe import Airframe, Sample
@@ -65,6 +66,7 @@ class PitchState(NamedTuple):
 
 
 MotionState = LateralState | PitchState
+State = TypeVar("State", LateralState, PitchState)
 
 
 class MotionInputs(NamedTuple):
@@ -80,45 +82,38 @@ class MotionInputs(NamedTuple):
 
 
 NOWHERE = LateralState(0.0, 0.0, 0.0, 0.0)
+Inputs = TypeVar("Inputs")
 
 
-class SimulatedMotion:
+class _Simulation(Generic[State, Inputs]):
     """Runs beside the flight, interval by interval. values: derivatives by name; may be replaced while it runs."""
 
-    def __init__(self, airframe: Airframe) -> None:
+    nowhere: State
+
+    def __init__(self, airframe: Airframe, regression: Regression) -> None:
         self._airframe = airframe
-        self.values = {n: airframe.believed(n) for n in LATERAL.derivatives}
-        self._inertia = airframe.Ixx * airframe.Izz - airframe.Ixz**2
-        self._lag: deque[float] = deque(maxlen=DELAY)
-        self.motion = NOWHERE
+        self.values = {n: airframe.believed(n) for n in regression.derivatives}
+        self.motion = self.nowhere
 
     def restart(self, sample: Sample) -> None:
         """Begin anew from measured motion."""
-        self.motion = LateralState(sample.beta, sample.p, sample.r, sample.phi)
-        self._lag.clear()
+        raise NotImplementedError
 
-    def advance(self, first: Sample, last: Sample, aileron: Between, rudder: Between) -> LateralState:
-        """Go from `first` to `last`: the integral of the motion over the interval. V, alpha, theta, q on straight lines."""
+    def advance(self, first: Sample, last: Sample, *surfaces: Between) -> State:
+        """Go from `first` to `last`: the integral of the motion over the interval. What is measured, on straight lines."""
         interval = last.time - first.time
         steps = max(1, math.ceil(interval / LONGEST_STEP))
-        points = [_between(first, last, k / (2 * steps), aileron, rudder) for k in range(2 * steps + 1)]
-        integral = NOWHERE
+        points = [self._between(first, last, k / (2 * steps), surfaces) for k in range(2 * steps + 1)]
+        integral = self.nowhere
         for k in range(0, 2 * steps, 2):
             integral = self._step(integral, interval / steps, points[k], points[k + 1], points[k + 2])
         if self.motion.departed:
             self.restart(last)
         else:
-            self._follow_bank(last, interval)
+            self._follow(last, interval)
         return integral
 
-    def _follow_bank(self, sample: Sample, dt: float) -> None:
-        self._lag.append(sample.phi - self.motion.phi)
-        if len(self._lag) == DELAY:
-            self.motion = self.motion._replace(phi=self.motion.phi + min(dt / SETTLE, 1.0) * self._lag[0])
-
-    def _step(
-        self, integral: LateralState, h: float, first: MotionInputs, middle: MotionInputs, last: MotionInputs
-    ) -> LateralState:
+    def _step(self, integral: State, h: float, first: Inputs, middle: Inputs, last: Inputs) -> State:
         """One step of the classical Runge-Kutta method over `h` seconds, of the motion and of its integral."""
         x = self.motion
         k1 = self._rates(x, first)
@@ -128,6 +123,50 @@ class SimulatedMotion:
         sixth = h / 6
         self.motion = x.moved(k1, sixth).moved(k2, 2 * sixth).moved(k3, 2 * sixth).moved(k4, sixth)
         return integral.moved(x.moved(k1, sixth).moved(k2, sixth).moved(k3, sixth), h)
+
+    def _follow(self, sample: Sample, dt: float) -> None:
+        """What of the motion is drawn towards the measured one: nothing, if no mode walks off."""
+
+    def _between(self, first: Sample, last: Sample, part: float, surfaces: Sequence[Between]) -> Inputs:
+        """What drives the motion where `part` of the interval has passed."""
+        raise NotImplementedError
+
+    def _rates(self, x: State, u: Inputs) -> State:
+        raise NotImplementedError
+
+
+class SimulatedMotion(_Simulation[LateralState, MotionInputs]):
+    """Lateral motion; V, alpha, theta, q are measured."""
+
+    nowhere = NOWHERE
+
+    def __init__(self, airframe: Airframe) -> None:
+        super().__init__(airframe, LATERAL)
+        self._inertia = airframe.Ixx * airframe.Izz - airframe.Ixz**2
+        self._lag: deque[float] = deque(maxlen=DELAY)
+
+    def restart(self, sample: Sample) -> None:
+        """Begin anew from measured motion."""
+        self.motion = LateralState(sample.beta, sample.p, sample.r, sample.phi)
+        self._lag.clear()
+
+    def _follow(self, sample: Sample, dt: float) -> None:
+        self._lag.append(sample.phi - self.motion.phi)
+        if len(self._lag) == DELAY:
+            self.motion = self.motion._replace(phi=self.motion.phi + min(dt / SETTLE, 1.0) * self._lag[0])
+
+    def _between(self, first: Sample, last: Sample, part: float, surfaces: Sequence[Between]) -> MotionInputs:
+        a, b, rest = first, last, 1.0 - part
+        aileron, rudder = surfaces
+        return MotionInputs(
+            rest * a.q + part * b.q,
+            rest * a.theta + part * b.theta,
+            rest * a.alpha + part * b.alpha,
+            rest * a.V + part * b.V,
+            rest * a.rho + part * b.rho,
+            aileron.at(part),
+            rudder.at(part),
+        )
 
     def _rates(self, x: LateralState, u: MotionInputs) -> LateralState:
         """Equations of lateral motion without the rate of change of airspeed, which instruments can do without."""
@@ -149,49 +188,24 @@ class SimulatedMotion:
         )
 
 
-def _between(a: Sample, b: Sample, part: float, aileron: Between, rudder: Between) -> MotionInputs:
-    rest = 1.0 - part
-    return MotionInputs(
-        rest * a.q + part * b.q,
-        rest * a.theta + part * b.theta,
-        rest * a.alpha + part * b.alpha,
-        rest * a.V + part * b.V,
-        rest * a.rho + part * b.rho,
-        aileron.at(part),
-        rudder.at(part),
-    )
+class PitchInputs(NamedTuple):
+    """What drives the pitching motion at one instant: everything measured, and the elevator [rad]."""
+
+    sample: Sample
+    elevator: float
 
 
-class SimulatedPitch:
-    """As `SimulatedMotion` for angle of attack and pitch rate; V, attitude and the lateral motion are measured."""
+class SimulatedPitch(_Simulation[PitchState, PitchInputs]):
+    """Angle of attack and pitch rate; V, attitude and the lateral motion are measured."""
+
+    nowhere = PitchState(0.0, 0.0)
 
     def __init__(self, airframe: Airframe) -> None:
-        self._airframe = airframe
-        self.motion = PitchState(0.0, 0.0)
-        self.values = {n: airframe.believed(n) for n in LONGITUDINAL.derivatives}
+        super().__init__(airframe, LONGITUDINAL)
 
     def restart(self, sample: Sample) -> None:
         """Begin anew from measured motion."""
         self.motion = PitchState(sample.alpha, sample.q)
-
-    def advance(self, first: Sample, last: Sample, elevator: Between) -> PitchState:
-        """Go from `first` to `last`: the integral of the motion over the interval. What is measured, on straight lines."""
-        interval = last.time - first.time
-        steps = max(1, math.ceil(interval / LONGEST_STEP))
-        h, integral = interval / steps, PitchState(0.0, 0.0)
-        points = [self._inputs(first, last, k / (2 * steps), elevator) for k in range(2 * steps + 1)]
-        for k in range(0, 2 * steps, 2):
-            x = self.motion
-            k1 = self._rates(x, *points[k])
-            k2 = self._rates(x.moved(k1, h / 2), *points[k + 1])
-            k3 = self._rates(x.moved(k2, h / 2), *points[k + 1])
-            k4 = self._rates(x.moved(k3, h), *points[k + 2])
-            sixth = h / 6
-            self.motion = x.moved(k1, sixth).moved(k2, 2 * sixth).moved(k3, 2 * sixth).moved(k4, sixth)
-            integral = integral.moved(x.moved(k1, sixth).moved(k2, sixth).moved(k3, sixth), h)
-        if self.motion.departed:
-            self.restart(last)
-        return integral
 
     def lift_coefficient(self, x: PitchState, V: float, elevator: float) -> float:
         """CL of a motion at an airspeed [m/s] with the elevator at an angle [rad]."""
@@ -203,14 +217,13 @@ class SimulatedPitch:
             + d["CL_de"] * elevator
         )
 
-    @staticmethod
-    def _inputs(first: Sample, last: Sample, part: float, elevator: Between) -> tuple[Sample, float]:
-        between = Sample(*((1.0 - part) * a + part * b for a, b in zip(first, last, strict=True)))
-        return between, elevator.at(part)
+    def _between(self, first: Sample, last: Sample, part: float, surfaces: Sequence[Between]) -> PitchInputs:
+        sample = Sample(*((1.0 - part) * a + part * b for a, b in zip(first, last, strict=True)))
+        return PitchInputs(sample, surfaces[0].at(part))
 
-    def _rates(self, x: PitchState, u: Sample, elevator: float) -> PitchState:
+    def _rates(self, x: PitchState, inputs: PitchInputs) -> PitchState:
         """Equations of the pitching motion at measured airspeed and attitude."""
-        d, a = self.values, self._airframe
+        d, a, (u, elevator) = self.values, self._airframe, inputs
         q_s = 0.5 * u.rho * u.V * u.V * a.area
         CL = self.lift_coefficient(x, u.V, elevator)
         CD = d["CD_0"] + d["CD_k"] * CL * CL
@@ -244,17 +257,17 @@ class SteadiedVane:
     def add(self, sample: Sample) -> Sample | None:
         """The sample before this one with the steadied angle; None at the beginning."""
         self._scans.append((sample.time, _alpha_rate(sample)))
-        before, self._waiting = self._waiting, sample
-        if before is None:
+        previous, self._waiting = self._waiting, sample
+        if previous is None:
             return None
         if len(self._scans) < 4:
-            self._alpha = before.alpha
-            return before
+            self._alpha = previous.alpha
+            return previous
         times, rates = zip(*self._scans, strict=True)
-        carried = self._alpha + float(cubic_weights(*times) @ rates)
+        predicted = self._alpha + float(cubic_weights(*times) @ rates)
         follow = 1.0 - math.exp(-(times[2] - times[1]) / VANE_S)
-        self._alpha = carried + follow * (before.alpha - carried)
-        return before._replace(alpha=self._alpha)
+        self._alpha = predicted + follow * (previous.alpha - predicted)
+        return previous._replace(alpha=self._alpha)
 
 
 def _alpha_rate(s: Sample) -> float:

@@ -135,11 +135,11 @@ def solve(sums: Sums, regression: Regression, equation: int, names: Sequence[str
 
     sums: without their constant.
     """
-    chosen, n = regression.equations[equation], len(names)
-    instruments = [regression.columns.index(chosen.terms[name]) for name in names]
+    terms, n = regression.equations[equation].terms, len(names)
+    instruments = [regression.columns.index(terms[name]) for name in names]
     if not n or sums.rows < n + FEWEST_ROWS:
         return None
-    equation_columns = [c + (regression.width if chosen.instant else 0) for c in instruments]
+    equation_columns = [c + (regression.width if regression.equations[equation].instant else 0) for c in instruments]
     left_side = 2 * regression.width + equation
     scale_z = np.sqrt(np.diag(sums.instruments[0])[instruments])
     scale = np.sqrt(np.diag(sums.measured[0])[equation_columns])

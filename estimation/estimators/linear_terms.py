@@ -28,9 +28,9 @@ class LinearTerms:
     @property
     def signals(self) -> tuple[str, ...]:
         """Columns of a flight without which nothing is estimated."""
-        needed = dict.fromkeys(s for r in self.regressions for s in r.signals)
+        signals = dict.fromkeys(s for r in self.regressions for s in r.signals)
         lateral = any(r.name == "lateral" for r in self.regressions)
-        return tuple(s for s in needed if s != "rho" and (lateral or s not in OPTIONAL))
+        return tuple(s for s in signals if s != "rho" and (lateral or s not in OPTIONAL))
 
 
 def linear_terms(model: Model) -> LinearTerms:
@@ -65,8 +65,8 @@ def _with_terms(plane: Regression, names: set[str]) -> Regression | None:
 
 def _possible_terms(plane: Regression, equation: Equation) -> dict[str, str]:
     """Those that an equation has anyhow first, in their order."""
-    others = {f"{equation.coefficient}_{c}": c for c in plane.columns if c not in ("0", "CL2")}
-    return {**equation.terms, **({} if equation.coefficient == "CD" else others)}
+    further_terms = {f"{equation.coefficient}_{c}": c for c in plane.columns if c not in ("0", "CL2")}
+    return {**equation.terms, **({} if equation.coefficient == "CD" else further_terms)}
 
 
 def _column_of(model: Model, name: str) -> str | None:
@@ -116,8 +116,8 @@ def _line_value(model: Model, name: str, symbols: Mapping[str, float]) -> float:
     if name in symbols:
         return symbols[name]
     text = model.definitions[name]
-    needed = {n: _line_value(model, n, symbols) for n in names_in(text)}
-    return float(evaluate(text, needed, FUNCTIONS))
+    symbol_values = {n: _line_value(model, n, symbols) for n in names_in(text)}
+    return float(evaluate(text, symbol_values, FUNCTIONS))
 
 
 def _column_value(model: Model, plane: Regression, column: str, symbols: Mapping[str, float]) -> float:

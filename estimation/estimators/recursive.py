@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Airframe, Belief, Sample
-from daq.identification.live import GAP, JointEstimator, LiveDerivative, LiveEstimates
+from daq.identification.estimates import LiveDerivative, LiveEstimates
+from daq.identification.live import GAP, JointEstimator
 from daq.identification.regression import LATERAL, Regression
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
@@ -146,8 +147,8 @@ def _history(entries: Sequence[LiveEstimates], names: Mapping[str, str]) -> Esti
 
     return EstimateHistory(
         np.array([e.time for e in entries]),
-        {own: series(name, "estimate") for own, name in names.items()},
-        {own: series(name, "std") for own, name in names.items()},
+        {parameter: series(name, "estimate") for parameter, name in names.items()},
+        {parameter: series(name, "std") for parameter, name in names.items()},
     )
 
 

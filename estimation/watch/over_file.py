@@ -109,12 +109,12 @@ def grid_of(flight: Flight) -> float:
 
 def _manoeuvring(flight: Flight, grid: float) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
-    least = 0.9 * grid
+    shortest = 0.9 * grid
     stretches, last = ManoeuvreDetector(FLYING, FLYING_S), -math.inf
     samples: list[Sample] = []
     for part in flight.segments:
         for sample in samples_of(flight, part):
-            if sample.time - last < least:
+            if sample.time - last < shortest:
                 continue
             last = sample.time
             samples += stretches.take(sample)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from daq.identification.airframe import DERIVATIVES
-from daq.identification.live import LiveEstimates
+from daq.identification.estimates import LiveEstimates
 
 DETAIL = "live_identification"
 """Key of a flight's provenance detail under which the history travels with the flight."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from numpy.linalg import LinAlgError
 
 from daq.identification.airframe import Sample
+from daq.identification.estimates import LiveEstimates, joined
 from daq.identification.in_order import OrderedEstimator
-from daq.identification.live import LiveEstimates, joined
 from daq.identification.movement import ManoeuvreDetector
 from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
 from daq.identification.regression import LiveAircraft

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.identification.airframe import Belief
-from daq.identification.live import EquationInformation, LiveDerivative, LiveEstimates
+from daq.identification.estimates import EquationInformation, LiveDerivative, LiveEstimates
 
 WEAK = 4.0  # times the wanted share, of the terms that move an aircraft little
 WEAK_TERMS = (

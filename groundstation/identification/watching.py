@@ -53,7 +53,9 @@ class LiveWatch:
             self._monitor.add(sample)
         names = [a.leading[0].effect if a.leading else "" for a in self._monitor.alarms]
         told_names = [*self._told, *[None] * (len(names) - len(self._told))]
-        news = [a for a, name, told in zip(self._monitor.alarms, names, told_names, strict=True) if name != told]
+        news = [
+            a for a, name, known_name in zip(self._monitor.alarms, names, told_names, strict=True) if name != known_name
+        ]
         self._told = names
         return news
 

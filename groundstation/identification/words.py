@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from daq.identification.live import LiveDerivative
+from daq.identification.estimates import LiveDerivative
 from daq.identification.next_manoeuvre import ManoeuvreAdvice
 from groundstation.identification.session import LiveState
 

@@ -11,8 +11,9 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 
 from daq.identification.airframe import Airframe, Sample
+from daq.identification.estimates import LiveEstimates
 from daq.identification.in_order import OrderedEstimator
-from daq.identification.live import LiveEstimates, LiveEstimator
+from daq.identification.live import LiveEstimator
 from daq.identification.movement import ControlSignal
 from daq.identification.regression import LATERAL
 from daq.identification.rows import RowMaker

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from daq.identification.airframe import DERIVATIVES, EQUATIONS, Airframe, Belief, Sample
-from daq.identification.live import EquationInformation
+from daq.identification.estimates import EquationInformation
 from daq.identification.next_manoeuvre import (
     LIBRARY,
     CandidateManoeuvre,

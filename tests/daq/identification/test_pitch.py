@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Airframe, Belief, Sample
-from daq.identification.live import JointEstimator, LiveEstimates, LiveEstimator
+from daq.identification.estimates import LiveEstimates
+from daq.identification.live import JointEstimator, LiveEstimator
 from daq.identification.next_manoeuvre import (
     PITCH_LIBRARY,
     linear_pitch,
@@ -18,7 +19,7 @@ from daq.identification.next_manoeuvre import (
 )
 from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
 from daq.identification.rows import RowMaker
-from daq.identification.simulated_motion import PitchState, SimulatedPitch, SteadiedVane
+from daq.identification.simulated_motion import PitchInputs, PitchState, SimulatedPitch, SteadiedVane
 from estimation.aircraft.library import load_aircraft
 from firmware_sim.runs.direct import DirectNoise, measured
 from firmware_sim.world.scenario import load_scenario
@@ -181,7 +182,7 @@ def test_linear_pitch_is_the_slope_of_the_simulated_one(airframe: Airframe) -> N
     motion = SimulatedPitch(airframe)
 
     def rates(x: Array) -> Array:
-        return np.array(motion._rates(PitchState(LEVEL.alpha + x[0], x[1]), LEVEL, float(x[2])))
+        return np.array(motion._rates(PitchState(LEVEL.alpha + x[0], x[1]), PitchInputs(LEVEL, float(x[2]))))
 
     step = 1e-5
     slopes = np.column_stack([(rates(x) - rates(-x)) / (2 * step) for x in step * np.eye(3)])

@@ -190,7 +190,7 @@ def test_values_are_forwarded_in_the_aircrafts_name(flown: Path) -> None:
 
 
 def test_a_very_long_history_is_thinned_out(flown: Path) -> None:
-    from daq.identification.live import LiveDerivative, LiveEstimates
+    from daq.identification.estimates import LiveDerivative, LiveEstimates
 
     known = {n: LiveDerivative(n, 1.0, 0.1, 0.1) for n in DERIVATIVES}
     history = LiveHistory()

@@ -253,7 +253,7 @@ def test_stretches_lie_about_movements_in_flight() -> None:
 
 
 def _estimates(time: float, std: float):  # type: ignore[no-untyped-def]
-    from daq.identification.live import LiveDerivative, LiveEstimates
+    from daq.identification.estimates import LiveDerivative, LiveEstimates
 
     return LiveEstimates(time, time, 100, {"Cl_p": LiveDerivative("Cl_p", -0.5, std, std)}, ())
 
