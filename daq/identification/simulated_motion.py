@@ -93,7 +93,7 @@ class _Simulation(Generic[State, Inputs]):
     def __init__(self, airframe: Airframe, regression: Regression) -> None:
         self._airframe = airframe
         self.values = {n: airframe.believed(n) for n in regression.derivatives}
-        self.motion = self.nowhere
+        self.motion: State = self.nowhere
 
     def restart(self, sample: Sample) -> None:
         """Begin anew from measured motion."""

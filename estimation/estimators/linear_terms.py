@@ -14,7 +14,7 @@ from estimation.models.numeric import FUNCTIONS
 
 PLANES = (LATERAL, LONGITUDINAL)
 OPTIONAL = ("beta", "p", "r", "phi", "ay")  # of the pitching plane by itself: zero where a flight does not have them
-LINEAR = "beta, p_hat, r_hat, delta_a, delta_r in CY Cl Cn, alpha, q_hat, delta_e in CL Cm, CL^2 in CD"
+LINEAR = "beta, p_hat, r_hat, delta_a, delta_r in CY Cl Cn, alpha, q_hat, delta_e in CL CD Cm, CL^2 in CD"
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def _with_terms(plane: Regression, names: set[str]) -> Regression | None:
 def _possible_terms(plane: Regression, equation: Equation) -> dict[str, str]:
     """Those that an equation has anyhow first, in their order."""
     further_terms = {f"{equation.coefficient}_{c}": c for c in plane.columns if c not in ("0", "CL2")}
-    return {**equation.terms, **({} if equation.coefficient == "CD" else further_terms)}
+    return {**equation.terms, **further_terms}
 
 
 def _column_of(model: Model, name: str) -> str | None:
