@@ -22,7 +22,7 @@ SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
 MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
 NONE_MOVED = "no control has moved yet"
 DENSE = 0.06  # s between scans up to which it is known well enough how surfaces move from one to the next
-SHAPE, SHAPE_NO_LAG = 0.035, 0.09
+SHAPE, SHAPE_NO_LAG = 0.035, 0.05
 """Of a derivative of a moment: what an unknown way of the surfaces between scans 0.1 s apart is worth, where the servos' lag is
 known and where it is not; it grows with the square of the interval. Found by simulation without noise."""
 LEARN = 1.0  # s between two lookings at what the instruments are simulated with

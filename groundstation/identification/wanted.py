@@ -32,7 +32,7 @@ def wanted_bounds(beliefs: Mapping[str, Belief], known: Mapping[str, LiveDerivat
     The size is the larger of what is told and what is believed; constants are not aimed at.
     """
     bounds = {}
-    for name in known:
+    for name in {**known, **beliefs}:
         if name.endswith("_0"):
             continue
         belief = beliefs.get(name)
