@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from statistics import fmean, pstdev
 
 from daq.contract.scan import Scan
-from daq.sensors.config import Axis, Mounting, SensorsConfig, check_mounting
+from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
+from daq.sensors.mounting import Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
 

@@ -23,9 +23,9 @@ from daq.acquisition.supervisor import GroupOutcome, Supervisor
 from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
+from daq.sensors.base import Driver, Surroundings
 from daq.sensors.bus import I2cBus, SerialPortCalls
-from daq.sensors.config import SensorsConfig
-from daq.sensors.registry import Surroundings, build_drivers
+from daq.sensors.config import SensorsConfig, build_drivers
 from daq.sensors.timebase import TimeBase
 
 BUDGET = 0.8
@@ -38,10 +38,6 @@ BUS_RETRY_LIMIT_NS = 1_000_000_000
 START_LIMIT_NS = 6_000_000_000
 SHARED_RATE_HZ = 50.0
 """At scan rates above twice this all groups but the IMU are read so often only, unless the configuration says `every`."""
-
-# Order of precedence on the bus. Converters first: they work while the others are read.
-_ORDER = ("analog_a", "analog_b", "analog_c", "imu", "pitot", "capture", "mag", "static", "thrust")
-_BEGUN_FIRST = frozenset(_ORDER[:5])  # these are begun before any converter is served again
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +96,13 @@ class Sampler:
         self._budget_ns = round(BUDGET * self._period_ns)
         latency = config.gnss.arrival_s if config.gnss else 0.0
         self.timebase = TimeBase(round(latency * 1e9), self._period_ns)
-        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase)
+        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase, config.section)
         now = clock.monotonic_ns()
         self._supervisors = {
             group: Supervisor(driver, config.section(group), config.health, self._every(group, driver, rate_hz), now)
             for group, driver in build_drivers(config, around).items()
         }
-        ranked = sorted(self._supervisors.values(), key=lambda s: _ORDER.index(s.group) if s.group in _ORDER else 99)
+        ranked = sorted(self._supervisors.values(), key=lambda s: s.driver.precedence)
         self._on_bus = [s for s in ranked if s.driver.uses_i2c]
         self._on_serial = [s for s in ranked if not s.driver.uses_i2c]
         self._all = (*self._on_serial, *self._on_bus)
@@ -118,12 +114,12 @@ class Sampler:
         self._audit_turn = 0
         self._last_audit_ns = now
 
-    def _every(self, group: str, driver: "object", rate_hz: float) -> int:
+    def _every(self, group: str, driver: Driver, rate_hz: float) -> int:
         chosen: int | None = self._config.section(group).every
         if chosen is not None:
             return chosen
-        highest = getattr(driver, "max_rate_hz", rate_hz)
-        if group != "imu" and getattr(driver, "uses_i2c", False) and rate_hz > 2 * SHARED_RATE_HZ:
+        highest = driver.max_rate_hz
+        if group != "imu" and driver.uses_i2c and rate_hz > 2 * SHARED_RATE_HZ:
             highest = min(highest, SHARED_RATE_HZ)
         return max(1, math.ceil(rate_hz / highest - 1e-9))
 
@@ -262,7 +258,7 @@ class Sampler:
         for supervisor in waiting:
             ready = supervisor.ready_ns
             if ready is None:
-                if supervisor.starved or supervisor.group in _BEGUN_FIRST:
+                if supervisor.starved or supervisor.driver.begun_first:
                     return supervisor
                 willing = willing or supervisor
             elif ready <= now:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 from daq.acquisition.health import WELL, GroupWatch, HealthRecord
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, Wait
+from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, SensorSection, Wait
 from daq.sensors.bus import TIMEOUT_ERRNOS
-from daq.sensors.config import HealthConfig, SensorSection
+from daq.sensors.config import HealthConfig
 
 REPETITIONS = 3
 """How often a sample that failed is begun again within a scan, while the scan's budget lasts."""

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from daq.sensors.config import Address, NotNegative, Positive
+from daq.sensors.base import Address, NotNegative, Positive
 
 LEAST_RATE_HZ = 50.0
 """Frames a second: manoeuvre files have a sample every 20 ms, and 10 Hz has been found too slow in flight (PX4 #25775)."""

@@ -15,13 +15,12 @@ from struct import Struct
 from fastcrc import crc16
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
+from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Surroundings, Wait
 from daq.sensors.bus import SerialPortCalls
-from daq.sensors.config import CaptureConfig
+from daq.sensors.capture import CaptureConfig
 
 SERVO_OUTPUT_RAW, CRC_EXTRA = 36, 222
 V1, V2 = 0xFE, 0xFD
-_SIGNED = 0x01
 _PAYLOAD = Struct("<I8HB")
 _STALE = SECOND // 2
 
@@ -51,7 +50,7 @@ def servo_frames(buffer: bytearray) -> Iterator[bytes]:
 class MavlinkServo(Driver):
     """Pulse widths [0.1 us] of outputs 1 to 6."""
 
-    group = "capture"
+    name, groups, group = "mavlink_servo", ("capture",), "capture"
     uses_i2c = False
     max_rate_hz = 50.0
 
@@ -62,6 +61,10 @@ class MavlinkServo(Driver):
         self._buffer = bytearray()
         self._newest: tuple[int, ...] | None = None
         self._newest_ns = 0
+
+    @classmethod
+    def build(cls, group: str, around: Surroundings) -> Driver:
+        return cls(around.section(group), around.need_port(around.autopilot, group), around.now_ns)
 
     def initialise(self) -> Generator[Wait, None, None]:
         asked_ns = self._now()

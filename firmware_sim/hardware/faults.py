@@ -13,30 +13,17 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from firmware_sim.errors import ScenarioError
+from firmware_sim.hardware.board import ADDRESSES, VALUE_DEVICES
 from firmware_sim.hardware.bus import Disturbance
 from firmware_sim.hardware.registers.chip import Inputs
 
 OnWires = Literal["absent", "nack", "stuck_bus", "slow_bus", "stuck_value", "spikes", "torn_gnss", "power_dip"]
 Kind = OnWires | Literal["sd_stall", "sd_slow", "disk_full", "card_gone", "clock_step", "radio_lost"]
 
-ADDRESSES: Mapping[str, int] = {
-    **{"imu": 0x68, "mag": 0x0C, "analog_a": 0x48, "analog_b": 0x49, "analog_c": 0x4A},
-    **{"pitot": 0x28, "static": 0x77, "thrust": 0x2A, "capture": 0x40},
-    **{"servo_driver": 0x41, "pilot_inputs": 0x42},
-}
-"""Where each chip of the simulated aircraft sits on the bus; the last two only with a sequencer."""
-
-ONLY_WITH_SEQUENCER = frozenset({"servo_driver", "pilot_inputs"})
 _ON_BUS = frozenset({"nack", "slow_bus"})
 _NEEDS_DEVICE = frozenset({"absent", "nack", "stuck_value", "spikes"})
 _TOGETHER: Mapping[str, tuple[str, ...]] = {"imu": ("mag",)}  # one package
 FILE_KINDS = frozenset({"sd_stall", "sd_slow", "disk_full", "card_gone"})
-VALUE_DEVICES = frozenset(
-    (
-        "imu mag pitot static thrust capture pilot_inputs alpha_vane beta_vane elevon_left_pot elevon_right_pot rudder_pot "
-        "supply sensor_supply analog_1 analog_2 analog_3 analog_4 analog_5"
-    ).split()
-)
 
 
 class Fault(BaseModel):

@@ -27,11 +27,11 @@ from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot
-from firmware_sim.hardware.board import Board, build_board
+from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, Wiring, addressed, build_board
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.cockpit import Cockpit, parse_cockpit
-from firmware_sim.hardware.faults import ADDRESSES, ONLY_WITH_SEQUENCER, Events, FaultSet, PowerTaker, parse_faults
+from firmware_sim.hardware.faults import Events, FaultSet, parse_faults
 from firmware_sim.hardware.laboratory import laboratory_chips
 from firmware_sim.hardware.multiplexer import Monostable
 from firmware_sim.hardware.radio import SimulatedRadioLink, parse_radio
@@ -68,7 +68,6 @@ class SimulatedHardware:
     clock: SimulatedClock
     instruments: Instruments
     faults: FaultSet
-    board: Board
     bus: SimulatedBus
     gnss: GnssReceiver
     autopilot: Autopilot
@@ -94,23 +93,20 @@ def build_aircraft(
     """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
-    board = build_board(instruments, faults, cockpit)
-    own = laboratory_chips(extra, instruments)
-    for address in own.keys() & board.chips.keys():
+    board = build_board(Wiring(instruments, faults.bend, faults.quiet, cockpit))
+    chips, laboratory = addressed(board), laboratory_chips(extra, instruments)
+    for address in laboratory.keys() & chips.keys():
         raise ScenarioError(
             f"sensors.extra: address 0x{address:02x} is taken by a chip of the aircraft; choose another"
         )
-    bus = SimulatedBus(clock, {**board.chips, **own}, instruments.models.bus, faults.disturb)
+    bus = SimulatedBus(clock, {**chips, **laboratory}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
-    powered: dict[str, PowerTaker] = {
-        device: board.chips[address] for device, address in ADDRESSES.items() if address in board.chips
-    }
-    events = Events(faults, {**powered, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
+    events = Events(faults, {**board, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
     events.at(origin)
     if events.any_left:
         clock.on_advance(events.at)
-    return SimulatedHardware(clock, instruments, faults, board, bus, gnss, autopilot, events)
+    return SimulatedHardware(clock, instruments, faults, bus, gnss, autopilot, events)
 
 
 @dataclass(frozen=True, slots=True)

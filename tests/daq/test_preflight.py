@@ -17,7 +17,8 @@ from daq.config import LoggerConfig, PreflightConfig
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
 from daq.recorder.storage import RealStorage, in_memory
-from daq.sensors.config import ImuConfig, SensorsConfig
+from daq.sensors.config import SensorsConfig
+from daq.sensors.icm20948 import ImuConfig
 from daq.service.checks import PreflightVerdict
 from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen

@@ -9,8 +9,7 @@ from daq.contract.scan import RawValue, SensorState
 from daq.contract.sequencing import Switch, switch_position
 from daq.sensors.base import NO_VALUES, SensorError
 from daq.sensors.bus import I2cBus
-from daq.sensors.capture import Capture
-from daq.sensors.config import CaptureConfig
+from daq.sensors.capture import Capture, CaptureConfig
 
 US_PER_COUNT = 0.1
 
