@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 from daq.acquisition.attitude import AttitudeFilter
-from daq.acquisition.health import HealthRecord
+from daq.acquisition.health import GroupHealth
 from daq.acquisition.supervisor import GroupOutcome
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.config import SensorsConfig
@@ -25,7 +25,9 @@ class AttitudeSource:
     def __init__(self, config: SensorsConfig, imu_rate_hz: float, now_ns: int) -> None:
         assert config.attitude is not None
         imu = config.section("imu")
-        self.record = HealthRecord("attitude", SensorState.RECOVERING, now_ns, config.attitude.required)
+        self.record = GroupHealth(
+            "attitude", SensorState.RECOVERING, since_ns=now_ns, required=config.attitude.required
+        )
         gyro_range = getattr(imu, "gyro_range_dps", 500)
         self._accel_scale = 9.80665 / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
         self._gyro_scale = math.radians(1 / COUNTS_PER_DPS[gyro_range])

@@ -14,11 +14,11 @@ Offsets may be negative: a conversion begun in one scan can end in the next, and
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from daq.acquisition.attitude_source import AttitudeSource
-from daq.acquisition.health import HealthRecord, HealthSummary
+from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.supervisor import GroupOutcome, Supervisor
 from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
@@ -318,8 +318,8 @@ class Sampler:
         if self._attitude is not None:
             records["attitude"] = self._attitude.record
         now = self._clock.monotonic_ns()
-        off = {g: HealthRecord(g, SensorState.OFF, now, required=False) for g in self._off}
-        groups = tuple((records.get(g) or off[g]).snapshot() for g in GROUP_NAMES)
+        off = {g: GroupHealth(g, SensorState.OFF, since_ns=now, required=False) for g in self._off}
+        groups = tuple(replace(records.get(g) or off[g]) for g in GROUP_NAMES)
         return HealthSummary(now, groups, self._bus_held)
 
     def metadata(self) -> dict[str, str]:

@@ -8,7 +8,7 @@ marked recovering before they count. Every exception of a driver that means trou
 from collections.abc import Generator, Mapping
 from typing import NamedTuple
 
-from daq.acquisition.health import WELL, GroupWatch, HealthRecord
+from daq.acquisition.health import WELL, GroupHealth, GroupWatch
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, SensorSection, Wait
@@ -47,7 +47,9 @@ class Supervisor:
         self.driver = driver
         self.group = driver.group
         self.every = every
-        self.record = HealthRecord(self.group, SensorState.ABSENT, now_ns, section.required)
+        self.record = GroupHealth(
+            self.group, SensorState.ABSENT, "not set up yet", since_ns=now_ns, required=section.required
+        )
         self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
         self.ready_ns: int | None = None  # when the sample under way can go on [ns]; None when there is none
         self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
@@ -102,12 +104,12 @@ class Supervisor:
         self._stale_since_ns = None
         self._watch.forget()
         self.record.setups += 1
-        self.record.turn(SensorState.OK if trusted else SensorState.RECOVERING, now_ns)
+        self.record.note(SensorState.OK if trusted else SensorState.RECOVERING, "", now_ns)
 
     def _setup_failed(self, state: SensorState, detail: str, now_ns: int) -> None:
         self._setup = None
         self._lost_state, self._lost_detail = state, detail
-        self.record.turn(state, now_ns, detail)
+        self.record.note(state, detail, now_ns)
         self._next_try_ns = now_ns + self._pause_ns
         self._pause_ns = min(2 * self._pause_ns, round(self._config.retry_limit_s * SECOND))
 
@@ -122,7 +124,6 @@ class Supervisor:
         self.driver.keep_timing()
         self._watch.forget()
         self.starved = False
-        self.record.forget_scans()
 
     # -- reading ----------------------------------------------------------------------------------------------
 

@@ -8,8 +8,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from daq.actuation.config import SequencerConfig
+from daq.actuation.config import EnvelopeConfig, SequencerConfig
 from daq.contract.scan import RawValue, Scan, SensorState
+from daq.contract.sequencing import Reason
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_G
 from daq.sensors.ms4525do import nominal_transfer
@@ -97,3 +98,36 @@ class MotionReader:
     def _height(self, now_ns: int) -> float | None:
         height = self._scaled("gnss", "height_msl_mm", now_ns, 1e-3)
         return None if height is None else height - self._elevation
+
+
+class FlightEnvelope:
+    """Judges a motion against the configured limits; a watched quantity that is not known is a stale sensor."""
+
+    def __init__(self, limits: EnvelopeConfig) -> None:
+        bank = None if limits.bank_deg is None else (-math.radians(limits.bank_deg), math.radians(limits.bank_deg))
+        alpha = (
+            None if limits.alpha_deg is None else (math.radians(limits.alpha_deg[0]), math.radians(limits.alpha_deg[1]))
+        )
+        degree, plain = math.degrees(1.0), 1.0
+        rows = (
+            ("bank", bank, Reason.BANK, degree, "deg"),
+            ("load_factor", limits.load_factor, Reason.LOAD_FACTOR, plain, ""),
+            ("airspeed", limits.airspeed, Reason.AIRSPEED, plain, "m/s"),
+            ("alpha", alpha, Reason.ALPHA, degree, "deg"),
+            ("height", limits.height_m, Reason.HEIGHT, plain, "m"),
+        )
+        self._rows = [
+            (name, limit, reason, scale, unit) for name, limit, reason, scale, unit in rows if limit is not None
+        ]
+
+    def judge(self, motion: MotionState) -> tuple[Reason, str] | None:
+        """The first thing that is wrong, stale sensors before limits; None inside."""
+        for name, *_ in self._rows:
+            if getattr(motion, name) is None:
+                return Reason.SENSOR, f"no {name.replace('_', ' ')}"
+        for name, (low, high), reason, scale, unit in self._rows:
+            value = getattr(motion, name)
+            if not low <= value <= high:
+                allowed = f"{low * scale:.3g} to {high * scale:.3g} {unit}".rstrip()
+                return reason, f"{value * scale:.3g} outside {allowed}"
+        return None

@@ -12,9 +12,8 @@ from enum import Enum, auto
 from statistics import median
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.envelope import FlightEnvelope
-from daq.actuation.proof import OutputTrial
-from daq.actuation.seen import Glimpse, Seen
+from daq.actuation.motion import FlightEnvelope
+from daq.actuation.output import Glimpse, OutputTrial, Seen, SequencerCommand
 from daq.actuation.servos import STILL, ConfiguredServo, Increments, ServoManoeuvre
 from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch
 
@@ -26,19 +25,6 @@ FOLLOW_S = 0.15
 """Servo pulses are read back up to so late: a cycle of the chip, one of the co-processor, two scans, and one to spare."""
 FOLLOW_US = 25.0
 """They may differ by so much: two steps of 4.9 us, jitter of 10 us, and the co-processor's rounding."""
-
-
-@dataclass(frozen=True, slots=True)
-class SequencerCommand:
-    """What to do. pulses: for each output [us], None for none. words: what to tell, empty without a transition."""
-
-    state: State
-    reason: Reason
-    elapsed_s: float = 0.0
-    increments: Increments = STILL
-    pulses: tuple[float, ...] | None = None
-    limited: bool = False
-    words: str = ""
 
 
 class SequencerRequest(Enum):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.actuation.config import CONTROLS, SequencerConfig
-from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
+from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError, load_manoeuvre
 
 Increments = tuple[float, ...]
 """One value for each of CONTROLS [rad]."""
@@ -124,3 +124,21 @@ def _check_moved(manoeuvre: Manoeuvre, servos: Sequence[ConfiguredServo]) -> Non
             raise ManoeuvreError(
                 f"manoeuvre: moves {control}, but no [sequencer.output] does; wire it or design without it"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFinding:
+    """One thing tried: well or not, in words."""
+
+    what: str
+    well: bool
+    text: str
+
+
+def try_manoeuvre(config: SequencerConfig) -> TrialFinding:
+    """Whether the configured manoeuvre is one this aircraft may fly."""
+    try:
+        plan = plan_of(load_manoeuvre(config.manoeuvre), config)
+    except ManoeuvreError as error:
+        return TrialFinding("manoeuvre", False, str(error))
+    return TrialFinding("manoeuvre", True, f"{plan.digest[:6]}, {plan.duration_s:.1f} s, within this aircraft's limits")

@@ -5,11 +5,27 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from typing import Annotated
 
-from daq.companion.config import IdentificationConfig
+from pydantic import BaseModel, ConfigDict, Field
+
 from daq.companion.wire import LONGEST_LINE, CompanionReply, Setup, frame, read_answer, setup_frame
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.scan import Scan, encode_scan
+
+
+class IdentificationConfig(BaseModel):
+    """Needs `calibration`, and `aircraft.file` or a built-in `aircraft.name`.
+
+    every_s: time between two answers. command: the process; empty: this Python's own `-m sideslip.onboard`. niceness: its own.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    every_s: Annotated[float, Field(ge=1.0, le=600.0)] = 5.0
+    command: tuple[str, ...] = ()
+    niceness: Annotated[int, Field(ge=0, le=19)] = 10
+
 
 NAME = "identification"
 BACKLOG = 1 << 20  # bytes that wait for the pipe: two minutes at 20 Hz, while the process starts or swaps

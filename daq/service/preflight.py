@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from daq.acquisition.health import GroupHealth, HealthSummary
-from daq.actuation.devices import Devices
-from daq.actuation.trials import findings
+from daq.actuation.actuation import Devices, findings
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
-from daq.service.checks import PreflightCheck, PreflightVerdict
-from daq.service.rest_checks import rest_checks
+from daq.service.checks import PreflightCheck, PreflightVerdict, rest_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
 _PROBE_BYTES = 64 * 1024

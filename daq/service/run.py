@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 
 from daq.acquisition.sampler import Sampler
-from daq.actuation.devices import Devices
+from daq.actuation.actuation import Devices
 from daq.actuation.pwm.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import RealClock
@@ -23,10 +23,9 @@ from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
 from daq.service.checks import PreflightCheck, PreflightVerdict
-from daq.service.notify import Notifier
 from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
-from daq.service.realtime import GarbageDiscipline, prepare_process
+from daq.service.realtime import GarbageDiscipline, Notifier, prepare_process
 from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort

@@ -8,20 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
-from firmware_sim.hardware.bus import Chip
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
 from firmware_sim.hardware.registers.ak09916 import Ak09916Chip
 from firmware_sim.hardware.registers.bmp390 import Bmp390Chip
 from firmware_sim.hardware.registers.capture import CaptureChip
-from firmware_sim.hardware.registers.chip import Inputs
+from firmware_sim.hardware.registers.chip import Inputs, PoweredChip
 from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
 from firmware_sim.hardware.registers.ms4525do import Ms4525doChip
 from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
 from firmware_sim.hardware.sensing.instruments import Instruments
-from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels
-from firmware_sim.hardware.sensing.signals import AT
+from firmware_sim.hardware.sensing.sensor_models import AT, NAU7802_GAIN, SensorModels
 
 ADC_WIRING: dict[str, tuple[str, str, str, str]] = {
     "analog_a": ("alpha_vane", "beta_vane", "elevon_left_pot", "elevon_right_pot"),
@@ -35,7 +33,7 @@ MAG_FROM_CHIP = np.diag((1.0, -1.0, -1.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Wiring:
+class BoardWiring:
     """What chips are connected to. bend: the inputs of a device with its value faults in them, the same inputs without any.
 
     stuck: whether a device's measuring part is at a time [ns]. chips: those made so far, by device.
@@ -45,10 +43,10 @@ class Wiring:
     bend: Callable[[str, Inputs], Inputs] = lambda device, inputs: inputs
     stuck: Callable[[str, int], bool] = lambda device, now_ns: False
     cockpit: Cockpit | AutopilotCockpit | None = None
-    chips: dict[str, Chip] = field(default_factory=dict)
+    chips: dict[str, PoweredChip] = field(default_factory=dict)
 
 
-def build_board(wiring: Wiring) -> dict[str, Chip]:
+def build_board(wiring: BoardWiring) -> dict[str, PoweredChip]:
     """All chips of the aircraft by device; with a cockpit the servo driver and the second capture co-processor too."""
     for device, (_, make) in CHIPS.items():
         if device not in ONLY_WITH_SEQUENCER or isinstance(wiring.cockpit, Cockpit):
@@ -56,14 +54,14 @@ def build_board(wiring: Wiring) -> dict[str, Chip]:
     return wiring.chips
 
 
-def addressed(board: Mapping[str, Chip]) -> dict[int, Chip]:
+def addressed(board: Mapping[str, PoweredChip]) -> dict[int, PoweredChip]:
     """The same chips by bus address; a servo driver answers at that of all such chips too."""
     chips = {ADDRESSES[device]: chip for device, chip in board.items()}
     driver = board.get("servo_driver")
     return chips if not isinstance(driver, Pca9685Chip) else {**chips, ALLCALL_ADDRESS: AllCall(driver)}
 
 
-def _imu(wiring: Wiring, device: str) -> Chip:
+def _imu(wiring: BoardWiring, device: str) -> PoweredChip:
     instruments = wiring.instruments
     models = instruments.models.imu
     chip_from_body = np.array(models.body_from_chip).T
@@ -80,7 +78,7 @@ def _imu(wiring: Wiring, device: str) -> Chip:
     return imu
 
 
-def _mag(wiring: Wiring, device: str) -> Chip:
+def _mag(wiring: BoardWiring, device: str) -> PoweredChip:
     models, imu = wiring.instruments.models, wiring.chips["imu"]
     assert isinstance(imu, Icm20948Chip)
     turn = MAG_FROM_CHIP @ np.array(models.imu.body_from_chip).T
@@ -91,7 +89,7 @@ def _mag(wiring: Wiring, device: str) -> Chip:
     return mag
 
 
-def _pitot(wiring: Wiring, device: str) -> Chip:
+def _pitot(wiring: BoardWiring, device: str) -> PoweredChip:
     raw = wiring.instruments.inputs("pitot_pressure", "pitot_temperature")
     sigma, rng = wiring.instruments.models.pitot.noise_pa, wiring.instruments.generator(device)
 
@@ -102,7 +100,7 @@ def _pitot(wiring: Wiring, device: str) -> Chip:
     return Ms4525doChip(wiring.bend(device, inputs))
 
 
-def _static(wiring: Wiring, device: str) -> Chip:
+def _static(wiring: BoardWiring, device: str) -> PoweredChip:
     model = wiring.instruments.models.static
     inputs = wiring.bend(device, wiring.instruments.inputs("static_pressure", "static_temperature"))
     static = Bmp390Chip(inputs, (model.noise_pa, model.noise_k), wiring.instruments.generator(device))
@@ -110,14 +108,14 @@ def _static(wiring: Wiring, device: str) -> Chip:
     return static
 
 
-def _thrust(wiring: Wiring, device: str) -> Chip:
+def _thrust(wiring: BoardWiring, device: str) -> PoweredChip:
     instruments = wiring.instruments
     raw, rng, model = instruments.inputs("thrust_bridge"), instruments.generator(device), instruments.models.thrust
     sigma = abs(model.noise_n * model.counts_per_newton) * 0.5 / (NAU7802_GAIN * 2**23)
     return Nau7802Chip(wiring.bend(device, lambda time_ns: (raw(time_ns)[0] + sigma * rng.standard_normal(),)))
 
 
-def _capture(wiring: Wiring, device: str) -> Chip:
+def _capture(wiring: BoardWiring, device: str) -> PoweredChip:
     names = (*(f"pwm_{i}" for i in range(1, 7)), *(f"digital_{i}" for i in range(1, 6)))
     raw, rng = wiring.instruments.inputs(*names), wiring.instruments.generator(device)
     sigma = wiring.instruments.models.capture.jitter_us * 1e-6
@@ -132,7 +130,7 @@ def _capture(wiring: Wiring, device: str) -> Chip:
     return CaptureChip(wiring.bend(device, inputs))
 
 
-def _pilot_inputs(wiring: Wiring, device: str) -> Chip:
+def _pilot_inputs(wiring: BoardWiring, device: str) -> PoweredChip:
     cockpit, rng = wiring.cockpit, wiring.instruments.generator(device)
     sigma = wiring.instruments.models.capture.jitter_us * 1e-6
     assert isinstance(cockpit, Cockpit)
@@ -145,18 +143,18 @@ def _pilot_inputs(wiring: Wiring, device: str) -> Chip:
     return CaptureChip(wiring.bend(device, inputs))
 
 
-def _servo_driver(wiring: Wiring, device: str) -> Chip:
+def _servo_driver(wiring: BoardWiring, device: str) -> PoweredChip:
     assert isinstance(wiring.cockpit, Cockpit)
     return wiring.cockpit.chip
 
 
-def _converter(wiring: Wiring, device: str) -> Chip:
+def _converter(wiring: BoardWiring, device: str) -> PoweredChip:
     clock_error = float(wiring.instruments.generator(f"{device} clock").uniform(-0.08, 0.08))
     sources = [_volts(wiring, name) for name in ADC_WIRING[device]]
     return Ads1115Chip(lambda channel, time_ns: sources[channel](time_ns), clock_error)
 
 
-def _volts(wiring: Wiring, name: str) -> Callable[[int], float]:
+def _volts(wiring: BoardWiring, name: str) -> Callable[[int], float]:
     index, instruments = AT[name], wiring.instruments
     rng, sigma = instruments.generator(name), converter_noise(instruments.models, name)
 
@@ -170,7 +168,7 @@ def _volts(wiring: Wiring, name: str) -> Callable[[int], float]:
     return volts if bent is inputs else lambda time_ns: float(bent(time_ns)[0])
 
 
-CHIPS: Mapping[str, tuple[int, Callable[[Wiring, str], Chip]]] = {
+CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
     "imu": (0x68, _imu),
     "pitot": (0x28, _pitot),
     "capture": (0x40, _capture),

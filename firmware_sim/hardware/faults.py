@@ -10,12 +10,12 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.board import ADDRESSES, VALUE_DEVICES
 from firmware_sim.hardware.bus import Disturbance
 from firmware_sim.hardware.registers.chip import Inputs
+from firmware_sim.tables import SimulatorTable, checked
 
 OnWires = Literal["absent", "nack", "stuck_bus", "slow_bus", "stuck_value", "spikes", "torn_gnss", "power_dip"]
 Kind = OnWires | Literal["sd_stall", "sd_slow", "disk_full", "card_gone", "clock_step", "radio_lost"]
@@ -26,7 +26,7 @@ _TOGETHER: Mapping[str, tuple[str, ...]] = {"imu": ("mag",)}  # one package
 FILE_KINDS = frozenset({"sd_stall", "sd_slow", "disk_full", "card_gone"})
 
 
-class Fault(BaseModel):
+class Fault(SimulatorTable):
     """One line of `[[faults]]`.
 
     absent: `device` is unplugged, and comes back with its settings lost (the magnetometer goes with the imu). nack: it does
@@ -37,8 +37,6 @@ class Fault(BaseModel):
     returns at its end. sd_slow: each write takes `size` seconds. disk_full, card_gone: writes fail with ENOSPC, EIO.
     clock_step: the machine's UTC jumps by `size` seconds. radio_lost: nothing gets through.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     kind: Kind
     device: str | None = None
@@ -67,15 +65,7 @@ class Fault(BaseModel):
 
 def parse_faults(lines: Sequence[Mapping[str, Any]], where: str) -> tuple[Fault, ...]:
     """The fault lines of a scenario; raises ScenarioError naming the line and key."""
-    faults = []
-    for i, line in enumerate(lines):
-        try:
-            faults.append(Fault.model_validate(line))
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(["faults", str(i + 1), *(str(part) for part in first["loc"])])
-            raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}") from error
-    return tuple(faults)
+    return tuple(checked(Fault, line, where, "faults", str(i + 1)) for i, line in enumerate(lines))
 
 
 class FaultSet:

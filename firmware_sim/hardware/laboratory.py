@@ -8,19 +8,19 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 
 from daq.sensors.config import ExtraConfig
-from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.bus import Chip
+from firmware_sim.hardware.registers.chip import PoweredChip
 from firmware_sim.hardware.sensing.instruments import Instruments
+from firmware_sim.tables import ScenarioError
 
 ENTRY_POINTS = "sideslip.chips"
 
 
-def laboratory_chips(extra: Mapping[str, ExtraConfig], instruments: Instruments) -> dict[int, Chip]:
+def laboratory_chips(extra: Mapping[str, ExtraConfig], instruments: Instruments) -> dict[int, PoweredChip]:
     """Chips by bus address for the sensors of one's own that have one; a sensor without one is absent in flight.
 
     Raises ScenarioError for a chip that cannot be had or whose address the configuration does not say.
     """
-    chips: dict[int, Chip] = {}
+    chips: dict[int, PoweredChip] = {}
     for group, section in extra.items():
         for entry in entry_points(group=ENTRY_POINTS, name=group):
             if section.address is None:

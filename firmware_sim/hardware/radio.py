@@ -10,14 +10,14 @@ import math
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from firmware_sim.errors import ScenarioError
+from firmware_sim.tables import SimulatorTable
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -31,10 +31,8 @@ TTY_BYTES = 4096  # what the operating system holds for the serial line
 FLUSH_NS = 50_000_000  # an unfinished frame is sent on after this
 
 
-class RadioModel(BaseModel):
+class RadioModel(SimulatorTable):
     """Scenario table `[radio]`. drop, duplicate: shares of packets. Rates are per byte or bit on the air."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     drop: Share = 0.0
     duplicate: Share = 0.0
@@ -56,16 +54,6 @@ class RadioModel(BaseModel):
     status_protocol: Literal[1, 2] = 1
     rssi: Annotated[int, Field(ge=0, le=254)] = 190
     noise: Annotated[int, Field(ge=0, le=254)] = 40
-
-
-def parse_radio(table: Mapping[str, Any], where: str) -> RadioModel:
-    """The `[radio]` table of a scenario; raises ScenarioError naming the key."""
-    try:
-        return RadioModel.model_validate(dict(table))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(["radio", *(str(part) for part in first["loc"])])
-        raise ScenarioError(f"scenario {where}: {key}: {first['msg']}") from error
 
 
 @dataclass(slots=True)
@@ -359,9 +347,3 @@ def x25(data: bytes) -> int:
         mixed = (mixed ^ mixed << 4) & 0xFF
         crc = (crc >> 8 ^ mixed << 8 ^ mixed << 3 ^ mixed >> 4) & 0xFFFF
     return crc
-
-
-def expected_loss(model: RadioModel, packet_bytes: int) -> float:
-    """Share of packets of this size that do not arrive whole, bursts apart."""
-    whole = (1.0 - model.bit_error_rate) ** (8 * packet_bytes) * (1.0 - model.byte_drop_rate) ** packet_bytes
-    return 1.0 - (1.0 - model.drop) * whole

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from estimation.aircraft import Aircraft, SimulatedFlight
-from firmware_sim.errors import ScenarioError
+from firmware_sim.tables import ScenarioError
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.aircraft import Aircraft, Engine, Servos
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import Aerodynamics
 from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
 from firmware_sim.physics.effects.base import HiddenEffect, overrides
 from firmware_sim.physics.maths import Maths, State, Value
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.wind import GUST_STATES, Gusts
+from firmware_sim.tables import ScenarioError
 
 # Layout of the state: u v w, p q r, quaternion, north east down, servo arms left right rudder, thrust, gusts, effects.
 VELOCITY, RATES, ATTITUDE, POSITION, ARMS, THRUST, GUST = 0, 3, 6, 10, 13, 16, 17

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from daq.contract.durable import write_text
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.runs.flight import FlightFiles, prepare_flight
-from firmware_sim.toml_text import toml_text
-from firmware_sim.world.ground import direction_cosines, quaternion
+from firmware_sim.tables import ScenarioError, toml_text
+from firmware_sim.world.ground import direction_cosines
 from firmware_sim.world.scenario import scenario_from
 from firmware_sim.world.truth import Truth
 
@@ -150,52 +149,34 @@ def bench_truth(time: float, pose: Pose, models: SensorModels, site: Site | None
     mx, my, mz = (float(b) for b in turn @ np.array(site.magnetic_ned_t))
     p, q, r = pose.rates
     phi, theta, psi = pose.attitude
-    sensed = Sensed(
-        ax=ax,
-        ay=ay,
-        az=az,
-        p=p,
-        q=q,
-        r=r,
-        phi=phi,
-        theta=theta,
-        psi=psi,
-        alpha=alpha,
-        beta=beta,
-        V=pose.speed,
-        arm_left=pose.left,
-        arm_right=pose.right,
-        arm_r=pose.rudder,
-    )
+    left, right, rudder = pose.left, pose.right, pose.rudder
+    sensed = Sensed(ax, ay, az, p, q, r, phi, theta, psi, alpha, beta, pose.speed, left, right, rudder)
     return Truth(
         time=time,
-        phase="ground",
         specific_force=(ax, ay, az),
         rates=pose.rates,
         rate_derivatives=(0.0, 0.0, 0.0),
-        quaternion=quaternion(*pose.attitude),
         phi=phi,
         theta=theta,
         psi=psi,
         alpha=alpha,
         beta=beta,
         V=pose.speed,
-        air_velocity=(pose.speed, 0.0, 0.0),
         wind_ned=(0.0, 0.0, 0.0),
         velocity_ned=(0.0, 0.0, 0.0),
         position_ned=(0.0, 0.0, 0.0),
         latitude=site.latitude_deg,
         longitude=site.longitude_deg,
         altitude=site.elevation_m,
-        left_elevon=pose.left,
-        right_elevon=pose.right,
-        rudder=pose.rudder,
-        surface_e=0.5 * (pose.left + pose.right),
-        surface_a=0.5 * (pose.right - pose.left),
-        surface_r=pose.rudder,
-        cmd_left=pose.left,
-        cmd_right=pose.right,
-        cmd_rudder=pose.rudder,
+        left_elevon=left,
+        right_elevon=right,
+        rudder=rudder,
+        surface_e=0.5 * (left + right),
+        surface_a=0.5 * (right - left),
+        surface_r=rudder,
+        cmd_left=left,
+        cmd_right=right,
+        cmd_rudder=rudder,
         throttle=0.0,
         thrust=pose.load,
         p_static=pressure,

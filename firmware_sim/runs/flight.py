@@ -24,24 +24,22 @@ from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPortCalls
 from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot
-from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, Wiring, addressed, build_board
+from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, BoardWiring, addressed, build_board
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
-from firmware_sim.hardware.cockpit import Cockpit, parse_cockpit
+from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
 from firmware_sim.hardware.faults import Events, FaultSet, parse_faults
 from firmware_sim.hardware.laboratory import laboratory_chips
-from firmware_sim.hardware.multiplexer import Monostable
-from firmware_sim.hardware.radio import SimulatedRadioLink, parse_radio
+from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.gnss import GnssReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments, TruthSource
-from firmware_sim.hardware.sensing.sensor_models import SensorModels, merged, parse_sensors
+from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.hardware.sensing.truth_log import TruthFile
 from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import ScenarioError, checked, merged, toml_text
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.world import World
 
@@ -93,7 +91,7 @@ def build_aircraft(
     """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
-    board = build_board(Wiring(instruments, faults.bend, faults.quiet, cockpit))
+    board = build_board(BoardWiring(instruments, faults.bend, faults.quiet, cockpit))
     chips, laboratory = addressed(board), laboratory_chips(extra, instruments)
     for address in laboratory.keys() & chips.keys():
         raise ScenarioError(
@@ -231,7 +229,7 @@ def prepare_flight(
     craft = load_aircraft(scenario.flight.aircraft)
     models = parse_sensors(merged(placed(craft), scenario.sensors), scenario.name)
     faults = FaultSet(parse_faults(scenario.faults, scenario.name), 0, seed)
-    radio_model = parse_radio(scenario.radio, scenario.name)
+    radio_model = checked(RadioModel, scenario.radio, scenario.name, "radio")
     config, text = logger_config(scenario, folder, config_file, calibration)
     if config.sequencer is not None:
         plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)  # before any file is made
@@ -300,7 +298,7 @@ def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | AutopilotCo
                 f"scenario {scenario.name}: faults: {lonely[0]!r} is there only with a table [sequencer]"
             )
         return None
-    table = parse_cockpit(scenario.sequencer, scenario.name)
+    table = checked(CockpitTable, scenario.sequencer, scenario.name, "sequencer")
     if table.autopilot is not None:
         return AutopilotCockpit(table, scenario.takeoff_s, clock.monotonic_ns() - BEFORE_NS)
     return Cockpit(table, Monostable(clock.monotonic_ns), scenario.takeoff_s)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at, geodetic
 from firmware_sim.physics.effects.base import Sensed
-from firmware_sim.world.truth import Phase, Truth, supply_voltage
+from firmware_sim.world.truth import Truth, supply_voltage
 
 SITTING_PITCH = 0.10  # rad, nose up on its skid
 SITTING_HEIGHT = 0.15  # m of the CG above the field
@@ -130,7 +130,6 @@ class ScriptedPath:
         latitude, longitude = geodetic(self.site, position[0], position[1])
         thrust = share * joint.thrust
         left, right, rudder = share * joint.left_elevon, share * joint.right_elevon, share * joint.rudder
-        phase: Phase = ("launch" if self.launch else "landing") if moving else "ground"
         force_x, force_y, force_z = _triple(force)
         p, q, r = rates
         sensed = Sensed(
@@ -139,17 +138,14 @@ class ScriptedPath:
         return replace(
             joint,
             time=time,
-            phase=phase,
             specific_force=(force_x, force_y, force_z),
             rates=rates,
             rate_derivatives=rate_derivatives,
-            quaternion=quaternion(phi, theta, joint.psi),
             phi=phi,
             theta=theta,
             alpha=alpha,
             beta=beta,
             V=speed,
-            air_velocity=_triple(air),
             velocity_ned=velocity,
             position_ned=position,
             latitude=latitude,
@@ -198,17 +194,4 @@ def direction_cosines(phi: float, theta: float, psi: float) -> Vector:
             [sp * st * cs - cp * ss, sp * st * ss + cp * cs, sp * ct],
             [cp * st * cs + sp * ss, cp * st * ss - sp * cs, cp * ct],
         ]
-    )
-
-
-def quaternion(phi: float, theta: float, psi: float) -> tuple[float, float, float, float]:
-    """Quaternion NED to body, scalar first, of Euler angles [rad]."""
-    sp, cp = math.sin(phi / 2), math.cos(phi / 2)
-    st, ct = math.sin(theta / 2), math.cos(theta / 2)
-    ss, cs = math.sin(psi / 2), math.cos(psi / 2)
-    return (
-        cp * ct * cs + sp * st * ss,
-        sp * ct * cs - cp * st * ss,
-        cp * st * cs + sp * ct * ss,
-        cp * ct * ss - sp * st * cs,
     )

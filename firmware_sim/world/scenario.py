@@ -9,15 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from daq.contract.input_files import read_toml
 from daq.contract.plain_words import file_name, meant
 from estimation.aircraft import load_aircraft
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Shape, StickInput
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import ScenarioError, checked, toml_text
 
 BUILT_IN_FOLDER = Path(__file__).parents[1] / "scenarios"
 
@@ -180,13 +179,8 @@ class Scenario(_ScenarioTable):
 
 def scenario_from(data: Mapping[str, Any], where: str) -> Scenario:
     """A checked scenario; raises ScenarioError naming the key."""
-    try:
-        return _at_flyable_speed(Scenario.model_validate(data), where)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(top level)"
-        hint = f"; axes are {', '.join(AXES)}, shapes {', '.join(SHAPES)}" if key.startswith("manoeuvre.") else ""
-        raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}{hint}") from error
+    hints = {"manoeuvre.": f"; axes are {', '.join(AXES)}, shapes {', '.join(SHAPES)}"}
+    return _at_flyable_speed(checked(Scenario, data, where, hints=hints), where)
 
 
 def _at_flyable_speed(scenario: Scenario, where: str) -> Scenario:

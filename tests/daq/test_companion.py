@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.companion.config import IdentificationConfig
-from daq.companion.process import BACKLOG, Companion
+from daq.companion.process import BACKLOG, Companion, IdentificationConfig
 from daq.companion.wire import CompanionReply, read_answer
 from daq.config import ConfigError, parse_config
 from daq.contract.recordings.messages import LogLevel

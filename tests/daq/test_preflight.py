@@ -11,7 +11,7 @@ import pytest
 from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.acquisition.supervisor import GroupOutcome
-from daq.actuation.devices import Devices
+from daq.actuation.actuation import Devices
 from daq.clock import NS, SimulatedClock
 from daq.config import LoggerConfig, PreflightConfig
 from daq.contract.scan import GroupStatus, Scan, SensorState

@@ -4,8 +4,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from daq.actuation.motion import MotionState
-from daq.actuation.proof import FrequencyProof
-from daq.actuation.seen import Glimpse, Seen
+from daq.actuation.output import Glimpse, Seen
+from daq.actuation.pwm.output import FrequencyProof
 from daq.actuation.sequencer import Sequencer
 from daq.actuation.servos import plan_of, servos_of
 from daq.contract.sequencing import TRANSITIONS, State, Switch

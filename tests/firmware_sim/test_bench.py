@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from daq.contract.recordings.reading import read_recording
-from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.units import calibration_truth
 from firmware_sim.runs.bench_recordings import BenchRig, Pose, SimulatedBench, bench_titles, bench_truth, record_bench
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.ground import direction_cosines
 from groundstation.calibration.bench_work.plan import load_plan
 

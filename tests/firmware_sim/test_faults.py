@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.board import ADDRESSES
 from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.faults import Events, FaultSet, parse_faults
+from firmware_sim.tables import ScenarioError
 from tests.firmware_sim.hardware import CountingClock, steady
 
 SECOND = 1_000_000_000

@@ -229,7 +229,7 @@ class TestAds1115:
         clock = CountingClock()
         bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: 0.0), clock)
         self.convert(bus, 0x42E3)
-        bus.write_byte(0x00, 0x06)
+        bus.i2c_rdwr(i2c_msg.write(0x00, [0x06]))
         assert bus.read_i2c_block_data(0x48, 0x01, 2) == [0x85, 0x83]
 
 

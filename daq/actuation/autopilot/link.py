@@ -2,22 +2,54 @@
 
 MAVLink 2 on a port that never waits. Each RC_CHANNELS is dated by the autopilot's own time since boot, carried to our clock by
 the quickest message of late: one that lay in a buffer, or took its time through a router, is as old as it is.
+
+Two messages are not in the dialect of the link to the ground: MAVLink common.xml. RC_CHANNELS (65): u32 time since boot [ms],
+18 x u16 channel [us], u8 how many, u8 rssi; where ArduPilot overrides a channel it shows the override. RC_CHANNELS_OVERRIDE
+(70): 8 x u16, u8 system, u8 component; channels 9 to 18 are extensions. On channels 1 to 8 a value of 0 releases and 65535
+leaves alone; on 9 to 18 0 leaves alone too, so that a message without them says nothing of them (ArduPilot, GCS_Common.cpp,
+handle_rc_channels_override).
 """
 
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from struct import Struct
+from typing import Protocol
 
-from daq.actuation.autopilot.messages import (
-    RC_CHANNELS,
-    RC_CHANNELS_OVERRIDE,
-    Channels,
-    override_payload,
-    read_channels,
-)
-from daq.actuation.devices import AutopilotPort
 from daq.contract.errors import UserError
-from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of, padded
+
+RC_CHANNELS, RC_CHANNELS_OVERRIDE = 65, 70
+RELEASE, LEAVE = 0, 65535
+SETTABLE = 8
+"""Channels on which 0 releases."""
+_CHANNELS = Struct("<I18HBB")
+_OVERRIDE = Struct("<8HBB")
+_ABSENT = (0, 65535)
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """The pilot's channels as the autopilot takes them, or what stands in their place.
+
+    sampled_ns: when they were, on our clock. widths: by channel number [us]; channels that are not there are left out.
+    """
+
+    sampled_ns: int
+    widths: Mapping[int, float]
+
+
+def read_channels(payload: bytes) -> tuple[int, dict[int, float]]:
+    """Time since boot [ms] and widths [us] of an RC_CHANNELS."""
+    boot_ms, *widths, count, _ = _CHANNELS.unpack(padded(payload, _CHANNELS.size))
+    return boot_ms, {i + 1: float(w) for i, w in enumerate(widths[: min(count, 18)]) if w not in _ABSENT}
+
+
+def override_payload(values: Mapping[int, int], system: int) -> bytes:
+    """An RC_CHANNELS_OVERRIDE to the autopilot of this system id; channels not in `values` are left alone."""
+    widths = [values.get(channel, LEAVE) for channel in range(1, SETTABLE + 1)]
+    return _OVERRIDE.pack(*widths, system, 1)
+
 
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 ASK_NS = 300_000_000  # between two requests of what has not been answered
@@ -27,6 +59,18 @@ _CLOCK_DRIFT = 100e-6  # of the autopilot's clock against ours: twice what a cry
 _RATE_OF = 25  # messages
 _SET_MESSAGE_INTERVAL = 511
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+
+
+class AutopilotPort(Protocol):
+    """A port to an autopilot that never waits: `daq.transport.ports`, or a simulated one."""
+
+    def read(self, limit: int, /) -> bytes:
+        """Bytes that have arrived, at most `limit`."""
+        ...
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send; how many bytes were taken."""
+        ...
 
 
 class AutopilotError(UserError):

@@ -9,8 +9,7 @@ from collections import deque
 from enum import Enum, auto
 from statistics import median
 
-from daq.actuation.proof import OutputTrialResult
-from daq.actuation.seen import Seen
+from daq.actuation.output import OutputTrial, OutputTrialResult, Seen
 from daq.contract.sequencing import Reason
 
 PROBE_US = 5
@@ -43,14 +42,13 @@ class TrialStep(Enum):
 _PROBING = (TrialStep.REFUSED, TrialStep.TAKEN, TrialStep.AGAIN)
 
 
-class OverrideProof:
+class OverrideProof(OutputTrial):
     """longest_s: how long an override may outlive the last message."""
 
     fault = Reason.AUTOPILOT
     unlike = "the autopilot does not show the overrides: cleared by switch or stick, or refused"
 
     def __init__(self, longest_s: float) -> None:
-        self.scale = 1.0
         self._longest_s = longest_s
         self._step, self._since_ns = TrialStep.BASE, 0
         self._visible: deque[tuple[float, ...]] = deque(maxlen=BASE_FRAMES)

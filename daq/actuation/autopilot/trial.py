@@ -6,13 +6,12 @@ autopilot's own gate has to refuse it, and that is tried here.
 
 from collections.abc import Callable, Iterator
 
-from daq.actuation.autopilot.demands import unmet, wrong_parameter
-from daq.actuation.autopilot.output import ArduPilotOutput
+from daq.actuation.autopilot.link import AutopilotPort
+from daq.actuation.autopilot.output import ArduPilotOutput, unmet, wrong_parameter
 from daq.actuation.autopilot.proof import PROBE_US, REFUSED_S
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
-from daq.actuation.devices import AutopilotPort
-from daq.actuation.finding import TrialFinding, try_manoeuvre
-from daq.actuation.seen import Glimpse
+from daq.actuation.output import Glimpse
+from daq.actuation.servos import TrialFinding, try_manoeuvre
 from daq.clock import Clock
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Switch

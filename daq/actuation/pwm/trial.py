@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from statistics import fmean
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.finding import TrialFinding, try_manoeuvre
 from daq.actuation.pwm.heartbeat import HeartbeatLine
-from daq.actuation.pwm.output import ServoDriver
-from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
+from daq.actuation.pwm.output import US_PER_COUNT, PilotInputs, PilotSignals, ServoDriver
+from daq.actuation.servos import TrialFinding, try_manoeuvre
 from daq.clock import Clock
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Switch

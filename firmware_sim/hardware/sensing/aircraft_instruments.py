@@ -6,7 +6,7 @@ from typing import Any
 
 from daq.contract.durable import write_text
 from estimation.aircraft import Aircraft
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import toml_text
 
 _SECTIONS = {"imu": "imu", "alpha_vane": "alpha_vane", "beta_vane": "beta_vane", "gps": "gnss"}
 """Name in the aircraft's file -> table of the scenario's [sensors]."""

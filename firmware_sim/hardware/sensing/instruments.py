@@ -14,8 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.hardware.registers.chip import Inputs
-from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels, TriadModel, VaneModel
-from firmware_sim.hardware.sensing.signals import AT, SIGNALS
+from firmware_sim.hardware.sensing.sensor_models import (
+    AT,
+    NAU7802_GAIN,
+    REFERENCE_TEMPERATURE,
+    SIGNALS,
+    SensorModels,
+    TriadModel,
+    VaneModel,
+)
 from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.world.truth import Truth
 
@@ -24,7 +31,6 @@ Array = NDArray[np.float64]
 GRID_S = 0.005
 HISTORY_S = 4.0  # how far back a chip may still look
 LOWEST_SPEED = 3.0  # m/s; below this the rotation of a vane's place is not divided by ever smaller speeds
-REFERENCE_TEMPERATURE = 298.15
 SUPPLY_NOMINAL_V = 5.0
 HEAT_RATIO, GAS_CONSTANT = 1.4, 287.05287
 

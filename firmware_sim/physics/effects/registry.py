@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.effects import (
     actuator,
     aerodynamic,
@@ -20,6 +19,7 @@ from firmware_sim.physics.effects import (
 )
 from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.maths import Value
+from firmware_sim.tables import ScenarioError
 
 _MODULES = (
     aerodynamic, unsteady, inertial, propulsion, actuator, sensor, environment,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.units import calibration_truth
 from firmware_sim.runs.bench_recordings import record_bench
 from groundstation.calibration.bench_work.bench import fit_bench, fitted_set
 from groundstation.calibration.bench_work.fits import fit_sphere, fit_vectors
