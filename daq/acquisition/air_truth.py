@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean, pstdev
 
+from daq.contract.atmosphere import GRAVITY, SEA_LEVEL_DENSITY, indicated_airspeed
 from daq.contract.scan import Scan
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
@@ -18,8 +19,6 @@ from daq.sensors.mounting import Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
 
-GRAVITY = 9.80665
-DENSITY = 1.225
 WINDOW_S = 5.0
 LOOK_S = 1.0
 MOVING_M_S = 8.0
@@ -71,7 +70,7 @@ class PitotAtRest:
     @property
     def words(self) -> str:
         """The reading for a person, with the airspeed it would be."""
-        speed = math.sqrt(2 * abs(self.offset_pa) / DENSITY)
+        speed = indicated_airspeed(abs(self.offset_pa))
         return f"{self.offset_pa:+.0f} Pa ({speed:.0f} m/s), spread {self.spread_pa:.1f} Pa"
 
 
@@ -220,7 +219,7 @@ class AirTruth:
         if len(pitot) < LEAST_SCANS or math.isnan(self._zero_count):
             return
         pressure = (fmean(pitot) - self._zero_count) * self._scales.pascal
-        by_gps = DENSITY / 2 * speed**2
+        by_gps = SEA_LEVEL_DENSITY / 2 * speed**2
         at = f"at GPS {speed:.0f} m/s"
         if pressure < NEGATIVE_PA:
             words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {at} (limit {NEGATIVE_PA:.0f}): tubes swapped?"

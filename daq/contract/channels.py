@@ -9,6 +9,7 @@ installed packages (`daq.contract.laboratory`) and stand after the built-in ones
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
+from daq.contract.atmosphere import GRAVITY as _G
 from daq.contract.channel_rows import Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType
 
 BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
@@ -25,7 +26,6 @@ BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("gnss", "GPS", "u-blox NAV-PVT"),
 )
 
-_G = 9.80665
 _DEG = 0.017453292519943295
 
 

@@ -9,6 +9,13 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from daq.contract.atmosphere import (
+    GAS_CONSTANT,
+    LAPSE_RATE,
+    SEA_LEVEL_DENSITY,
+    SEA_LEVEL_PRESSURE,
+    SEA_LEVEL_TEMPERATURE,
+)
 from daq.contract.bmp390 import ZERO_CELSIUS, Bmp390Trimming
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import Scan, SensorState
@@ -16,11 +23,6 @@ from daq.telemetry.config import DisplayConfig
 
 Vector = tuple[float, float, float]
 
-GAS_CONSTANT = 287.05287  # J/(kg K); this and what follows: ICAO Doc 7488/3, standard atmosphere
-SEA_LEVEL_PRESSURE = 101325.0
-SEA_LEVEL_TEMPERATURE = 288.15
-SEA_LEVEL_DENSITY = 1.225
-LAPSE_RATE = 0.0065  # K/m, to 11 km
 _DENSITY_EXPONENT = 4.25588  # g / (R L) - 1
 _SOUND_SQUARED = 1.4 * GAS_CONSTANT * SEA_LEVEL_TEMPERATURE
 

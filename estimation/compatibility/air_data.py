@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.atmosphere import SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
     ATTITUDE,
     GUST,
@@ -53,8 +54,6 @@ LEAST_FORCE_NOISE = 0.02
 """Of a specific force [m/s2 per root Hz]: vibration and scale errors that a still sensor does not show."""
 FAST_ATTITUDE = 0.35
 """Part of an attitude's slow error that comes and goes within a second; see docs/compatibility.md."""
-SEA_LEVEL_DENSITY = 1.225
-"""[kg/m3] that calibrated airspeed refers to (ICAO standard atmosphere)."""
 
 
 @dataclass(frozen=True)

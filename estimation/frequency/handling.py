@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.atmosphere import GRAVITY as G
 from estimation.errors import EstimationError
 from estimation.frequency.forms import SURFACE_OF
 from estimation.frequency.response import FrequencyResponse
@@ -21,7 +22,6 @@ from estimation.frequency.transfer import TransferFunction
 
 Array = NDArray[np.float64]
 
-G = 9.80665
 LIGHTEST = 150.0  # kg; the standards were drawn from aircraft with a pilot aboard
 CLASSES = ("I", "II", "III", "IV")
 CATEGORIES = ("A", "B", "C")

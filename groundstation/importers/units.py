@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from daq.contract.atmosphere import GRAVITY as _G
 from groundstation.importers.errors import ImportDataError
 
 
@@ -15,7 +16,6 @@ class Unit:
 
 
 _DEG = 0.017453292519943295
-_G = 9.80665
 _LBF = 4.4482216152605
 _PSI = 6894.757293168
 

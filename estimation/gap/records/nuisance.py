@@ -15,11 +15,11 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
+from daq.contract.atmosphere import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 from groundstation.flight import Flight
 
-GRAVITY = 9.80665
 TIMING = "timing_"  # of what moves late
 TOGETHER = TIMING + "controls"  # all of them
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it

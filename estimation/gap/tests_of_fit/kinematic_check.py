@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.atmosphere import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Group
 from estimation.gap.errors import GapError
@@ -29,7 +30,6 @@ from estimation.models.base import Model, Parameter, ParameterRole, Signal
 from estimation.models.driven import force_states
 from groundstation.flight import Flight
 
-GRAVITY = 9.80665
 NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 

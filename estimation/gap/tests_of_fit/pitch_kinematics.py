@@ -1,9 +1,9 @@
 """The kinematic check of the pitching plane: airspeed, angle of attack and pitch attitude from measured rates and forces."""
 
+from daq.contract.atmosphere import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
 
-GRAVITY = 9.80665
 NEEDED = ("V", "alpha", "theta", "q", "ax", "az")
 ASIDE = ("beta", "p", "r", "phi", "ay")  # taken as zero where a flight does not have them
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from groundstation.flight.atmosphere import (
+from daq.contract.atmosphere import (
     SEA_LEVEL_DENSITY,
     density,
     density_at_altitude,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.atmosphere import GRAVITY
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight.windows import line, summed, windows
 
@@ -17,7 +18,6 @@ Columns = Mapping[str, Array]
 Turned = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
 """Columns -> what they would agree with, and motion against its cause in every window, with them turned."""
 
-GRAVITY = 9.80665
 _DEG = 180 / np.pi
 
 AGREE = 0.85  # share of a motion that has to be explained with a sign turned

@@ -1,15 +1,21 @@
-"""The standard atmosphere's troposphere, and density of the air from what a flight measures (ICAO Doc 7488/3)."""
+"""Gravity and the standard atmosphere's troposphere (ICAO Doc 7488/3): one statement for air and ground.
+
+The simulator has its own on purpose (`firmware_sim.physics.atmosphere`): a shared mistake would cancel itself.
+"""
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+GRAVITY = 9.80665  # m/s2, standard
 GAS_CONSTANT = 287.05287  # J/(kg K), dry air
 SEA_LEVEL_PRESSURE = 101325.0  # Pa
 SEA_LEVEL_DENSITY = 1.225  # kg/m3, that equivalent and calibrated airspeed refer to
-_SEA_LEVEL_TEMPERATURE = 288.15  # K
-_LAPSE = 0.0065  # K/m
+SEA_LEVEL_TEMPERATURE = 288.15  # K
+LAPSE_RATE = 0.0065  # K/m, to 11 km
 _EXPONENT = 5.255876  # g / (R lapse)
 
 OUTSIDE_TEMPERATURE = 25.0
@@ -24,7 +30,7 @@ def density(p_static: Array, temperature: Array) -> Array:
 def standard_temperature(p_static: Array) -> Array:
     """Temperature [K] of the standard atmosphere where its pressure is p_static [Pa]."""
     share = np.maximum(p_static, 1.0) / SEA_LEVEL_PRESSURE
-    return np.asarray(_SEA_LEVEL_TEMPERATURE * share ** (1.0 / _EXPONENT))
+    return np.asarray(SEA_LEVEL_TEMPERATURE * share ** (1.0 / _EXPONENT))
 
 
 def is_of_the_air(p_static: Array, temperature: Array) -> bool:
@@ -39,5 +45,10 @@ def density_at_pressure(p_static: Array) -> Array:
 
 def density_at_altitude(altitude: Array) -> Array:
     """Density [kg/m3] at an altitude above mean sea level [m]."""
-    share = 1.0 - _LAPSE / _SEA_LEVEL_TEMPERATURE * altitude
+    share = 1.0 - LAPSE_RATE / SEA_LEVEL_TEMPERATURE * altitude
     return np.asarray(SEA_LEVEL_DENSITY * np.maximum(share, 0.0) ** (_EXPONENT - 1.0))
+
+
+def indicated_airspeed(dynamic_pressure: float) -> float:
+    """Airspeed [m/s] that a dynamic pressure [Pa] means at sea level; 0 where it is not positive."""
+    return math.sqrt(max(0.0, 2 * dynamic_pressure / SEA_LEVEL_DENSITY))
