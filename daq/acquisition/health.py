@@ -149,18 +149,20 @@ class GroupWatch:
             value = values.get(name)
             if value is None:
                 continue
-            held = self._held.get(name)
-            if held is None or value != held[0]:
+            last_change = self._held.get(name)
+            if last_change is None or value != last_change[0]:
                 self._held[name] = value, time_ns
-            elif time_ns - held[1] > limit_ns:
-                verdict = SampleVerdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - held[1]) * 1e-9:.1f} s")
+            elif time_ns - last_change[1] > limit_ns:
+                verdict = SampleVerdict(
+                    SensorState.STUCK, f"{name} at {value} for {(time_ns - last_change[1]) * 1e-9:.1f} s"
+                )
         return verdict
 
 
 def repetitions(summary: HealthSummary) -> str:
     """Which sensors had to be asked again, in words: a connector on its way out shows here first."""
-    found = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
-    return f"; transfers repeated: {', '.join(found)}" if found else ""
+    retries = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
+    return f"; transfers repeated: {', '.join(retries)}" if retries else ""
 
 
 def as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:

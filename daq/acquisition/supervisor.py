@@ -161,9 +161,9 @@ class Supervisor:
         self._end_sample()
         self.timed_out = error.errno in TIMEOUT_ERRNOS
         if may_retry and self._repetitions and not self.timed_out:
-            left = self._repetitions - 1
+            remaining = self._repetitions - 1
             self.begin(now_ns)
-            self._repetitions = left
+            self._repetitions = remaining
             self.record.retries += 1
             return None
         detail = f"does not answer: {error.strerror or error}"
@@ -206,9 +206,9 @@ class Supervisor:
         """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
         if self._stale_since_ns is None:
             self._stale_since_ns = now_ns
-        waited = now_ns - self._stale_since_ns
-        if waited >= 4 * self._config.stale_s * SECOND or (
-            waited >= self._config.stale_s * SECOND and not self._intact()
+        stale_ns = now_ns - self._stale_since_ns
+        if stale_ns >= 4 * self._config.stale_s * SECOND or (
+            stale_ns >= self._config.stale_s * SECOND and not self._intact()
         ):
             self._stale_since_ns = None
             if state is SensorState.ABSENT:

@@ -126,18 +126,18 @@ class Actuation:
 
     def frame(self, scan: Scan, reporter: Reporter) -> None:
         """One frame, after the scan it goes by."""
-        now = self._clock.monotonic_ns()
-        output = self._output.look(scan, now)
-        seen = Seen(
-            now_ns=now,
+        now_ns = self._clock.monotonic_ns()
+        output = self._output.look(scan, now_ns)
+        observation = Seen(
+            now_ns=now_ns,
             late_ns=1000 * scan.lateness_us,
-            motion=self._motion.read(scan, now),
+            motion=self._motion.read(scan, now_ns),
             output=output,
             recording=reporter.recording and self._recorded,
-            link_s=self.link_s(now),
+            link_s=self.link_s(now_ns),
         )
-        frame = self.sequencer.step(seen)
-        self._report(frame, self._output.put(frame, now), seen, scan, reporter)
+        frame = self.sequencer.step(observation)
+        self._report(frame, self._output.put(frame, now_ns), observation, scan, reporter)
 
     def close(self) -> None:
         """Let go at the end of the recording."""

@@ -69,9 +69,9 @@ class MotionReader:
 
     def _values(self, group: str, now_ns: int) -> Mapping[str, RawValue]:
         """Values of a group's last good sample; empty when it is too old. Values of one scan stay together."""
-        good = self._good.get(group)
+        sample = self._good.get(group)
         stale_ns = self._gnss_stale_ns if group == "gnss" else self._stale_ns
-        return good[1] if good is not None and now_ns - good[0] <= stale_ns else {}
+        return sample[1] if sample is not None and now_ns - sample[0] <= stale_ns else {}
 
     def _scaled(self, group: str, channel: str, now_ns: int, scale: float) -> float | None:
         count = self._values(group, now_ns).get(channel)
@@ -108,13 +108,13 @@ class FlightEnvelope:
         alpha = (
             None if limits.alpha_deg is None else (math.radians(limits.alpha_deg[0]), math.radians(limits.alpha_deg[1]))
         )
-        degree, plain = math.degrees(1.0), 1.0
+        degree, unity = math.degrees(1.0), 1.0
         rows = (
             ("bank", bank, Reason.BANK, degree, "deg"),
-            ("load_factor", limits.load_factor, Reason.LOAD_FACTOR, plain, ""),
-            ("airspeed", limits.airspeed, Reason.AIRSPEED, plain, "m/s"),
+            ("load_factor", limits.load_factor, Reason.LOAD_FACTOR, unity, ""),
+            ("airspeed", limits.airspeed, Reason.AIRSPEED, unity, "m/s"),
             ("alpha", alpha, Reason.ALPHA, degree, "deg"),
-            ("height", limits.height_m, Reason.HEIGHT, plain, "m"),
+            ("height", limits.height_m, Reason.HEIGHT, unity, "m"),
         )
         self._rows = [
             (name, limit, reason, scale, unit) for name, limit, reason, scale, unit in rows if limit is not None
@@ -128,6 +128,6 @@ class FlightEnvelope:
         for name, (low, high), reason, scale, unit in self._rows:
             value = getattr(motion, name)
             if not low <= value <= high:
-                allowed = f"{low * scale:.3g} to {high * scale:.3g} {unit}".rstrip()
-                return reason, f"{value * scale:.3g} outside {allowed}"
+                extent = f"{low * scale:.3g} to {high * scale:.3g} {unit}".rstrip()
+                return reason, f"{value * scale:.3g} outside {extent}"
         return None

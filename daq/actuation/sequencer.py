@@ -161,9 +161,9 @@ class Sequencer:
             self._followed_ns = seen.now_ns
         if move.to is State.RAMPING:
             self._fading = self._increments
-        why = f": {move.reason.words}" if move.reason is not Reason.NONE else ""
+        reason = f": {move.reason.words}" if move.reason is not Reason.NONE else ""
         detail = f" ({move.detail})" if move.detail else ""
-        return f"sequencer {move.to.words}{why}{detail}"
+        return f"sequencer {move.to.words}{reason}{detail}"
 
     def _seconds(self, now_ns: int) -> float:
         return (now_ns - self._since_ns) * 1e-9
@@ -193,9 +193,9 @@ class Sequencer:
         if self._go_ns is None:
             self._proof.rest()
             return None
-        wrong = self._untimely(seen) or self._outside(seen)
-        if wrong is not None:
-            return Move(State.RELEASED, wrong.reason, wrong.detail)
+        fault_move = self._untimely(seen) or self._outside(seen)
+        if fault_move is not None:
+            return Move(State.RELEASED, fault_move.reason, fault_move.detail)
         proven = self._proof.at_go(seen)
         if proven is None:
             return None
@@ -203,8 +203,8 @@ class Sequencer:
             return Move(State.RELEASED, proven.reason, proven.detail)
         if self._config.start == "switch" or self._wish is SequencerRequest.START:
             return self._start()
-        waited = (seen.now_ns - self._go_ns) * 1e-9
-        return Move(State.RELEASED, Reason.WAITED, f"in {waited:.0f} s") if waited > self._config.wait_s else None
+        waiting_s = (seen.now_ns - self._go_ns) * 1e-9
+        return Move(State.RELEASED, Reason.WAITED, f"in {waiting_s:.0f} s") if waiting_s > self._config.wait_s else None
 
     def _start(self) -> Move:
         if len(self._sticks) < CAPTURE_FRAMES:
@@ -220,18 +220,18 @@ class Sequencer:
         return Move(State.RUNNING)
 
     def _running(self, seen: Seen) -> Move | None:
-        wrong = self._interruption(seen) or self._outside(seen)
-        if wrong is not None:
-            to = State.RAMPING if wrong.reason.exit is Exit.RAMP else State.RELEASED
-            return Move(to, wrong.reason, wrong.detail)
+        interruption = self._interruption(seen) or self._outside(seen)
+        if interruption is not None:
+            next_state = State.RAMPING if interruption.reason.exit is Exit.RAMP else State.RELEASED
+            return Move(next_state, interruption.reason, interruption.detail)
         if self._seconds(seen.now_ns) >= self.plan.duration_s:
             return Move(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
         return None
 
     def _ramping(self, seen: Seen) -> Move | None:
-        wrong = self._interruption(seen)
-        if wrong is not None and wrong.reason.exit is Exit.DROP:
-            return Move(State.RELEASED, wrong.reason, wrong.detail)
+        interruption = self._interruption(seen)
+        if interruption is not None and interruption.reason.exit is Exit.DROP:
+            return Move(State.RELEASED, interruption.reason, interruption.detail)
         if self._seconds(seen.now_ns) >= self._config.ramp_s:
             return Move(State.RELEASED, self.reason)
         return None
@@ -270,14 +270,14 @@ class Sequencer:
             return Move(State.RELEASED, Reason.PILOT_SIGNALS)
         if output.switch is not Switch.GO:
             return Move(State.RELEASED, Reason.SWITCH)
-        moved = self._moved(output)
-        if moved:
-            return Move(State.RELEASED, Reason.STICK, moved)
+        stick = self._moved(output)
+        if stick:
+            return Move(State.RELEASED, Reason.STICK, stick)
         if output.fault:
             return Move(State.RELEASED, self._proof.fault, output.fault)
-        wrong = self._untimely(seen) or self._not_followed(seen)
-        if wrong is not None:
-            return wrong
+        failure = self._untimely(seen) or self._not_followed(seen)
+        if failure is not None:
+            return failure
         if not seen.recording:
             return Move(State.RAMPING, Reason.RECORDING)
         return Move(State.RAMPING, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
@@ -285,12 +285,12 @@ class Sequencer:
     def _moved(self, output: Glimpse) -> str:
         """Which of the pilot's signals that can be seen has left where it was at the start, empty for none."""
         names = [servo.name for servo in self._servos] if output.pilot is not None else []
-        now, then = (*(output.pilot or ()), *output.watched), (*self._captured[: len(names)], *self._watched)
+        present_us, start_us = (*(output.pilot or ()), *output.watched), (*self._captured[: len(names)], *self._watched)
         names += [f"watched channel {i + 1}" for i in range(len(output.watched))]
         return next(
             (
                 f"{name} by {a - b:+.0f} us"
-                for name, a, b in zip(names, now, then, strict=True)
+                for name, a, b in zip(names, present_us, start_us, strict=True)
                 if abs(a - b) > self._limits.stick_us
             ),
             "",
@@ -298,9 +298,9 @@ class Sequencer:
 
     def _outside(self, seen: Seen) -> Move | None:
         """What of motion and link forbids a manoeuvre."""
-        wrong = self._envelope.judge(seen.motion)
-        if wrong is not None:
-            return Move(State.RAMPING, *wrong)
+        excess = self._envelope.judge(seen.motion)
+        if excess is not None:
+            return Move(State.RAMPING, *excess)
         limit = self._limits.link_s
         if limit is not None and (seen.link_s is None or seen.link_s > limit):
             return Move(State.RAMPING, Reason.LINK, f"silent for more than {limit:g} s")
@@ -308,7 +308,7 @@ class Sequencer:
 
     def _not_followed(self, seen: Seen) -> Move | None:
         """Whether the servo pulses read back have, for longer than FOLLOW_S, been none of those put out lately."""
-        recent = [pulses for at, pulses in self._put_out if (seen.now_ns - at) * 1e-9 <= FOLLOW_S]
+        recent = [pulses for time_ns, pulses in self._put_out if (seen.now_ns - time_ns) * 1e-9 <= FOLLOW_S]
         if self._follows(recent, seen.output.readback):
             self._followed_ns = seen.now_ns
         if (seen.now_ns - self._followed_ns) * 1e-9 <= FOLLOW_S:
@@ -318,11 +318,11 @@ class Sequencer:
     def _follows(self, recent: list[tuple[float, ...]], readback: tuple[float | None, ...]) -> bool:
         if not recent:
             return True
-        for index, (servo, found) in enumerate(zip(self._servos, readback, strict=False)):
+        for index, (servo, width) in enumerate(zip(self._servos, readback, strict=False)):
             widths = [pulses[index] for pulses in recent]
             if not servo.read_back:
                 continue
-            if found is None or not min(widths) - FOLLOW_US <= found <= max(widths) + FOLLOW_US:
+            if width is None or not min(widths) - FOLLOW_US <= width <= max(widths) + FOLLOW_US:
                 return False
         return True
 
@@ -345,15 +345,17 @@ class Sequencer:
     def _wanted(self, elapsed_s: float) -> Increments:
         if self.state is State.RUNNING:
             return self.plan.at(elapsed_s)
-        left = max(0.0, 1.0 - elapsed_s / self._config.ramp_s)
-        return tuple(left * value for value in self._fading)
+        share = max(0.0, 1.0 - elapsed_s / self._config.ramp_s)
+        return tuple(share * value for value in self._fading)
 
     def _limited(self, now_ns: int) -> tuple[tuple[float, ...], bool]:
         """The pulses for the increments, within slew and limits; whether any was held back."""
         seconds = (
             self._period_s if self._last_ns is None else min((now_ns - self._last_ns) * 1e-9, 2.0 * self._period_s)
         )
-        wanted = [base + s.shift(self._increments) for s, base in zip(self._servos, self._captured, strict=True)]
-        made = tuple(s.limited(w, last, seconds) for s, w, last in zip(self._servos, wanted, self._last, strict=True))
-        self._last = made
-        return made, any(abs(a - b) > 1e-6 for a, b in zip(wanted, made, strict=True))
+        targets = [base + s.shift(self._increments) for s, base in zip(self._servos, self._captured, strict=True)]
+        pulses = tuple(
+            s.limited(w, last, seconds) for s, w, last in zip(self._servos, targets, self._last, strict=True)
+        )
+        self._last = pulses
+        return pulses, any(abs(a - b) > 1e-6 for a, b in zip(targets, pulses, strict=True))

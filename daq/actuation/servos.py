@@ -60,8 +60,8 @@ class ServoManoeuvre:
         if not 0 <= index < len(self.increments) - 1:
             return STILL
         share = place - index
-        before, after = self.increments[index], self.increments[index + 1]
-        return tuple(a + share * (b - a) for a, b in zip(before, after, strict=True))
+        first, second = self.increments[index], self.increments[index + 1]
+        return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))
 
     def reach(self, servo: ConfiguredServo) -> tuple[float, float]:
         """Smallest and largest change of a servo's pulse width [us]."""
@@ -94,8 +94,8 @@ def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> ServoManoeuvre:
                 f"manoeuvre: {name} goes to {math.degrees(peak):.1f} deg, sequencer.limits.largest_deg allows "
                 f"{config.limits.largest_deg:g}; design it with smaller limits"
             )
-    still = (0.0,) * manoeuvre.samples
-    rows = zip(*(manoeuvre.increments.get(c, still) for c in CONTROLS), strict=True)
+    zeros = (0.0,) * manoeuvre.samples
+    rows = zip(*(manoeuvre.increments.get(c, zeros) for c in CONTROLS), strict=True)
     plan = ServoManoeuvre(manoeuvre.digest, manoeuvre.time_step, tuple(rows))
     for servo in servos_of(config):
         _check_servo(servo, plan)

@@ -109,10 +109,10 @@ class Companion:
         assert self._process.stdin is not None
         while self._waiting:
             try:
-                written = os.write(self._process.stdin.fileno(), self._waiting)
+                count = os.write(self._process.stdin.fileno(), self._waiting)
             except BlockingIOError:
                 return
-            del self._waiting[:written]
+            del self._waiting[:count]
 
     def _listen(self) -> None:
         """Take what it has answered; also the last words of one that has ended."""
@@ -129,8 +129,8 @@ class Companion:
         elif data is not None or self._broken:
             process, self._process = self._process, None
             status = _ended(process)
-            why = self._broken or "it has ended"
-            self._say(LogLevel.WARNING, NAME, f"is lost ({why}, exit status {status}); recording goes on")
+            reason = self._broken or "it has ended"
+            self._say(LogLevel.WARNING, NAME, f"is lost ({reason}, exit status {status}); recording goes on")
 
     def _take(self, data: bytes) -> None:
         *lines, rest = (self._heard + data).split(b"\n")

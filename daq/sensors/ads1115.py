@@ -92,10 +92,10 @@ class Ads1115(Driver):
         _, word = self._inputs[0]
         self._start(word)
         yield self._wait
-        found = self._word(CONFIG)
-        if (found | DONE) != word:
+        answer = self._word(CONFIG)
+        if (answer | DONE) != word:
             raise SelfTestError(
-                f"the chip at 0x{self._address:02x} answers with configuration 0x{found:04x} instead of 0x{word:04x};"
+                f"the chip at 0x{self._address:02x} answers with configuration 0x{answer:04x} instead of 0x{word:04x};"
                 " it is no ADS1115 or its wiring is disturbed"
             )
         yield from self.stages()
@@ -110,9 +110,9 @@ class Ads1115(Driver):
             self._start(word)
             middles.append(self._now() + self._conversion // 2)
             yield self._wait
-            found = self._word(CONFIG)
-            if found != word:  # done and nothing changed reads as it was written
-                yield from self._finish(word, found)
+            answer = self._word(CONFIG)
+            if answer != word:  # done and nothing changed reads as it was written
+                yield from self._finish(word, answer)
             count = self._word(CONVERSION)
             values[name] = count - 0x10000 if count & 0x8000 else count
         self._middles = middles

@@ -64,9 +64,9 @@ class Bmp390(Driver):
 
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address
-        found = bus.read_byte_data(address, CHIP_ID)
-        if found != IDENTITY[self._config.chip]:
-            raise WrongChipError(self._config.chip.upper(), address, IDENTITY[self._config.chip], found)
+        identity = bus.read_byte_data(address, CHIP_ID)
+        if identity != IDENTITY[self._config.chip]:
+            raise WrongChipError(self._config.chip.upper(), address, IDENTITY[self._config.chip], identity)
         bus.write_byte_data(address, CMD, SOFT_RESET)
         yield 5 * MS
         nvm = bytes(bus.read_i2c_block_data(address, NVM, NVM_LENGTH))

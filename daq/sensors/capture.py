@@ -96,12 +96,12 @@ class Capture(Driver):
         sequence, *rest = self._snapshot()
         widths, valid = rest[0:6], rest[6]
         _level, latched, edges, edge_age, status, _crc = rest[8:14]
-        now = self._now()
+        now_ns = self._now()
         if status & STATUS_RESET:
             return Reading(state=SensorState.FAULT, detail="capture co-processor was restarted")
         if sequence != self._sequence:
-            self._sequence, self._sequence_ns = sequence, now
-        elif now - self._sequence_ns > _SLICE:
+            self._sequence, self._sequence_ns = sequence, now_ns
+        elif now_ns - self._sequence_ns > _SLICE:
             return Reading(state=SensorState.STALE, detail="capture co-processor's loop stands still")
         values: dict[str, RawValue] = {}
         for (bit, name), width in zip(_PWM, widths, strict=True):
@@ -109,13 +109,13 @@ class Capture(Driver):
                 values[name] = width
         for bit, name in _DIGITAL:
             values[name] = 1 if latched & bit else 0
-        events = self._new_edges(edges, edge_age, now) if edges != self._edges else ()
+        events = self._new_edges(edges, edge_age, now_ns) if edges != self._edges else ()
         if self._wired & ~valid:
             silent = [name for bit, name in _PWM if self._wired & ~valid & bit]
-            return Reading(values, SensorState.OUT_OF_RANGE, f"no valid pulses on {', '.join(silent)}", now, events)
+            return Reading(values, SensorState.OUT_OF_RANGE, f"no valid pulses on {', '.join(silent)}", now_ns, events)
         if status & STATUS_OVERRUN:
-            return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now, events)
-        return Reading(values, time_ns=now, events=events)
+            return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now_ns, events)
+        return Reading(values, time_ns=now_ns, events=events)
 
     def _new_edges(self, edges: int, age_ms: int, now: int) -> tuple[int, ...]:
         """Times of switch edges since the last reading; only the newest one's is known, earlier ones share it."""

@@ -161,15 +161,15 @@ class SensorsConfig(SensorConfigSection):
         return self
 
     def _check_addresses(self) -> None:
-        taken: dict[int, str] = {}
+        group_at: dict[int, str] = {}
         for group in self.fitted:
             section = self.section(group)
             address = getattr(section, "address", None)
             if address is None or section.driver == "mavlink_servo":
                 continue
-            if address in taken:
-                raise ValueError(f"{taken[address]} and {group} share the I2C address 0x{address:02x}")
-            taken[address] = group
+            if address in group_at:
+                raise ValueError(f"{group_at[address]} and {group} share the I2C address 0x{address:02x}")
+            group_at[address] = group
 
 
 def build_drivers(config: SensorsConfig, around: Surroundings) -> dict[str, Driver]:

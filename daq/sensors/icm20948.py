@@ -98,9 +98,9 @@ class Icm20948(Driver):
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address
         bus.write_byte_data(address, REG_BANK_SEL, 0)
-        found = bus.read_byte_data(address, WHO_AM_I)
-        if found != IDENTITY:
-            raise WrongChipError("ICM-20948", address, IDENTITY, found)
+        identity = bus.read_byte_data(address, WHO_AM_I)
+        if identity != IDENTITY:
+            raise WrongChipError("ICM-20948", address, IDENTITY, identity)
         bus.write_byte_data(address, PWR_MGMT_1, RESET)
         yield 100 * MS  # start-up time for register access, table 3: 100 ms worst case
         bus.write_byte_data(address, PWR_MGMT_1, AUTO_CLOCK)
@@ -136,13 +136,13 @@ class Icm20948(Driver):
         self._unread = bool(bus.read_byte_data(self._address, INT_STATUS_1) & 1) or self._unread
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
         fresh, self._unread = self._unread, False
-        least, most = min(raw[:6]), max(raw[:6])
-        if least == most == 0:
+        lowest, highest = min(raw[:6]), max(raw[:6])
+        if lowest == highest == 0:
             return self._explain_zeros()
         if not fresh:
             return Reading(state=SensorState.STALE, detail="IMU has no new sample")
         values = dict(zip(_NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
-        if least > _LEAST and most < _MOST:
+        if lowest > _LEAST and highest < _MOST:
             return Reading(values)
         clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in (_LEAST, _MOST)]
         return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")

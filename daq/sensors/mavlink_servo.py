@@ -39,8 +39,8 @@ def servo_frames(buffer: bytearray) -> Iterator[bytes]:
             return
         message = int.from_bytes(buffer[7:10], "little") if header == 10 else buffer[5]
         if message == SERVO_OUTPUT_RAW:
-            given = buffer[end - 2] | buffer[end - 1] << 8
-            if crc16.mcrf4xx(bytes(buffer[1 : end - 2]) + bytes((CRC_EXTRA,))) == given:
+            checksum = buffer[end - 2] | buffer[end - 1] << 8
+            if crc16.mcrf4xx(bytes(buffer[1 : end - 2]) + bytes((CRC_EXTRA,))) == checksum:
                 yield bytes(buffer[header : end - 2])
                 del buffer[:end]
                 continue
@@ -78,10 +78,10 @@ class MavlinkServo(Driver):
         )
 
     def _receive(self) -> None:
-        waiting = min(self._port.in_waiting, 4096)
-        if not waiting:
+        available = min(self._port.in_waiting, 4096)
+        if not available:
             return
-        self._buffer += self._port.read(waiting)
+        self._buffer += self._port.read(available)
         for payload in servo_frames(self._buffer):
             full = payload[: _PAYLOAD.size].ljust(_PAYLOAD.size, b"\0")  # MAVLink 2 trims trailing zeros
             _, *widths, port = _PAYLOAD.unpack(full)

@@ -90,12 +90,12 @@ class Ms4525do(Driver):
                 return Reading(state=SensorState.STALE, detail="pitot sensor has no new sample")
             pressure, temperature = self._unconfirmed
         self._unconfirmed = pressure, temperature
-        again, repeated, _ = split(read_raw(self._bus, self._address, 4))
+        second_status, repeated, _ = split(read_raw(self._bus, self._address, 4))
         self._unconfirmed = None
         values = {"pitot_pressure": pressure, "pitot_temperature": temperature}
         if pressure in (0, FULL) or temperature in (0, 0x7FF):
             return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")
-        if again in (NORMAL, FETCHED) and abs(repeated - pressure) > LARGEST_JUMP:
+        if second_status in (NORMAL, FETCHED) and abs(repeated - pressure) > LARGEST_JUMP:
             return Reading(
                 values, SensorState.OUT_OF_RANGE, f"pitot pressure jumps from {pressure} to {repeated} counts"
             )

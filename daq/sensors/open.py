@@ -39,7 +39,7 @@ class Hardware:
     def absent(self) -> tuple[str, ...]:
         """A sentence on every bus, port and pulse that was not there when it was opened."""
         pulse = () if self.pulse is None else (self.pulse.absent,)
-        return tuple(why for why in (*(d.absent for d in self.devices), *pulse) if why)
+        return tuple(reason for reason in (*(d.absent for d in self.devices), *pulse) if reason)
 
     def close(self) -> None:
         """Release everything."""
@@ -91,10 +91,10 @@ class _Reopening:
 
     def _use(self, call: Callable[[Any], Any]) -> Any:
         if self._opened is None:
-            now = self._clock.monotonic_ns()
-            if now < self._retry_ns:
+            now_ns = self._clock.monotonic_ns()
+            if now_ns < self._retry_ns:
                 raise OSError(errno.ENODEV, f"{self._device} is not there")
-            self._retry_ns = now + REOPEN_AFTER_NS
+            self._retry_ns = now_ns + REOPEN_AFTER_NS
             self._opened = self._open()
         try:
             return call(self._opened)
@@ -163,17 +163,17 @@ class ReopeningBus(_Reopening):
 
     def _failed(self) -> None:
         """Let go of an adapter that is no longer there. Looked at not at every error: a chip may be missing for hours."""
-        now = self._clock.monotonic_ns()
-        if self._opened is None or now < self._look_ns:
+        now_ns = self._clock.monotonic_ns()
+        if self._opened is None or now_ns < self._look_ns:
             return
-        self._look_ns = now + LOOK_AFTER_NS
-        held = os.fstat(self._opened.fd)
+        self._look_ns = now_ns + LOOK_AFTER_NS
+        open_file = os.fstat(self._opened.fd)
         try:
-            named = Path(self._device).stat()
-            there = (held.st_dev, held.st_ino) == (named.st_dev, named.st_ino)
+            device_file = Path(self._device).stat()
+            present = (open_file.st_dev, open_file.st_ino) == (device_file.st_dev, device_file.st_ino)
         except OSError:
-            there = False
-        if not there:
+            present = False
+        if not present:
             self.close()
 
 
@@ -192,8 +192,8 @@ class ReopeningPort(_Reopening):
         return bytes(self._use(lambda port: port.read(size)))
 
     def write(self, data: bytes, /) -> int | None:
-        taken: int | None = self._use(lambda port: port.write(data))
-        return taken
+        accepted: int | None = self._use(lambda port: port.write(data))
+        return accepted
 
     def _open(self) -> Any:
         import serial
@@ -225,8 +225,8 @@ class SysfsPulse:
         try:
             path.read_text()
         except OSError as error:
-            what = f"no pulse-per-second source ({error.strerror})"
-            self.absent = f"{path}: {what}; load the pps-gpio overlay or remove sensors.gnss.pps"
+            reason = f"no pulse-per-second source ({error.strerror})"
+            self.absent = f"{path}: {reason}; load the pps-gpio overlay or remove sensors.gnss.pps"
 
     def __call__(self) -> int | None:
         try:

@@ -79,7 +79,7 @@ class Ublox(Driver):
     def initialise(self) -> Generator[Wait, None, None]:
         setup = _SETUP.get(self._config.generation)
         messages = setup(self._config.rate_hz) if setup else []
-        refused: list[int] = []
+        rejected: list[int] = []
         answered = 0
         for number, message in enumerate(messages):
             self._answers.clear()
@@ -91,12 +91,12 @@ class Ublox(Driver):
                     break
             answered += bool(self._answers)
             if self._answers and not self._answers.pop():
-                refused.append(number)
+                rejected.append(number)
         if 0 < answered < len(messages):  # it came back, or lost a byte, while it was being set up
             raise SelfTestError(
                 f"the GPS receiver answered {answered} of {len(messages)} settings only; it is set up again"
             )
-        self._check_answers(messages, refused)
+        self._check_answers(messages, rejected)
         self._backlog.clear()
         self._last_byte_ns = self._now()
         for _ in range(40):
@@ -128,31 +128,31 @@ class Ublox(Driver):
             )
 
     def _receive(self) -> None:
-        waiting = min(self._port.in_waiting, _READ_LIMIT)
-        if not waiting:
+        available = min(self._port.in_waiting, _READ_LIMIT)
+        if not available:
             return
-        now = self._now()
-        self._last_byte_ns = now
-        data = self._port.read(waiting)
+        now_ns = self._now()
+        self._last_byte_ns = now_ns
+        data = self._port.read(available)
         self._nmea = self._nmea or b"$G" in data
         for message, payload in self._parser.feed(data):
             if message in (ACK_ACK, ACK_NAK):
                 self._answers.append(message == ACK_ACK)
             elif message == NAV_PVT and len(payload) == 92:
                 fix = parse_nav_pvt(payload)
-                self._last_fix_ns = now
-                self._backlog.append((fix, now))
+                self._last_fix_ns = now_ns
+                self._backlog.append((fix, now_ns))
                 if fix.utc_ns:
-                    self._timebase.observe_fix(now, fix.utc_ns, fix.time_accuracy_ns)
+                    self._timebase.observe_fix(now_ns, fix.utc_ns, fix.time_accuracy_ns)
 
     def read(self) -> Reading:
         self._receive()
         if self._backlog:
             return self._report(*self._backlog.popleft())
-        now = self._now()
-        if now - self._last_byte_ns > _SILENT:
+        now_ns = self._now()
+        if now_ns - self._last_byte_ns > _SILENT:
             return Reading(state=SensorState.ABSENT, detail="GPS receiver is silent")
-        if now - self._last_fix_ns > self._stale_after:
+        if now_ns - self._last_fix_ns > self._stale_after:
             return Reading(state=SensorState.STALE, detail="GPS receiver sends no fix")
         return Reading()
 

@@ -31,12 +31,12 @@ class PreflightCheck:
 def rest_checks(config: LoggerConfig, scans: Sequence[Scan]) -> Iterator[PreflightCheck]:
     """Level attitude and pitot offset; a caution instead of them while something moves."""
     scales = Scales(config.sensors)
-    moving = unrest(scans)
-    if moving:
+    motion = unrest(scans)
+    if motion:
         yield PreflightCheck(
             "at rest",
             PreflightVerdict.CAUTION,
-            f"{moving}: level and pitot zero were not looked at; leave the aircraft alone",
+            f"{motion}: level and pitot zero were not looked at; leave the aircraft alone",
         )
         return
     attitude = level(scans, scales)

@@ -21,20 +21,20 @@ def listen(
     """Send heartbeats and wait for the radio's report; None when there is none within `seconds`, or no port."""
     decoder = FrameDecoder()
     encoder = FrameEncoder(system_id, component_id)
-    start = now = clock.monotonic_ns()
+    start = now_ns = clock.monotonic_ns()
     next_heartbeat = start
-    while now - start < seconds * NS:
+    while now_ns - start < seconds * NS:
         with suppress(OSError):  # a port that is away at present
-            if now >= next_heartbeat:
+            if now_ns >= next_heartbeat:
                 next_heartbeat += NS
                 port.write(
                     encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2)
                 )
-            for found in decoder.feed(port.read(_READ_BYTES)):
-                if isinstance(found, MavlinkFrame) and found.msg_id == RADIO_STATUS_ID:
-                    return _report(found)
-        clock.sleep_until(now + _STEP_NS)
-        now = clock.monotonic_ns()
+            for item in decoder.feed(port.read(_READ_BYTES)):
+                if isinstance(item, MavlinkFrame) and item.msg_id == RADIO_STATUS_ID:
+                    return _report(item)
+        clock.sleep_until(now_ns + _STEP_NS)
+        now_ns = clock.monotonic_ns()
     return None
 
 

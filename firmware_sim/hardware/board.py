@@ -71,8 +71,8 @@ def _imu(wiring: BoardWiring, device: str) -> PoweredChip:
     turn[6, 6] = 1.0
     straight = bool(np.array_equal(turn, np.eye(7)))
     inputs: Inputs = raw if straight else lambda time_ns: turn @ np.asarray(raw(time_ns))
-    turned = np.abs(chip_from_body)
-    noise = (*(turned @ models.accel.noise), *(turned @ models.gyro.noise))
+    turn_size = np.abs(chip_from_body)
+    noise = (*(turn_size @ models.accel.noise), *(turn_size @ models.gyro.noise))
     imu = Icm20948Chip(wiring.bend(device, inputs), noise, instruments.generator(device))
     imu.frozen = lambda now_ns: wiring.stuck(device, now_ns)
     return imu
@@ -193,14 +193,14 @@ VALUE_DEVICES = CHIPS.keys() - ADC_WIRING.keys() - {"servo_driver"} | {
 
 def converter_noise(models: SensorModels, name: str) -> float:
     """Standard deviation of the voltage at a converter input [V], its own noise (a count) included."""
-    own = 6e-5
+    converter_v = 6e-5
     pots = {"elevon_left_pot": models.elevon_left, "elevon_right_pot": models.elevon_right, "rudder_pot": models.rudder}
     vanes = {"alpha_vane": models.alpha_vane, "beta_vane": models.beta_vane}
     sensor = pots.get(name) or vanes.get(name)
     if sensor is not None:
-        return math.hypot(own, sensor.noise_rad * sensor.volts_per_rad)
+        return math.hypot(converter_v, sensor.noise_rad * sensor.volts_per_rad)
     if name == "supply":
-        return math.hypot(own, 10.0 * models.supply.ripple_v / models.supply.main_divider)
+        return math.hypot(converter_v, 10.0 * models.supply.ripple_v / models.supply.main_divider)
     if name == "sensor_supply":
-        return math.hypot(own, models.supply.ripple_v / models.supply.sensor_divider)
-    return math.hypot(own, models.analog_noise_v)
+        return math.hypot(converter_v, models.supply.ripple_v / models.supply.sensor_divider)
+    return math.hypot(converter_v, models.analog_noise_v)

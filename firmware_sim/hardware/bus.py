@@ -143,9 +143,9 @@ class _Transaction:
         return self
 
     def __exit__(self, *_: object) -> None:
-        whole = round(self._elapsed_ns)
-        self._bus.busy_ns += whole
-        self._bus.clock.advance(whole)
+        duration_ns = round(self._elapsed_ns)
+        self._bus.busy_ns += duration_ns
+        self._bus.clock.advance(duration_ns)
 
     @property
     def _now_ns(self) -> int:

@@ -42,9 +42,9 @@ class Monostable:
 
     def beat(self) -> None:
         """A rising edge."""
-        now = self._now()
-        if not self.broken(now):
-            self._edges.append(now)
+        now_ns = self._now()
+        if not self.broken(now_ns):
+            self._edges.append(now_ns)
             del self._edges[:-_KEPT]
 
     def release(self) -> None:
@@ -140,16 +140,16 @@ class Transmitter(Wiring):
 
     def silent(self, time_ns: int) -> bool:
         """Whether the receiver is."""
-        lost = self.table.receiver_lost_s
-        return lost is not None and time_ns >= lost * 1e9
+        lost_s = self.table.receiver_lost_s
+        return lost_s is not None and time_ns >= lost_s * 1e9
 
     def switch_us(self, time_ns: int) -> float:
         """Width of the switch's channel [us]; 0 while the receiver is silent."""
         if self.silent(time_ns):
             return 0.0
         position = "off"
-        for start_s, chosen in self.table.switch:
-            position = chosen if time_ns >= start_s * 1e9 else position
+        for start_s, next_position in self.table.switch:
+            position = next_position if time_ns >= start_s * 1e9 else position
         return SWITCH_US[position]
 
     def note(self, time_ns: int, wanted: Commands) -> None:
@@ -171,8 +171,8 @@ class Transmitter(Wiring):
 
     def takes_over(self, time_ns: int) -> bool:
         """Whether the pilot moves his sticks in spite of the switch."""
-        taken = self.table.take_over_s
-        return taken is not None and time_ns >= taken * 1e9
+        take_over_s = self.table.take_over_s
+        return take_over_s is not None and time_ns >= take_over_s * 1e9
 
 
 class Cockpit(Transmitter):
@@ -219,8 +219,8 @@ class Cockpit(Transmitter):
         if not self.multiplexer.selects_second(time_ns):
             self._last = wanted
             return wanted
-        held = self._last or wanted
-        left, right, rudder = (self._angle(channel, time_ns, getattr(held, name)) for name, channel in OUTPUTS.items())
+        last = self._last or wanted
+        left, right, rudder = (self._angle(channel, time_ns, getattr(last, name)) for name, channel in OUTPUTS.items())
         self._last = Commands(left, right, rudder, wanted.throttle)
         return self._last
 

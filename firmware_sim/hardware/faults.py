@@ -53,9 +53,9 @@ class Fault(SimulatorTable):
             raise ValueError(f"kind {self.kind!r} needs a device")
         if self.kind in ("slow_bus", "spikes", "clock_step", "sd_slow") and self.size is None:
             raise ValueError(f"kind {self.kind!r} needs a size")
-        known = VALUE_DEVICES if self.kind in ("stuck_value", "spikes") else {*ADDRESSES, "gnss", "autopilot"}
-        if self.device is not None and self.device not in known:
-            raise ValueError(f"device {self.device!r} is none of {', '.join(sorted(known))}")
+        devices = VALUE_DEVICES if self.kind in ("stuck_value", "spikes") else {*ADDRESSES, "gnss", "autopilot"}
+        if self.device is not None and self.device not in devices:
+            raise ValueError(f"device {self.device!r} is none of {', '.join(sorted(devices))}")
         return self
 
     def active(self, time_s: float) -> bool:
@@ -113,8 +113,8 @@ class FaultSet:
         for fault in self.of("torn_gnss"):
             if message and fault.active(time_s) and self._rng.random() < fault.probability:
                 start = int(self._rng.integers(0, len(message)))
-                lost = int(self._rng.integers(1, max(2, len(message) // 3)))
-                message = message[:start] + message[start + lost :]
+                gap = int(self._rng.integers(1, max(2, len(message) // 3)))
+                message = message[:start] + message[start + gap :]
         return message
 
     def radio_lost(self, now_ns: int) -> bool:
@@ -123,19 +123,19 @@ class FaultSet:
 
     def bend(self, device: str, inputs: Inputs) -> Inputs:
         """A chip's input with the value faults of `device` in it; `inputs` itself where there are none."""
-        mine = [f for f in self.of("stuck_value", "spikes") if f.device == device]
-        if not mine:
+        device_faults = [f for f in self.of("stuck_value", "spikes") if f.device == device]
+        if not device_faults:
             return inputs
         rng = np.random.default_rng(self._rng.integers(0, 2**63))
-        held: dict[int, NDArray[np.float64]] = {}
+        stuck_values: dict[int, NDArray[np.float64]] = {}
 
         def bent(time_ns: int) -> NDArray[np.float64]:
             values = np.array(inputs(time_ns), float)
-            for i, fault in enumerate(mine):
+            for i, fault in enumerate(device_faults):
                 if not fault.active(self.seconds(time_ns)):
-                    held.pop(i, None)
+                    stuck_values.pop(i, None)
                 elif fault.kind == "stuck_value":
-                    values = held.setdefault(i, values)
+                    values = stuck_values.setdefault(i, values)
                 elif rng.random() < fault.probability:
                     values = values + (fault.size or 0.0) * rng.choice((-1.0, 1.0), size=values.shape)
             return values

@@ -135,12 +135,12 @@ class SimulatedRadioLink:
     def put(self, side: int, data: bytes) -> int:
         """Bytes from the program at one side; returns how many were taken."""
         with self._lock:
-            now = self._now()
+            now_ns = self._now()
             way = self._ways[side]
-            room = way.room(now)
-            for packet in way.accept(data[:room], now):
+            room = way.room(now_ns)
+            for packet in way.accept(data[:room], now_ns):
                 if _message_id(packet) == HEARTBEAT_ID:
-                    self._heartbeat_ns = now
+                    self._heartbeat_ns = now_ns
             return min(room, len(data))
 
     def waiting(self, side: int) -> int:
@@ -159,10 +159,10 @@ class SimulatedRadioLink:
             return data
 
     def _arrive(self) -> None:
-        now = self._now()
+        now_ns = self._now()
         for way in self._ways:
-            way.arrive(now)
-        self._report(now)
+            way.arrive(now_ns)
+        self._report(now_ns)
 
     def _report(self, now: int) -> None:
         """Put a RADIO_STATUS into both inboxes, whole frames apart from what arrives over the air."""
@@ -198,8 +198,8 @@ class _Way:
 
     def room(self, now: int) -> int:
         """Bytes that the serial line's buffer takes now."""
-        waiting = max(0, self._line_until - now) * 1e-9 * self._model.serial_baud / 10.0
-        return max(0, TTY_BYTES - math.ceil(waiting))
+        queued = max(0, self._line_until - now) * 1e-9 * self._model.serial_baud / 10.0
+        return max(0, TTY_BYTES - math.ceil(queued))
 
     def accept(self, data: bytes, now: int) -> list[bytes]:
         """Take bytes from the serial line and send what makes whole packets; returns these."""

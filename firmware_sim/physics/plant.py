@@ -39,9 +39,9 @@ class Commands:
 def actuators_of(aircraft: Aircraft) -> tuple[Servos, Engine]:
     """Servos and engine of an aircraft. Raises ScenarioError where its file has none."""
     if aircraft.servos is None or aircraft.engine is None:
-        lacking = " and ".join(f"[{n}]" for n in ("servos", "engine") if getattr(aircraft, n) is None)
+        missing = " and ".join(f"[{n}]" for n in ("servos", "engine") if getattr(aircraft, n) is None)
         raise ScenarioError(
-            f"aircraft {aircraft.name!r} cannot be flown: its file has no {lacking}; add it (docs/aircraft.md)"
+            f"aircraft {aircraft.name!r} cannot be flown: its file has no {missing}; add it (docs/aircraft.md)"
         )
     return aircraft.servos, aircraft.engine
 

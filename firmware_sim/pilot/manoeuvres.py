@@ -52,15 +52,15 @@ class StickInput:
 
     def values(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Stick at each time [deg], zero outside the manoeuvre."""
-        since = time - self.start
-        inside = (since >= 0.0) & (since < self.length)
+        elapsed = time - self.start
+        active = (elapsed >= 0.0) & (elapsed < self.length)
         if self.shape == "multisine":
-            return np.where(inside, self._multisine(since), 0.0)
+            return np.where(active, self._multisine(elapsed), 0.0)
         if self.shape == "ramp":
-            return np.where(inside, self.amplitude * (1.0 - np.abs(2.0 * since / self.width - 1.0)), 0.0)
+            return np.where(active, self.amplitude * (1.0 - np.abs(2.0 * elapsed / self.width - 1.0)), 0.0)
         steps = np.asarray(_STEPS[self.shape], float)
-        index = np.clip((since / self.width).astype(int), 0, len(steps) - 1)
-        return np.where(inside, self.amplitude * steps[index], 0.0)
+        index = np.clip((elapsed / self.width).astype(int), 0, len(steps) - 1)
+        return np.where(active, self.amplitude * steps[index], 0.0)
 
     def _multisine(self, since: NDArray[np.float64]) -> NDArray[np.float64]:
         n = len(self.harmonics)
@@ -76,16 +76,20 @@ def _varied(plan: Sequence[StickInput], rng: np.random.Generator) -> list[StickI
 
     Inputs that start together with one width belong together and vary together.
     """
-    drawn: dict[tuple[float, float], tuple[float, float, float]] = {}
-    flown = []
+    variations: dict[tuple[float, float], tuple[float, float, float]] = {}
+    inputs = []
     for m in plan:
-        if (m.start, m.width) not in drawn:
+        if (m.start, m.width) not in variations:
             side = 1.0 if rng.random() < 0.5 else -1.0
-            drawn[m.start, m.width] = (rng.uniform(-0.2, 0.2), side * rng.uniform(0.88, 1.12), rng.uniform(0.92, 1.08))
-        later, larger, longer = drawn[m.start, m.width]
+            variations[m.start, m.width] = (
+                rng.uniform(-0.2, 0.2),
+                side * rng.uniform(0.88, 1.12),
+                rng.uniform(0.92, 1.08),
+            )
+        delay, larger, longer = variations[m.start, m.width]
         width = m.width if m.shape == "multisine" else m.width * longer
-        flown.append(StickInput(m.axis, m.shape, m.start + later, m.amplitude * larger, width, m.harmonics))
-    return flown
+        inputs.append(StickInput(m.axis, m.shape, m.start + delay, m.amplitude * larger, width, m.harmonics))
+    return inputs
 
 
 MANOEUVRE_SETS: Mapping[str, tuple[StickInput, ...]] = {
@@ -155,14 +159,14 @@ MANOEUVRE_SETS: Mapping[str, tuple[StickInput, ...]] = {
 
 def flown_set(name: str, rng: np.random.Generator, repeat_every: float, duration: float) -> list[StickInput]:
     """The manoeuvres of a set as one pilot flies them, repeated until the flight ends; names in MANOEUVRE_SETS."""
-    flown: list[StickInput] = []
+    inputs: list[StickInput] = []
     start = 0.0
     while start < duration:
-        again = _varied(MANOEUVRE_SETS[name], rng)
-        flown += [
+        repetition = _varied(MANOEUVRE_SETS[name], rng)
+        inputs += [
             StickInput(m.axis, m.shape, m.start + start, m.amplitude, m.width, m.harmonics)
-            for m in again
+            for m in repetition
             if m.start + start + m.length <= duration - 0.2
         ]
         start += repeat_every
-    return flown
+    return inputs

@@ -100,15 +100,15 @@ class BenchRig:
     def advance(self, to_time: float) -> Truth:
         """The truth at `to_time` [s]."""
         bench = self._bench
-        i, since = divmod(max(to_time - LEAD_S, 0.0), bench.dwell_s + MOVE_S)
+        i, elapsed = divmod(max(to_time - LEAD_S, 0.0), bench.dwell_s + MOVE_S)
         last = len(bench.poses) - 1
-        here = bench.poses[min(int(i), last)]
-        before = bench.poses[max(min(int(i), last + 1) - 1, 0)]
+        target = bench.poses[min(int(i), last)]
+        start = bench.poses[max(min(int(i), last + 1) - 1, 0)]
         span = bench.dwell_s + MOVE_S if bench.tumbling else MOVE_S
-        moving = to_time >= LEAD_S and i <= last and since < span
-        pose = _between(before, here, since / span if moving else 1.0)
-        if moving and here.attitude != before.attitude:
-            turning = [(new - old) / span for old, new in zip(before.attitude, here.attitude, strict=True)]
+        in_motion = to_time >= LEAD_S and i <= last and elapsed < span
+        pose = _between(start, target, elapsed / span if in_motion else 1.0)
+        if in_motion and target.attitude != start.attitude:
+            turning = [(new - old) / span for old, new in zip(start.attitude, target.attitude, strict=True)]
             pose = replace(pose, rates=_body_rates(pose.attitude, turning))
         return bench_truth(to_time, pose, self._models)
 
@@ -207,10 +207,10 @@ PROTRACTOR, STEPS, MANOMETER_M_S, WEIGHTS_N, TABLE_RAD_S, LEVEL, BAROMETER_PA = 
 def _angles(rng: np.random.Generator) -> SimulatedBench:
     """Vanes and surfaces at known angles, all moved together."""
     names = ("alpha_vane", "beta_vane", "elevon_left", "elevon_right", "rudder")
-    wanted = np.linspace(-0.42, 0.42, STEPS)
-    true = wanted + PROTRACTOR * rng.standard_normal((5, STEPS))
+    nominal = np.linspace(-0.42, 0.42, STEPS)
+    true = nominal + PROTRACTOR * rng.standard_normal((5, STEPS))
     poses = tuple(Pose(a, b, left, right, rudder) for a, b, left, right, rudder in true.T.tolist())
-    references = tuple(float(a) for a in wanted)
+    references = tuple(float(a) for a in nominal)
     options = {"method": "protractor, 13 positions", "reference_uncertainty": PROTRACTOR, "degree": 3}
     return SimulatedBench(
         "vanes and surfaces at known angles",
@@ -284,8 +284,8 @@ def _turntable(rng: np.random.Generator) -> SimulatedBench:
     poses, references = [], []
     rates = (0.0, 0.0, 0.0), *(tuple(s * (a == i) for a in range(3)) for i in range(3) for s in (-4.0, -1.5, 1.5, 4.0))
     for warmer, rate in itertools.product((0.0, 20.0), rates):
-        off = TABLE_RAD_S * rng.standard_normal(3) * (np.array(rate) != 0.0)
-        p, q, r = (float(v) for v in np.array(rate) + off)
+        table_error = TABLE_RAD_S * rng.standard_normal(3) * (np.array(rate) != 0.0)
+        p, q, r = (float(v) for v in np.array(rate) + table_error)
         poses.append(Pose(rates=(p, q, r), warmer_k=warmer))
         references.append((float(rate[0]), float(rate[1]), float(rate[2])))
     options = {
@@ -380,5 +380,5 @@ def _dwells(bench: SimulatedBench, references: Sequence[Reference], first_scan_s
         return
     for i, reference in enumerate(references):
         start, stop = (round(t - first_scan_s, 3) for t in bench.window(i))
-        shown = list(reference) if isinstance(reference, tuple) else reference
-        yield {"start": start, "stop": stop, "reference": shown}
+        reading = list(reference) if isinstance(reference, tuple) else reference
+        yield {"start": start, "stop": stop, "reference": reading}

@@ -62,19 +62,19 @@ def measured(truth: Mapping[str, Array], seed: int, noise: DirectNoise = ORDINAR
     def noisy(values: Array, sigma: float) -> Array:
         return values + noise.scale * sigma * rng.standard_normal(samples)
 
-    out = {"time": truth["time"].copy()}
+    columns = {"time": truth["time"].copy()}
     for name in ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V"):
-        out[name] = noisy(truth[f"sensed_{name}"], getattr(noise, name))
+        columns[name] = noisy(truth[f"sensed_{name}"], getattr(noise, name))
     left, right, rudder = (noisy(truth[f"sensed_arm_{arm}"], 0.0) for arm in ("left", "right", "r"))
-    out["delta_e"] = noisy(0.5 * (left + right), noise.surfaces)
-    out["delta_a"] = noisy(0.5 * (right - left), noise.surfaces)
-    out["delta_r"] = noisy(rudder, noise.surfaces)
+    columns["delta_e"] = noisy(0.5 * (left + right), noise.surfaces)
+    columns["delta_a"] = noisy(0.5 * (right - left), noise.surfaces)
+    columns["delta_r"] = noisy(rudder, noise.surfaces)
     for name in ("cmd_e", "cmd_a", "cmd_r"):
-        out[name] = truth[name].copy()
-    out["thrust"] = noisy(truth["thrust"], noise.thrust)
-    out["altitude"] = noisy(truth["altitude"], noise.altitude)
-    out["rho"] = truth["rho"].copy()
-    return out
+        columns[name] = truth[name].copy()
+    columns["thrust"] = noisy(truth["thrust"], noise.thrust)
+    columns["altitude"] = noisy(truth["altitude"], noise.altitude)
+    columns["rho"] = truth["rho"].copy()
+    return columns
 
 
 def direct_flights(
@@ -85,8 +85,8 @@ def direct_flights(
     wiring: Wiring | None = None,
 ) -> list[dict[str, Array]]:
     """Fly many scenarios side by side and look at them through the direct sensor model; columns DIRECT_COLUMNS."""
-    flown = simulate_many(scenarios, seeds, rate_hz, wiring=wiring)
-    return [measured(truth, seed, noise) for truth, seed in zip(flown, seeds, strict=True)]
+    truths = simulate_many(scenarios, seeds, rate_hz, wiring=wiring)
+    return [measured(truth, seed, noise) for truth, seed in zip(truths, seeds, strict=True)]
 
 
 def write_csv(path: Path, columns: Mapping[str, Array]) -> None:

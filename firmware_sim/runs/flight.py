@@ -148,9 +148,9 @@ class SimulatedFlightRun:
         end_ns = self.clock.monotonic_ns() + round(self.duration_s * 1e9)
 
         def stop() -> bool:
-            now = self.clock.monotonic_ns()
-            self.each_scan(now)
-            return self.cancelled or now >= end_ns
+            now_ns = self.clock.monotonic_ns()
+            self.each_scan(now_ns)
+            return self.cancelled or now_ns >= end_ns
 
         books = self.assembly.logger.run(stop)
         self.truth.close()
@@ -166,13 +166,13 @@ class SimulatedFlightRun:
         link, logger = self.assembly.link, self.assembly.logger
         end_ns = self.clock.monotonic_ns() + round(limit_s * 1e9)
         while not until():
-            now = self.clock.monotonic_ns()
-            if now >= end_ns:
+            now_ns = self.clock.monotonic_ns()
+            if now_ns >= end_ns:
                 return False
             if link is not None:
-                link.service(now)
-                link.uplink.service(now, logger)
-            self.each_scan(now)
+                link.service(now_ns)
+                link.uplink.service(now_ns, logger)
+            self.each_scan(now_ns)
             self.clock.advance(SERVE_STEP_NS)
         return True
 
@@ -327,8 +327,8 @@ def logger_config(
     """
     table = tomllib.loads(config_file.read_text(encoding="utf-8"))
     if scenario.sequencer is not None:
-        more = ARDUPILOT_FILE if scenario.sequencer.get("autopilot") else SEQUENCER_FILE
-        table = merged(table, tomllib.loads(more.read_text(encoding="utf-8")))
+        sequencer_file = ARDUPILOT_FILE if scenario.sequencer.get("autopilot") else SEQUENCER_FILE
+        table = merged(table, tomllib.loads(sequencer_file.read_text(encoding="utf-8")))
         table["sequencer"]["manoeuvre"] = str(MANOEUVRE_FILE)
     table = merged(table, scenario.logger)
     craft = load_aircraft(scenario.flight.aircraft)
@@ -336,18 +336,21 @@ def logger_config(
     table.pop("calibration", None)
     if table.get("downlink"):
         table["downlink"].pop("port", None)
-    here: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
-    told: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
+    local_paths: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
+    recorded_paths: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
     if scenario.sequencer is not None:
         manoeuvre = Path(table["sequencer"]["manoeuvre"]).resolve()
-        here["sequencer"], told["sequencer"] = {"manoeuvre": str(manoeuvre)}, {"manoeuvre": "manoeuvre.toml"}
+        local_paths["sequencer"], recorded_paths["sequencer"] = (
+            {"manoeuvre": str(manoeuvre)},
+            {"manoeuvre": "manoeuvre.toml"},
+        )
     if calibration is not None:
-        here["calibration"] = str(calibration.resolve())
-        told["calibration"] = calibration.name
+        local_paths["calibration"] = str(calibration.resolve())
+        recorded_paths["calibration"] = calibration.name
     if craft.name not in built_in_aircraft():
-        here["aircraft"] = {"file": str(Path(scenario.flight.aircraft).resolve())}
-        told["aircraft"] = {"file": "aircraft.toml"}
-    return parse_config(toml_text(merged(table, here)), config_file), toml_text(merged(table, told))
+        local_paths["aircraft"] = {"file": str(Path(scenario.flight.aircraft).resolve())}
+        recorded_paths["aircraft"] = {"file": "aircraft.toml"}
+    return parse_config(toml_text(merged(table, local_paths)), config_file), toml_text(merged(table, recorded_paths))
 
 
 def _refuse_old_recordings(folder: Path) -> None:

@@ -40,14 +40,14 @@ class _Departure:
         gain = 0.6 * self.duration
         rise = 0.7 * self.duration
         coasted = max(time - gain, 0.0)
-        along = []
+        horizontal = []
         for end, end_velocity in zip(self.end[:2], self.end_velocity[:2], strict=True):
             run = end_velocity * 0.5 * gain
             start = end - end_velocity * (self.duration - gain) - run
             x, v, a = _quintic(start, start + run, end_velocity, gain, min(time, gain))
-            along.append((x + end_velocity * coasted, v, a))
-        up = _quintic(-SITTING_HEIGHT, self.end[2], self.end_velocity[2], rise, time - (self.duration - rise))
-        (xn, vn, an), (xe, ve, ae), (xd, vd, ad) = *along, up
+            horizontal.append((x + end_velocity * coasted, v, a))
+        vertical = _quintic(-SITTING_HEIGHT, self.end[2], self.end_velocity[2], rise, time - (self.duration - rise))
+        (xn, vn, an), (xe, ve, ae), (xd, vd, ad) = *horizontal, vertical
         return (xn, xe, xd), (vn, ve, vd), (an, ae, ad)
 
 
@@ -113,7 +113,7 @@ class ScriptedPath:
 
     def at(self, since: float, time: float) -> Truth:
         """Truth `since` seconds into the path (before or after it: still on the ground), stamped `time`."""
-        moving = 0.0 < since < self.duration
+        underway = 0.0 < since < self.duration
         position, velocity, acceleration = self._path(since)
         joint = self.joint
         share = self._share(since)
@@ -167,7 +167,7 @@ class ScriptedPath:
             temperature=float(state.temperature),
             rho=float(state.density),
             magnetic=_triple(turn @ np.array(self.site.magnetic_ned_t)),
-            digital=(0.0, 0.0 if moving else 1.0, 0.0, 0.0, 0.0),
+            digital=(0.0, 0.0 if underway else 1.0, 0.0, 0.0, 0.0),
             supply_voltage=supply_voltage(time, thrust),
             sensed=sensed,
         )

@@ -186,10 +186,10 @@ def scenario_from(data: Mapping[str, Any], where: str) -> Scenario:
 def _at_flyable_speed(scenario: Scenario, where: str) -> Scenario:
     """The scenario, at the trim speed of its aircraft where it states none; ScenarioError for one it cannot fly at."""
     aircraft, flight = load_aircraft(scenario.flight.aircraft), scenario.flight
-    flown = simulation_of(aircraft)
+    simulation = simulation_of(aircraft)
     if "speed_m_s" not in flight.model_fields_set:
-        return scenario.model_copy(update={"flight": flight.model_copy(update={"speed_m_s": flown.speed})})
-    slowest, fastest = flown.speed_range
+        return scenario.model_copy(update={"flight": flight.model_copy(update={"speed_m_s": simulation.speed})})
+    slowest, fastest = simulation.speed_range
     if not slowest <= flight.speed_m_s <= fastest:
         raise ScenarioError(
             f"scenario {where}: flight.speed_m_s = {flight.speed_m_s:g} is outside the {slowest:g} to {fastest:g} m/s"
@@ -222,9 +222,9 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
             return rich.model_copy(update={"name": text})
         path = Path(text)
     if not path.is_file():
-        known = sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml"))
-        likely = meant(text, known) or f" (built in: {', '.join(known)}, hidden_NAME)"
-        raise ScenarioError(f"scenario {text!r}: no such file and no built-in of that name{likely}")
+        built_in = sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml"))
+        suggestion = meant(text, built_in) or f" (built in: {', '.join(built_in)}, hidden_NAME)"
+        raise ScenarioError(f"scenario {text!r}: no such file and no built-in of that name{suggestion}")
     data = read_toml(path, "file", ScenarioError)
     data.setdefault("name", path.stem)
     return scenario_from(data, str(path))

@@ -58,8 +58,8 @@ def derivatives_of(scenario: Scenario, seed: int | None = None) -> dict[str, flo
     flight = scenario.flight
     values = true_derivatives(load_aircraft(flight.aircraft), scenario.derivatives)
     if flight.derivative_scatter > 0.0:
-        chosen = flight.derivative_seed
-        rng = _stream(chosen if chosen is not None else (flight.seed if seed is None else seed), _SCATTER)
+        scatter_seed = flight.derivative_seed
+        rng = _stream(scatter_seed if scatter_seed is not None else (flight.seed if seed is None else seed), _SCATTER)
         for name in LATERAL:
             factor = 1.0 + flight.derivative_scatter * rng.uniform(-1.0, 1.0)
             if not name.endswith("_0"):
@@ -135,7 +135,7 @@ class WorldSimulation:
         speed = self._gather([s.flight.speed_m_s for s in scenarios])
         level = self._gather([np.radians(s.wind.gust_deg) for s in scenarios])
         gusty = any(s.wind.gust_deg > 0.0 for s in scenarios)
-        toward = [np.radians(s.wind.from_deg + 180.0) for s in scenarios]
+        directions = [np.radians(s.wind.from_deg + 180.0) for s in scenarios]
         strength = [s.wind.speed_m_s for s in scenarios]
         self.plant = Plant(
             self.aircraft,
@@ -144,8 +144,8 @@ class WorldSimulation:
             xp,
             gusts=gusts_for(level, speed, self.aircraft.span, xp) if gusty else None,
             wind_ned=(
-                self._gather([v * np.cos(a) for v, a in zip(strength, toward, strict=True)]),
-                self._gather([v * np.sin(a) for v, a in zip(strength, toward, strict=True)]),
+                self._gather([v * np.cos(a) for v, a in zip(strength, directions, strict=True)]),
+                self._gather([v * np.sin(a) for v, a in zip(strength, directions, strict=True)]),
                 0.0,
             ),
             step_size=self.h,
@@ -194,10 +194,10 @@ class WorldSimulation:
         x[POSITION + 2] = -trim.height
         wn, we, _ = self.plant.wind_ned
         # The ground velocity in body axes is the air velocity plus the wind, wings level.
-        along, across = wn * xp.cos(heading) + we * xp.sin(heading), we * xp.cos(heading) - wn * xp.sin(heading)
-        x[0] = x[0] + along * xp.cos(trim.alpha)
+        tailwind, across = wn * xp.cos(heading) + we * xp.sin(heading), we * xp.cos(heading) - wn * xp.sin(heading)
+        x[0] = x[0] + tailwind * xp.cos(trim.alpha)
         x[1] = x[1] + across
-        x[2] = x[2] + along * xp.sin(trim.alpha)
+        x[2] = x[2] + tailwind * xp.sin(trim.alpha)
         x[ARMS], x[ARMS + 1] = trim.elevator, trim.elevator
         x[THRUST] = trim.thrust
         if self.plant.gusts is not None:

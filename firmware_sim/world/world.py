@@ -122,15 +122,15 @@ def simulate_many(
     flights: list[dict[str, Array]] = [{} for _ in scenarios]
     for members in groups.values():
         for first in range(0, len(members), batch):
-            chosen = members[first : first + batch]
-            if len(chosen) < crowd_from:
-                for i in chosen:
+            crowd = members[first : first + batch]
+            if len(crowd) < crowd_from:
+                for i in crowd:
                     airborne = scenarios[i].model_copy(update={"ground": GroundTable()})
                     flights[i] = simulate_truth(airborne, seeds[i], rate_hz, wiring)
                 continue
-            together = _fly_together([scenarios[i] for i in chosen], [seeds[i] for i in chosen], rate_hz, wiring)
-            for place, i in enumerate(chosen):
-                flights[i] = {name: np.ascontiguousarray(values[:, place]) for name, values in together.items()}
+            columns = _fly_together([scenarios[i] for i in crowd], [seeds[i] for i in crowd], rate_hz, wiring)
+            for place, i in enumerate(crowd):
+                flights[i] = {name: np.ascontiguousarray(values[:, place]) for name, values in columns.items()}
     return flights
 
 
@@ -140,13 +140,13 @@ def _fly_together(
     simulation = WorldSimulation(scenarios, seeds, many=True, wiring=wiring)
     samples = math.floor(scenarios[0].flight.duration_s * rate_hz + 1e-9) + 1
     names = TRUTH_COLUMNS + tuple(f"sensed_{n}" for n in SENSED_NAMES)
-    out = {name: np.empty((samples, len(scenarios))) for name in names}
+    columns = {name: np.empty((samples, len(scenarios))) for name in names}
     for k in range(samples):
         time = k / rate_hz
         simulation.advance(time)
         truth = _truth(simulation, *simulation.look(max(time - simulation.time, 0.0)), time)
         for name, value in truth.columns().items():
-            out[name][k] = value
+            columns[name][k] = value
         for name in SENSED_NAMES:
-            out[f"sensed_{name}"][k] = getattr(truth.sensed, name)
-    return out
+            columns[f"sensed_{name}"][k] = getattr(truth.sensed, name)
+    return columns

@@ -143,8 +143,8 @@ class AutopilotLink:
         if frame.msg_id == RC_CHANNELS:
             self._take_channels(frame, now_ns)
         elif frame.name == "HEARTBEAT":
-            said = [_whole(frame, field) for field in ("autopilot", "type", "custom_mode")]
-            self.heard = Heard(now_ns, frame.system, *said)
+            numbers = [_whole(frame, field) for field in ("autopilot", "type", "custom_mode")]
+            self.heard = Heard(now_ns, frame.system, *numbers)
         elif frame.name == "PARAM_VALUE":
             fields = frame.fields()
             value = fields["param_value"]
@@ -157,8 +157,8 @@ class AutopilotLink:
         if self._offset_ns is None or boot_ms < self._boot_ms - _ANEW_MS:
             self._offset_ns = offset
         else:
-            allowed = self._offset_ns + _CLOCK_DRIFT * (now_ns - self._offset_at_ns)
-            self._offset_ns = min(offset, allowed)
+            drifted = self._offset_ns + _CLOCK_DRIFT * (now_ns - self._offset_at_ns)
+            self._offset_ns = min(offset, drifted)
         self._offset_at_ns, self._boot_ms = now_ns, boot_ms
         sampled = round(boot_ms * 1e6 + self._offset_ns)
         if self.channels is None or sampled >= self.channels.sampled_ns or now_ns - self.channels.sampled_ns > 10**9:
@@ -179,22 +179,22 @@ class AutopilotLink:
         self._asked_ns = now_ns
         if self.heard is None:
             return
-        to = {"target_system": self.heard.system, "target_component": _AUTOPILOT}
+        target = {"target_system": self.heard.system, "target_component": _AUTOPILOT}
         if self.rate_hz(now_ns) < 0.9e6 / self._interval_us:
             wish = {"command": _SET_MESSAGE_INTERVAL, "param1": float(RC_CHANNELS), "param2": float(self._interval_us)}
-            self._send(self._encoder.message("COMMAND_LONG", **to, **wish))
+            self._send(self._encoder.message("COMMAND_LONG", **target, **wish))
         for names in self._names:
             if not any(name in self.parameters for name in names):
                 for name in names:
-                    self._send(self._encoder.message("PARAM_REQUEST_READ", **to, param_id=name, param_index=-1))
+                    self._send(self._encoder.message("PARAM_REQUEST_READ", **target, param_id=name, param_index=-1))
 
     def _send(self, data: bytes) -> bool:
         try:
-            taken = self._port.write(data)
+            accepted = self._port.write(data)
         except OSError as error:
             self.port_fault = f"port cannot be written ({error.strerror or error})"
             return False
-        if taken is not None and taken < len(data):
+        if accepted is not None and accepted < len(data):
             self.port_fault = "port takes no more; is the line too slow?"
             return False
         return True

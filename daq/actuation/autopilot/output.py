@@ -45,22 +45,24 @@ def unmet(link: AutopilotLink, config: AutopilotConfig, now_ns: int, stale_ns: i
     """The first demand that is not met, in words with what to do; empty when all are."""
     if link.port_fault:
         return link.port_fault
-    heard = link.heard
-    if heard is None or now_ns - heard.time_ns > SILENT_NS:
+    heartbeat = link.heard
+    if heartbeat is None or now_ns - heartbeat.time_ns > SILENT_NS:
         return f"autopilot on {config.port} is silent; check wiring, baud rate and MAVLink 2 (SERIALn_PROTOCOL 2)"
-    if heard.autopilot == PX4:
+    if heartbeat.autopilot == PX4:
         return PX4_WORDS
-    if heard.autopilot != ARDUPILOT or heard.kind != FIXED_WING:
-        return f"not an ArduPlane of fixed wing (MAV_AUTOPILOT {heard.autopilot}, MAV_TYPE {heard.kind})"
-    return wrong_parameter(link, config) or _wrong_mode(heard.mode) or _stale_channels(link, config, now_ns, stale_ns)
+    if heartbeat.autopilot != ARDUPILOT or heartbeat.kind != FIXED_WING:
+        return f"not an ArduPlane of fixed wing (MAV_AUTOPILOT {heartbeat.autopilot}, MAV_TYPE {heartbeat.kind})"
+    return (
+        wrong_parameter(link, config) or _wrong_mode(heartbeat.mode) or _stale_channels(link, config, now_ns, stale_ns)
+    )
 
 
 def wrong_parameter(link: AutopilotLink, config: AutopilotConfig) -> str:
     """The first parameter that is not known or not as it must be."""
     if link.missing:
         return f"autopilot has not told {', '.join(link.missing)}"
-    told = link.parameters
-    lasts, options = told["RC_OVERRIDE_TIME"], int(told["RC_OPTIONS"])
+    parameters = link.parameters
+    lasts, options = parameters["RC_OVERRIDE_TIME"], int(parameters["RC_OPTIONS"])
     longest = config.longest_override_s
     if not SHORTEST_S <= lasts <= longest + 1e-4:  # a parameter is a float32
         return f"RC_OVERRIDE_TIME is {lasts:g} s; set it to {longest:g}, at least {SHORTEST_S:g}"
@@ -68,12 +70,12 @@ def wrong_parameter(link: AutopilotLink, config: AutopilotConfig) -> str:
         return "RC_OPTIONS bit 1 is set: overrides are ignored; clear it"
     if options & IGNORE_RECEIVER:
         return "RC_OPTIONS bit 0 is set: the receiver is ignored; clear it"
-    name = next(n for n in _GCS_NAMES if n in told)
-    if told[name] != config.system_id:
-        return f"{name} is {told[name]:g}: overrides of {config.system_id} are not taken; set sequencer.autopilot.system_id"
+    name = next(n for n in _GCS_NAMES if n in parameters)
+    if parameters[name] != config.system_id:
+        return f"{name} is {parameters[name]:g}: overrides of {config.system_id} are not taken; set sequencer.autopilot.system_id"
     option = _switch_option(config)
-    if told[option] != RC_OVERRIDE_ENABLE:
-        return f"{option} is {told[option]:g}; set it to {RC_OVERRIDE_ENABLE}, so that the switch stops overrides by itself"
+    if parameters[option] != RC_OVERRIDE_ENABLE:
+        return f"{option} is {parameters[option]:g}; set it to {RC_OVERRIDE_ENABLE}, so that the switch stops overrides by itself"
     return ""
 
 
@@ -116,16 +118,16 @@ class ArduPilotOutput:
         if channels is None or now_ns - channels.sampled_ns > self._stale_ns:
             return Glimpse(fault=fault, readback=(None,) * len(self._outputs))
         widths = channels.widths
-        shown = tuple(widths.get(o.channel) for o in self._outputs)
-        known = tuple(w for w in shown if w is not None)
+        readback = tuple(widths.get(o.channel) for o in self._outputs)
+        sticks = tuple(w for w in readback if w is not None)
         hidden = self._hidden(channels.sampled_ns)
         return Glimpse(
             switch=switch_position(widths.get(self._config.switch_channel)),
-            pilot=known if len(known) == len(shown) and not hidden else None,
+            pilot=sticks if len(sticks) == len(readback) and not hidden else None,
             hidden=hidden,
             watched=tuple(widths.get(n, 0.0) for n in self._config.watch),
             fault=fault,
-            readback=shown,
+            readback=readback,
         )
 
     def _hidden(self, sampled_ns: int) -> bool:

@@ -39,9 +39,9 @@ class AutopilotTrial:
         for _ in range(LISTEN_FRAMES):
             glimpse = self._frame()
         if link.heard is not None and not link.missing:
-            wrong = wrong_parameter(link, autopilot)
-            told = ", ".join(f"{name} {value:g}" for name, value in sorted(link.parameters.items()))
-            yield TrialFinding("parameters", not wrong, wrong or told)
+            mistake = wrong_parameter(link, autopilot)
+            listing = ", ".join(f"{name} {value:g}" for name, value in sorted(link.parameters.items()))
+            yield TrialFinding("parameters", not mistake, mistake or listing)
         fault = unmet(link, autopilot, self._clock.monotonic_ns(), self._stale_ns)
         yield TrialFinding("autopilot", not fault, fault or "an ArduPlane in MANUAL")
         if fault:
@@ -81,14 +81,14 @@ class AutopilotTrial:
         outputs = list(self._config.output.values())
         sticks = self._frame().pilot or ()
         probe = {o.channel: round(w) + PROBE_US for o, w in zip(outputs, sticks, strict=True)}
-        taken = False
-        until = self._clock.monotonic_ns() + round(REFUSED_S * 1e9)
-        while self._clock.monotonic_ns() < until:
+        accepted = False
+        end_ns = self._clock.monotonic_ns() + round(REFUSED_S * 1e9)
+        while self._clock.monotonic_ns() < end_ns:
             self._output.link.override(probe)
-            shown = dict(zip(probe, self._frame().readback, strict=True))
-            taken = taken or all(shown[channel] == width for channel, width in probe.items())
+            channels = dict(zip(probe, self._frame().readback, strict=True))
+            accepted = accepted or all(channels[channel] == width for channel, width in probe.items())
         self._output.link.override(dict.fromkeys(probe, 0))
-        if taken:
+        if accepted:
             words = "takes overrides though the switch is at off; is its channel the one with RCn_OPTION 46?"
             return TrialFinding("override gate", False, words)
         return TrialFinding("override gate", True, "at off the autopilot refuses overrides")

@@ -53,9 +53,9 @@ class PilotInputs:
         if now_ns - self._values_ns > self._stale_ns:
             self._values = NO_VALUES
         sticks = [self._width(i) for i in self._inputs]
-        known = tuple(w for w in sticks if w is not None)
+        measured_sticks = tuple(w for w in sticks if w is not None)
         return PilotSignals(
-            known if len(known) == len(sticks) else None,
+            measured_sticks if len(measured_sticks) == len(sticks) else None,
             switch_position(self._width(self._config.switch_input)),
             self._width(self._config.loopback_input),
         )

@@ -94,15 +94,15 @@ class Pca9685:
 
     def verify(self) -> None:
         """Raise SelfTestError unless mode, output driver and frequency are as set."""
-        found = (
+        settings = (
             *self._bus.read_i2c_block_data(self._address, MODE1, 2),
             self._bus.read_byte_data(self._address, PRE_SCALE),
         )
-        wanted = (AUTO_INCREMENT, TOTEM_POLE, self._prescale)
-        if found != wanted:
+        configured = (AUTO_INCREMENT, TOTEM_POLE, self._prescale)
+        if settings != configured:
             raise SelfTestError(
                 f"servo driver at I2C address 0x{self._address:02x} has MODE1, MODE2, PRE_SCALE "
-                f"{' '.join(f'{v:02x}' for v in found)} instead of {' '.join(f'{v:02x}' for v in wanted)}; check its supply"
+                f"{bytes(settings).hex(' ')} instead of {bytes(configured).hex(' ')}; check its supply"
             )
 
     def awake(self) -> bool:

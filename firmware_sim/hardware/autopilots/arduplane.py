@@ -102,8 +102,8 @@ class ArduPlane(LoopedAutopilot):
         roll, pitch, throttle, yaw = self.rc.widths[:4]
         share = self.parameters["MIXING_GAIN"] * (1.0 if self.mode == MANUAL else STAND_IN)
         aileron, elevator, rudder = (share * _travel(w) for w in (roll, pitch, yaw))
-        wanted = (elevator - aileron, elevator + aileron, rudder)
-        surfaces = [TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in wanted]
+        deflections = (elevator - aileron, elevator + aileron, rudder)
+        surfaces = [TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in deflections]
         self.put_out(surfaces, throttle or LEAST_US, now_ns)
 
     def _read_radio(self, now_ns: int) -> None:

@@ -29,16 +29,16 @@ class LossyLine:
 
     def arrived(self, now_ns: int) -> bytes:
         """What has arrived since it was last asked, in the order of sending."""
-        out = b""
+        received = b""
         while self._under_way:
             start, data = self._under_way[0]
             count = min(len(data), max(0, int((now_ns - start) / self._byte_ns)))
-            out += data[:count]
+            received += data[:count]
             if count < len(data):
                 self._under_way[0] = (start + count * self._byte_ns, data[count:])
                 break
             self._under_way.popleft()
-        return out
+        return received
 
 
 MS = 1_000_000

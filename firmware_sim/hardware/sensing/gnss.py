@@ -58,13 +58,13 @@ class GnssReceiver:
     def bytes_until(self, now_ns: int) -> bytes:
         self._navigate(now_ns)
         arrived = b""
-        left = []
+        pending = []
         for start_ns, data in self._on_line:
             count = max(0, min(len(data), int((now_ns - start_ns) * 1e-9 * BAUD / 10.0)))
             arrived += data[:count]
             if count < len(data):
-                left.append((start_ns + round(count * 10.0 / BAUD * 1e9), data[count:]))
-        self._on_line = left
+                pending.append((start_ns + round(count * 10.0 / BAUD * 1e9), data[count:]))
+        self._on_line = pending
         return arrived
 
     def newest_pulse(self, now_ns: int) -> int | None:
@@ -82,8 +82,8 @@ class GnssReceiver:
         return self._pulse[1] if self._pulse[1] <= now_ns else None
 
     def _monotonic_ns(self, utc_ns: int) -> int:
-        since = utc_ns - self._start_utc_ns
-        return self._instruments.origin_ns + since - round(since * self._model.clock_drift_ppm * 1e-6)
+        elapsed_ns = utc_ns - self._start_utc_ns
+        return self._instruments.origin_ns + elapsed_ns - round(elapsed_ns * self._model.clock_drift_ppm * 1e-6)
 
     def _navigate(self, now_ns: int) -> None:
         """Solve all epochs whose message has begun to leave by now."""

@@ -41,13 +41,13 @@ class TruthFile:
     def at(self, time: float) -> list[float]:
         """TRUTH_COLUMNS at a time of the last seconds [s], straight between the grid points."""
         k = bisect_right(self._rows, time, key=lambda row: row[_TIME])
-        after = self._rows[min(k, len(self._rows) - 1)]
-        before = self._rows[max(k - 1, 0)]
-        span = after[_TIME] - before[_TIME]
-        share = (time - before[_TIME]) / span if span > 0.0 else 0.0
-        row = [a + share * (b - a) for a, b in zip(before, after, strict=True)]
+        second_row = self._rows[min(k, len(self._rows) - 1)]
+        first_row = self._rows[max(k - 1, 0)]
+        span = second_row[_TIME] - first_row[_TIME]
+        share = (time - first_row[_TIME]) / span if span > 0.0 else 0.0
+        row = [a + share * (b - a) for a, b in zip(first_row, second_row, strict=True)]
         for i in _TURNING:  # the short way round
-            row[i] = before[i] + share * math.remainder(after[i] - before[i], 2.0 * math.pi)
+            row[i] = first_row[i] + share * math.remainder(second_row[i] - first_row[i], 2.0 * math.pi)
         row[_TIME] = time
         return row
 
