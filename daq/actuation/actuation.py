@@ -15,10 +15,10 @@ from daq.actuation.autopilot.output import ArduPilotOutput
 from daq.actuation.autopilot.trial import AutopilotTrial
 from daq.actuation.config import SequencerConfig
 from daq.actuation.motion import MotionReader
-from daq.actuation.output import Output, Seen, SequencerCommand
+from daq.actuation.output import FrameObservation, Output, SequencerCommand
 from daq.actuation.pwm.heartbeat import HeartbeatError, HeartbeatLine
 from daq.actuation.pwm.output import PwmOutput
-from daq.actuation.pwm.trial import Trial
+from daq.actuation.pwm.trial import ServoDriverTrial
 from daq.actuation.sequencer import Sequencer
 from daq.actuation.servos import ServoManoeuvre, TrialFinding, plan_of, servos_of
 from daq.clock import NS, Clock
@@ -49,7 +49,7 @@ def findings(config: SequencerConfig, devices: Devices, take_scan: Callable[[], 
     if devices.bus is None or devices.heartbeat is None:
         words = "no bus or heartbeat line is open; set sequencer.heartbeat"
         return iter([TrialFinding("sequencer", False, words)])
-    return Trial(config, devices.bus, devices.heartbeat, devices.clock, take_scan).findings()
+    return ServoDriverTrial(config, devices.bus, devices.heartbeat, devices.clock, take_scan).findings()
 
 
 _ORDINARY = (Reason.NONE, Reason.COMPLETE)
@@ -122,13 +122,13 @@ class Actuation:
     def weigh(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
         """Weigh a manoeuvre against this aircraft's limits, in any thread. What is returned puts it in place, between two
         frames, and says why not, empty when it is taken. Raises ManoeuvreError."""
-        return partial(self.sequencer.take, plan_of(manoeuvre, self._config))
+        return partial(self.sequencer.load_plan, plan_of(manoeuvre, self._config))
 
     def frame(self, scan: Scan, reporter: Reporter) -> None:
         """One frame, after the scan it goes by."""
         now_ns = self._clock.monotonic_ns()
         output = self._output.look(scan, now_ns)
-        observation = Seen(
+        observation = FrameObservation(
             now_ns=now_ns,
             late_ns=1000 * scan.lateness_us,
             motion=self._motion.read(scan, now_ns),
@@ -136,7 +136,7 @@ class Actuation:
             recording=reporter.recording and self._recorded,
             link_s=self.link_s(now_ns),
         )
-        frame = self.sequencer.step(observation)
+        frame = self.sequencer.decide_frame(observation)
         self._report(frame, self._output.put(frame, now_ns), observation, scan, reporter)
 
     def close(self) -> None:
@@ -144,7 +144,12 @@ class Actuation:
         self._output.close(self._clock.monotonic_ns())
 
     def _report(
-        self, frame: SequencerCommand, put: tuple[float, ...] | None, seen: Seen, scan: Scan, reporter: Reporter
+        self,
+        frame: SequencerCommand,
+        put: tuple[float, ...] | None,
+        seen: FrameObservation,
+        scan: Scan,
+        reporter: Reporter,
     ) -> None:
         if frame.words:
             ordinary = frame.reason in _ORDINARY or frame.state is State.IDLE

@@ -11,7 +11,7 @@ from daq.contract.sequencing import Reason, State, Switch
 
 
 @dataclass(frozen=True, slots=True)
-class Glimpse:
+class OutputObservation:
     """What an output shows in a frame, of itself and of the pilot.
 
     pilot: his signal for each output [us], None while not seen. hidden: he cannot be seen, because what is put out stands in
@@ -29,7 +29,7 @@ class Glimpse:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FrameObservation:
     """What is known in a frame.
 
     late_ns: how late the frame began. link_s: since the ground was last heard, None where nobody listens.
@@ -38,7 +38,7 @@ class Seen:
     now_ns: int
     late_ns: int
     motion: MotionState
-    output: Glimpse
+    output: OutputObservation
     recording: bool = True
     link_s: float | None = None
 
@@ -67,7 +67,7 @@ class OutputTrial(ABC):
         """What is still being tried at go, empty when it may start."""
         return ""
 
-    def note(self, seen: Seen) -> None:
+    def note(self, seen: FrameObservation) -> None:
         """Every frame, before anything is decided."""
         return
 
@@ -76,19 +76,19 @@ class OutputTrial(ABC):
         """Checking begins."""
 
     @abstractmethod
-    def check(self, seen: Seen, elapsed_s: float) -> OutputTrialResult | None:
+    def check(self, seen: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
         """While checking, so long after it began; None: not yet."""
 
     def rest(self) -> None:
         """Armed, and the switch is not at go."""
         return
 
-    def at_go(self, seen: Seen) -> OutputTrialResult | None:
+    def at_go(self, seen: FrameObservation) -> OutputTrialResult | None:
         """Armed, and the switch is at go; None: not yet."""
         return OutputTrialResult()
 
     @abstractmethod
-    def pulses(self, seen: Seen) -> tuple[float, ...] | None:
+    def pulses(self, seen: FrameObservation) -> tuple[float, ...] | None:
         """What is put out while checking and armed [us], None for nothing."""
 
 
@@ -111,7 +111,7 @@ class Output(Protocol):
     @property
     def proof(self) -> OutputTrial: ...
 
-    def look(self, scan: Scan, now_ns: int) -> Glimpse:
+    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
         """What is seen in this frame, of the output and of the pilot."""
         ...
 

@@ -13,7 +13,7 @@ from statistics import median
 
 from daq.actuation.config import SequencerConfig
 from daq.actuation.motion import FlightEnvelope
-from daq.actuation.output import Glimpse, OutputTrial, Seen, SequencerCommand
+from daq.actuation.output import FrameObservation, OutputObservation, OutputTrial, SequencerCommand
 from daq.actuation.servos import STILL, ConfiguredServo, Increments, ServoManoeuvre
 from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch
 
@@ -35,7 +35,7 @@ class SequencerRequest(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class StateTransition:
     """A transition that is due."""
 
     to: State
@@ -73,7 +73,7 @@ class Sequencer:
         self._fading = STILL
         self._put_out: deque[tuple[int, tuple[float, ...]]] = deque()
         self._followed_ns = 0
-        self._handlers: Mapping[State, Callable[[Seen], Move | None]] = {
+        self._handlers: Mapping[State, Callable[[FrameObservation], StateTransition | None]] = {
             State.IDLE: self._idle,
             State.CHECKING: self._checking,
             State.ARMED: self._armed,
@@ -108,7 +108,7 @@ class Sequencer:
         self._wish = SequencerRequest.STOP
         return ""
 
-    def take(self, plan: ServoManoeuvre) -> str:
+    def load_plan(self, plan: ServoManoeuvre) -> str:
         """Another manoeuvre to fly; why not, empty when it is taken. The pilot arms what he has been told of, so his switch is at
         off meanwhile."""
         if self.state not in (State.IDLE, State.RELEASED):
@@ -120,7 +120,7 @@ class Sequencer:
 
     # ---------------------------------------------------------------------------------------- a frame
 
-    def step(self, seen: Seen) -> SequencerCommand:
+    def decide_frame(self, seen: FrameObservation) -> SequencerCommand:
         """Decide one frame."""
         self._note(seen)
         move = self._handlers[self.state](seen)
@@ -130,7 +130,7 @@ class Sequencer:
         self._last_ns = seen.now_ns
         return frame
 
-    def _note(self, seen: Seen) -> None:
+    def _note(self, seen: FrameObservation) -> None:
         output = seen.output
         self._proof.note(seen)
         self._positions.append(output.switch)
@@ -147,7 +147,7 @@ class Sequencer:
     def _held(self, position: Switch) -> bool:
         return len(self._positions) == SWITCH_FRAMES and all(p is position for p in self._positions)
 
-    def _enter(self, move: Move, seen: Seen) -> str:
+    def _enter(self, move: StateTransition, seen: FrameObservation) -> str:
         if move.to not in TRANSITIONS[self.state]:
             raise RuntimeError(f"no transition from {self.state.words} to {move.to.words}")
         self.state, self.reason, self._since_ns = move.to, move.reason, seen.now_ns
@@ -170,23 +170,25 @@ class Sequencer:
 
     # ---------------------------------------------------------------------------------------- states
 
-    def _idle(self, seen: Seen) -> Move | None:
-        return Move(State.CHECKING) if self._off_seen and self._held(Switch.ARM) else None
+    def _idle(self, seen: FrameObservation) -> StateTransition | None:
+        return StateTransition(State.CHECKING) if self._off_seen and self._held(Switch.ARM) else None
 
-    def _checking(self, seen: Seen) -> Move | None:
+    def _checking(self, seen: FrameObservation) -> StateTransition | None:
         fault = self._standing(seen)
         if fault is not None:
             return fault
         if seen.output.switch is Switch.GO:
-            return Move(State.RELEASED, Reason.TOO_EARLY)
+            return StateTransition(State.RELEASED, Reason.TOO_EARLY)
         proven = self._proof.check(seen, self._seconds(seen.now_ns))
         if proven is None:
             return None
         if proven.reason is not Reason.NONE:
-            return Move(State.RELEASED, proven.reason, proven.detail)
-        return Move(State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {proven.detail}")
+            return StateTransition(State.RELEASED, proven.reason, proven.detail)
+        return StateTransition(
+            State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {proven.detail}"
+        )
 
-    def _armed(self, seen: Seen) -> Move | None:
+    def _armed(self, seen: FrameObservation) -> StateTransition | None:
         fault = self._standing(seen)
         if fault is not None:
             return fault
@@ -195,94 +197,100 @@ class Sequencer:
             return None
         fault_move = self._untimely(seen) or self._outside(seen)
         if fault_move is not None:
-            return Move(State.RELEASED, fault_move.reason, fault_move.detail)
+            return StateTransition(State.RELEASED, fault_move.reason, fault_move.detail)
         proven = self._proof.at_go(seen)
         if proven is None:
             return None
         if proven.reason is not Reason.NONE:
-            return Move(State.RELEASED, proven.reason, proven.detail)
+            return StateTransition(State.RELEASED, proven.reason, proven.detail)
         if self._config.start == "switch" or self._wish is SequencerRequest.START:
             return self._start()
         waiting_s = (seen.now_ns - self._go_ns) * 1e-9
-        return Move(State.RELEASED, Reason.WAITED, f"in {waiting_s:.0f} s") if waiting_s > self._config.wait_s else None
+        if waiting_s <= self._config.wait_s:
+            return None
+        return StateTransition(State.RELEASED, Reason.WAITED, f"in {waiting_s:.0f} s")
 
-    def _start(self) -> Move:
+    def _start(self) -> StateTransition:
         if len(self._sticks) < CAPTURE_FRAMES:
-            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+            return StateTransition(State.RELEASED, Reason.PILOT_SIGNALS)
         for servo, signals in zip(self._servos, zip(*self._sticks, strict=True), strict=True):
             if max(signals) - min(signals) > self._limits.stick_us / 2.0:
-                return Move(State.RELEASED, Reason.STICKS_NOT_STILL, servo.name)
+                return StateTransition(State.RELEASED, Reason.STICKS_NOT_STILL, servo.name)
             low, high = self.plan.reach(servo)
             centre = median(signals)
             if centre + low < servo.lowest_us or centre + high > servo.highest_us:
                 extent = f"{centre + low:.0f} to {centre + high:.0f} us"
-                return Move(State.RELEASED, Reason.NO_ROOM, f"{servo.name} would go from {extent}")
-        return Move(State.RUNNING)
+                return StateTransition(State.RELEASED, Reason.NO_ROOM, f"{servo.name} would go from {extent}")
+        return StateTransition(State.RUNNING)
 
-    def _running(self, seen: Seen) -> Move | None:
+    def _running(self, seen: FrameObservation) -> StateTransition | None:
         interruption = self._interruption(seen) or self._outside(seen)
         if interruption is not None:
             next_state = State.RAMPING if interruption.reason.exit is Exit.RAMP else State.RELEASED
-            return Move(next_state, interruption.reason, interruption.detail)
+            return StateTransition(next_state, interruption.reason, interruption.detail)
         if self._seconds(seen.now_ns) >= self.plan.duration_s:
-            return Move(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
+            return StateTransition(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
         return None
 
-    def _ramping(self, seen: Seen) -> Move | None:
+    def _ramping(self, seen: FrameObservation) -> StateTransition | None:
         interruption = self._interruption(seen)
         if interruption is not None and interruption.reason.exit is Exit.DROP:
-            return Move(State.RELEASED, interruption.reason, interruption.detail)
+            return StateTransition(State.RELEASED, interruption.reason, interruption.detail)
         if self._seconds(seen.now_ns) >= self._config.ramp_s:
-            return Move(State.RELEASED, self.reason)
+            return StateTransition(State.RELEASED, self.reason)
         return None
 
-    def _released(self, seen: Seen) -> Move | None:
-        return Move(State.IDLE) if self._held(Switch.OFF) else None
+    def _released(self, seen: FrameObservation) -> StateTransition | None:
+        return StateTransition(State.IDLE) if self._held(Switch.OFF) else None
 
     # ---------------------------------------------------------------------------------------- what ends it
 
-    def _standing(self, seen: Seen) -> Move | None:
+    def _standing(self, seen: FrameObservation) -> StateTransition | None:
         """What ends checking and being armed, in whichever position the switch is."""
         output = seen.output
         if output.pilot is None and not output.hidden:
-            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+            return StateTransition(State.RELEASED, Reason.PILOT_SIGNALS)
         if output.switch is Switch.OFF:
-            return Move(State.IDLE, Reason.SWITCH)
+            return StateTransition(State.IDLE, Reason.SWITCH)
         if output.switch is Switch.UNKNOWN:
-            return Move(State.RELEASED, Reason.SWITCH, "between its positions")
+            return StateTransition(State.RELEASED, Reason.SWITCH, "between its positions")
         if output.fault:
-            return Move(State.RELEASED, self._proof.fault, output.fault)
+            return StateTransition(State.RELEASED, self._proof.fault, output.fault)
         if not seen.recording:
-            return Move(State.RELEASED, Reason.RECORDING)
-        return Move(State.RELEASED, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
+            return StateTransition(State.RELEASED, Reason.RECORDING)
+        return StateTransition(State.RELEASED, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
 
-    def _untimely(self, seen: Seen) -> Move | None:
+    def _untimely(self, seen: FrameObservation) -> StateTransition | None:
         if seen.late_ns > self._limits.late_ms * 1e6:
-            return Move(State.RELEASED, Reason.LATE, f"{seen.late_ns * 1e-6:.0f} ms")
+            return StateTransition(State.RELEASED, Reason.LATE, f"{seen.late_ns * 1e-6:.0f} ms")
         gap = 0.0 if self._last_ns is None else (seen.now_ns - self._last_ns) * 1e-9
         # one frame lost makes a gap of two periods; lateness within its own limit makes less than one and a half
-        return Move(State.RELEASED, Reason.MISSED, f"{gap * 1e3:.0f} ms") if gap > 1.6 * self._period_s else None
+        return (
+            StateTransition(State.RELEASED, Reason.MISSED, f"{gap * 1e3:.0f} ms")
+            if gap > 1.6 * self._period_s
+            else None
+        )
 
-    def _interruption(self, seen: Seen) -> Move | None:
+    def _interruption(self, seen: FrameObservation) -> StateTransition | None:
         """What ends a manoeuvre other than the motion: hands first, then what can no longer be trusted, then the rest."""
         output = seen.output
         if output.pilot is None and not output.hidden:
-            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+            return StateTransition(State.RELEASED, Reason.PILOT_SIGNALS)
         if output.switch is not Switch.GO:
-            return Move(State.RELEASED, Reason.SWITCH)
+            return StateTransition(State.RELEASED, Reason.SWITCH)
         stick = self._moved(output)
         if stick:
-            return Move(State.RELEASED, Reason.STICK, stick)
+            return StateTransition(State.RELEASED, Reason.STICK, stick)
         if output.fault:
-            return Move(State.RELEASED, self._proof.fault, output.fault)
+            return StateTransition(State.RELEASED, self._proof.fault, output.fault)
         failure = self._untimely(seen) or self._not_followed(seen)
         if failure is not None:
             return failure
         if not seen.recording:
-            return Move(State.RAMPING, Reason.RECORDING)
-        return Move(State.RAMPING, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
+            return StateTransition(State.RAMPING, Reason.RECORDING)
+        return StateTransition(State.RAMPING, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
 
-    def _moved(self, output: Glimpse) -> str:
+    def _moved(self, output: OutputObservation) -> str:
         """Which of the pilot's signals that can be seen has left where it was at the start, empty for none."""
         names = [servo.name for servo in self._servos] if output.pilot is not None else []
         present_us, start_us = (*(output.pilot or ()), *output.watched), (*self._captured[: len(names)], *self._watched)
@@ -296,24 +304,24 @@ class Sequencer:
             "",
         )
 
-    def _outside(self, seen: Seen) -> Move | None:
+    def _outside(self, seen: FrameObservation) -> StateTransition | None:
         """What of motion and link forbids a manoeuvre."""
         excess = self._envelope.judge(seen.motion)
         if excess is not None:
-            return Move(State.RAMPING, *excess)
+            return StateTransition(State.RAMPING, *excess)
         limit = self._limits.link_s
         if limit is not None and (seen.link_s is None or seen.link_s > limit):
-            return Move(State.RAMPING, Reason.LINK, f"silent for more than {limit:g} s")
+            return StateTransition(State.RAMPING, Reason.LINK, f"silent for more than {limit:g} s")
         return None
 
-    def _not_followed(self, seen: Seen) -> Move | None:
+    def _not_followed(self, seen: FrameObservation) -> StateTransition | None:
         """Whether the servo pulses read back have, for longer than FOLLOW_S, been none of those put out lately."""
         recent = [pulses for time_ns, pulses in self._put_out if (seen.now_ns - time_ns) * 1e-9 <= FOLLOW_S]
         if self._follows(recent, seen.output.readback):
             self._followed_ns = seen.now_ns
         if (seen.now_ns - self._followed_ns) * 1e-9 <= FOLLOW_S:
             return None
-        return Move(State.RELEASED, Reason.NOT_FOLLOWED, self._proof.unlike)
+        return StateTransition(State.RELEASED, Reason.NOT_FOLLOWED, self._proof.unlike)
 
     def _follows(self, recent: list[tuple[float, ...]], readback: tuple[float | None, ...]) -> bool:
         if not recent:
@@ -328,7 +336,7 @@ class Sequencer:
 
     # ---------------------------------------------------------------------------------------- output
 
-    def _put(self, seen: Seen, words: str) -> SequencerCommand:
+    def _put(self, seen: FrameObservation, words: str) -> SequencerCommand:
         elapsed = self._seconds(seen.now_ns)
         if self.state in (State.CHECKING, State.ARMED):
             return SequencerCommand(self.state, self.reason, elapsed, pulses=self._proof.pulses(seen), words=words)

@@ -98,7 +98,7 @@ class Companion:
         os.set_blocking(process.stdin.fileno(), True)
         try:
             rest, _ = process.communicate(bytes(self._waiting), timeout=END_S)
-            self._take(rest or b"")
+            self._read_lines(rest or b"")
         except (subprocess.TimeoutExpired, OSError):
             self._say(LogLevel.WARNING, NAME, "has not finished in time; its last numbers are those before")
         finally:
@@ -125,22 +125,22 @@ class Companion:
         except OSError as error:
             self._broken, data = error.strerror or str(error), b""
         if data:
-            self._take(data)
+            self._read_lines(data)
         elif data is not None or self._broken:
             process, self._process = self._process, None
             status = _ended(process)
             reason = self._broken or "it has ended"
             self._say(LogLevel.WARNING, NAME, f"is lost ({reason}, exit status {status}); recording goes on")
 
-    def _take(self, data: bytes) -> None:
+    def _read_lines(self, data: bytes) -> None:
         *lines, rest = (self._heard + data).split(b"\n")
         self._heard = rest[-LONGEST_LINE:]
         for line in lines:
             answer = read_answer(line)
             if answer is not None:
-                self._tell(answer)
+                self._handle_reply(answer)
 
-    def _tell(self, answer: CompanionReply) -> None:
+    def _handle_reply(self, answer: CompanionReply) -> None:
         if answer.trouble:
             self._say(LogLevel.WARNING, NAME, f"{answer.trouble}; recording goes on")
             process, self._process = self._process, None

@@ -57,7 +57,7 @@ class _OffsetLine:
     def __len__(self) -> int:
         return len(self._bins)
 
-    def add(self, monotonic_ns: int, offset_ns: int) -> None:
+    def add_offset(self, monotonic_ns: int, offset_ns: int) -> None:
         if self._bins and abs(offset_ns - self.offset_at(monotonic_ns)) > self._jump_ns:
             self._contradict(monotonic_ns, offset_ns)
             return
@@ -134,7 +134,7 @@ class TimeBase:
 
     def observe_fix(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:
         """A fix valid at `utc_ns` (one sigma `accuracy_ns`) was received at `monotonic_ns`."""
-        self._fixes.add(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
+        self._fixes.add_offset(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
         self._time_accuracy_ns = accuracy_ns
         self._by_fixes = self._by_pulses = None
 
@@ -147,7 +147,7 @@ class TimeBase:
         second = (estimate + NS // 2) // NS * NS
         if abs(estimate - second) > 300 * MS:
             return  # cannot be told apart from its neighbour: no edge of this receiver
-        self._pulses.add(monotonic_ns, second - monotonic_ns)
+        self._pulses.add_offset(monotonic_ns, second - monotonic_ns)
         self._last_pulse_ns = monotonic_ns
         self._by_pulses = None
 

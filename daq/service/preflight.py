@@ -18,7 +18,7 @@ from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
-from daq.service.checks import PreflightCheck, PreflightVerdict, rest_checks
+from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
 _PROBE_BYTES = 64 * 1024
@@ -53,17 +53,6 @@ class Preflight:
             "go": self.go,
             "checks": [{"check": c.name, "verdict": c.verdict.value, "text": c.text} for c in self.checks],
         }
-
-
-@dataclass(frozen=True, slots=True)
-class RadioReport:
-    """What was heard from the radio: local and remote signal and noise [dBm], share of the send buffer free [%]."""
-
-    rssi_dbm: float
-    noise_dbm: float
-    remote_rssi_dbm: float
-    remote_noise_dbm: float
-    free_percent: int
 
 
 def run_preflight(
@@ -142,7 +131,7 @@ def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> PreflightChec
     p99_ms = sorted(lateness_us)[int(0.99 * (len(lateness_us) - 1))] / 1000
     limit = config.preflight.lateness_p99_ms
     text = f"99 % of scans begin within {p99_ms:.2f} ms of their deadline (limit {limit:g} ms)"
-    return PreflightCheck("timing", PreflightVerdict.GO if p99_ms <= limit else PreflightVerdict.NO_GO, text)
+    return graded("timing", p99_ms <= limit, text)
 
 
 def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightCheck:
@@ -187,8 +176,7 @@ def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterab
         if not lasting:
             text += "; it lies in memory and goes with the power: is the card mounted?"
         failure = PreflightVerdict.NO_GO if i == 0 and not (roomy and lasting) else PreflightVerdict.CAUTION
-        verdict = PreflightVerdict.GO if roomy and fast and lasting else failure
-        yield PreflightCheck(name, verdict, text)
+        yield graded(name, roomy and fast and lasting, text, failure)
 
 
 def _probe(storage: Storage, clock: Clock, path: Path) -> float:
@@ -256,4 +244,4 @@ def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] |
     margin = min(report.rssi_dbm - report.noise_dbm, report.remote_rssi_dbm - report.remote_noise_dbm)
     limit = config.preflight.radio_margin_db
     text = f"signal {margin:.0f} dB above noise at the weaker end (limit {limit:g} dB), buffer {report.free_percent} % free"
-    return PreflightCheck("radio", PreflightVerdict.GO if margin >= limit else failure, text)
+    return graded("radio", margin >= limit, text, failure)

@@ -22,9 +22,8 @@ from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
-from daq.service.checks import PreflightCheck, PreflightVerdict
-from daq.service.preflight import Preflight, RadioReport, run_preflight
-from daq.service.radio_probe import listen
+from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, listen_to_radio
+from daq.service.preflight import Preflight, run_preflight
 from daq.service.realtime import GarbageDiscipline, Notifier, prepare_process
 from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import open_port
@@ -169,7 +168,7 @@ def _preflight(
     probe: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         ours = config.downlink or DownlinkConfig()
-        probe = lambda: listen(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
+        probe = lambda: listen_to_radio(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
     table = run_preflight(config, clock, sampler, RealStorage(), probe, devices)
     missing = (
         PreflightCheck("hardware", PreflightVerdict.CAUTION, f"{reason}; it joins when it comes")

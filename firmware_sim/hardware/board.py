@@ -1,12 +1,19 @@
-"""The wiring of the simulated aircraft: which chip sits at which address and which instrument it looks at."""
+"""The wiring of the simulated aircraft: which chip sits at which address and which instrument it looks at.
+
+A laboratory brings simulated chips for sensors of its own by the entry point group `sideslip.chips`. The name of an entry point
+is the sensor group, its value `module:make`; `make(instruments)` returns the chip, which sits at the address that
+`[sensors.extra.GROUP]` of the logger's configuration says (docs/sensors.md).
+"""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.sensors.config import ExtraConfig
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
@@ -20,6 +27,7 @@ from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
 from firmware_sim.hardware.sensing.instruments import Instruments
 from firmware_sim.hardware.sensing.sensor_models import AT, NAU7802_GAIN, SensorModels
+from firmware_sim.tables import ScenarioError
 
 ADC_WIRING: dict[str, tuple[str, str, str, str]] = {
     "analog_a": ("alpha_vane", "beta_vane", "elevon_left_pot", "elevon_right_pot"),
@@ -204,3 +212,25 @@ def converter_noise(models: SensorModels, name: str) -> float:
     if name == "sensor_supply":
         return math.hypot(converter_v, models.supply.ripple_v / models.supply.sensor_divider)
     return math.hypot(converter_v, models.analog_noise_v)
+
+
+ENTRY_POINTS = "sideslip.chips"
+
+
+def laboratory_chips(extra: Mapping[str, ExtraConfig], instruments: Instruments) -> dict[int, PoweredChip]:
+    """Chips by bus address for the sensors of one's own that have one; a sensor without one is absent in flight.
+
+    Raises ScenarioError for a chip that cannot be had or whose address the configuration does not say.
+    """
+    chips: dict[int, PoweredChip] = {}
+    for group, section in extra.items():
+        for entry in entry_points(group=ENTRY_POINTS, name=group):
+            if section.address is None:
+                raise ScenarioError(f"sensors.extra.{group}: its simulated chip needs an address; add the key address")
+            try:
+                chips[section.address] = entry.load()(instruments)
+            except (ImportError, AttributeError, TypeError) as error:
+                raise ScenarioError(
+                    f"entry point {ENTRY_POINTS} {group} = {entry.value}: no simulated chip there ({error})"
+                ) from error
+    return chips

@@ -84,7 +84,7 @@ class FaultSet:
         """Seconds from the start of the recording."""
         return (now_ns - self._origin_ns) * 1e-9
 
-    def of(self, *kinds: str) -> tuple[Fault, ...]:
+    def of_kinds(self, *kinds: str) -> tuple[Fault, ...]:
         """The faults of some kinds."""
         return tuple(f for f in self.faults if f.kind in kinds)
 
@@ -110,7 +110,7 @@ class FaultSet:
     def gnss_corrupt(self, message: bytes, now_ns: int) -> bytes:
         """A GPS message as it comes through a bad line: a piece is missing from the middle, or its end."""
         time_s = self.seconds(now_ns)
-        for fault in self.of("torn_gnss"):
+        for fault in self.of_kinds("torn_gnss"):
             if message and fault.active(time_s) and self._rng.random() < fault.probability:
                 start = int(self._rng.integers(0, len(message)))
                 gap = int(self._rng.integers(1, max(2, len(message) // 3)))
@@ -119,11 +119,11 @@ class FaultSet:
 
     def radio_lost(self, now_ns: int) -> bool:
         """Whether the radio gets nothing through."""
-        return any(f.active(self.seconds(now_ns)) for f in self.of("radio_lost"))
+        return any(f.active(self.seconds(now_ns)) for f in self.of_kinds("radio_lost"))
 
     def bend(self, device: str, inputs: Inputs) -> Inputs:
         """A chip's input with the value faults of `device` in it; `inputs` itself where there are none."""
-        device_faults = [f for f in self.of("stuck_value", "spikes") if f.device == device]
+        device_faults = [f for f in self.of_kinds("stuck_value", "spikes") if f.device == device]
         if not device_faults:
             return inputs
         rng = np.random.default_rng(self._rng.integers(0, 2**63))
@@ -144,7 +144,7 @@ class FaultSet:
 
     def quiet(self, device: str, now_ns: int) -> bool:
         """Whether a sensor is stuck, so that its sample has no fresh noise either."""
-        return any(f.device == device and f.active(self.seconds(now_ns)) for f in self.of("stuck_value"))
+        return any(f.device == device and f.active(self.seconds(now_ns)) for f in self.of_kinds("stuck_value"))
 
 
 class PowerTaker(Protocol):
@@ -153,7 +153,7 @@ class PowerTaker(Protocol):
     def set_power(self, on: bool, now_ns: int) -> None: ...
 
 
-class Events:
+class FaultEvents:
     """Faults that happen at an instant (plugs, power dips, clock steps), brought about as the clock advances.
 
     Register `at` with `SimulatedClock.on_advance`. powered: what hangs on the supply, by device. step_utc: called with
@@ -168,12 +168,12 @@ class Events:
         origin_ns: int = 0,
     ) -> None:
         pending: list[tuple[int, Callable[[int], None]]] = []
-        for fault in faults.of("power_dip", "absent"):
+        for fault in faults.of_kinds("power_dip", "absent"):
             names = list(powered) if fault.device is None else [fault.device, *_TOGETHER.get(fault.device, ())]
             for on, time_s in ((False, fault.start_s), (True, fault.stop_s)):
                 if math.isfinite(time_s):
                     pending.append((origin_ns + round(time_s * 1e9), _switch([powered[n] for n in names], on)))
-        for step in faults.of("clock_step"):
+        for step in faults.of_kinds("clock_step"):
             pending.append((origin_ns + round(step.start_s * 1e9), _stepper(step_utc, round((step.size or 0.0) * 1e9))))
         self._pending = sorted(pending, key=lambda item: item[0])
 

@@ -57,7 +57,7 @@ class RadioModel(SimulatorTable):
 
 
 @dataclass(slots=True)
-class Counts:
+class PacketCounts:
     """What became of the packets of one direction: sent = lost + delivered (whole or damaged); duplicates are extra."""
 
     sent: int = 0
@@ -84,11 +84,11 @@ class RadioPort:
 
     def read(self, limit: int = 65536) -> bytes:
         """At most `limit` bytes that have arrived."""
-        return self._link.take(self._side, limit)
+        return self._link.read_side(self._side, limit)
 
     def write(self, data: bytes) -> int:
         """Send bytes; returns how many the serial line's buffer had room for."""
-        return self._link.put(self._side, bytes(data))
+        return self._link.write_side(self._side, bytes(data))
 
     def flush(self) -> None:
         """Nothing waits on this side of the radio."""
@@ -123,16 +123,16 @@ class SimulatedRadioLink:
         self._sequence = 0
 
     @property
-    def down(self) -> Counts:
+    def down(self) -> PacketCounts:
         """Counts of the direction from the aircraft to the ground."""
         return self._ways[0].counts
 
     @property
-    def up(self) -> Counts:
+    def up(self) -> PacketCounts:
         """Counts of the direction from the ground to the aircraft."""
         return self._ways[1].counts
 
-    def put(self, side: int, data: bytes) -> int:
+    def write_side(self, side: int, data: bytes) -> int:
         """Bytes from the program at one side; returns how many were taken."""
         with self._lock:
             now_ns = self._now()
@@ -149,7 +149,7 @@ class SimulatedRadioLink:
             self._arrive()
             return len(self._ways[1 - side].inbox)
 
-    def take(self, side: int, size: int) -> bytes:
+    def read_side(self, side: int, size: int) -> bytes:
         """Read bytes at one side."""
         with self._lock:
             self._arrive()
@@ -183,7 +183,7 @@ class _Way:
     """One direction: from the serial line of one radio to the serial line of the other."""
 
     def __init__(self, model: RadioModel, rng: np.random.Generator, lost: Callable[[int], bool]) -> None:
-        self.counts = Counts()
+        self.counts = PacketCounts()
         self.inbox = bytearray()
         self._model = model
         self._rng = rng

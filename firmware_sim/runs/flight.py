@@ -26,12 +26,11 @@ from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot
-from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, BoardWiring, addressed, build_board
+from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, BoardWiring, addressed, build_board, laboratory_chips
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
-from firmware_sim.hardware.faults import Events, FaultSet, parse_faults
-from firmware_sim.hardware.laboratory import laboratory_chips
+from firmware_sim.hardware.faults import FaultEvents, FaultSet, parse_faults
 from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.gnss import GnssReceiver
@@ -69,7 +68,7 @@ class SimulatedHardware:
     bus: SimulatedBus
     gnss: GnssReceiver
     autopilot: Autopilot
-    events: Events
+    events: FaultEvents
 
     def newest_pulse(self) -> int | None:
         """The pulse-per-second line of the GPS, as the kernel would tell it now."""
@@ -100,7 +99,7 @@ def build_aircraft(
     bus = SimulatedBus(clock, {**chips, **laboratory}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
-    events = Events(faults, {**board, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
+    events = FaultEvents(faults, {**board, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
     events.at(origin)
     if events.any_left:
         clock.on_advance(events.at)

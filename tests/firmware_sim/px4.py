@@ -61,7 +61,7 @@ class Px4(LoopedAutopilot):
             travel = [(w - TRIM_US) / TRAVEL_US for w in (roll, pitch, yaw)]
             self._offer(RECEIVER, (travel[0], travel[1], travel[2], (throttle - 1000) / 1000), now_ns)
         for message in self.heard(now_ns):
-            self._take(message, now_ns)
+            self._handle_message(message, now_ns)
         if self.chosen is not None and not self._fresh(self.chosen, now_ns):
             self.chosen = None
         self._put_out(now_ns)
@@ -105,7 +105,7 @@ class Px4(LoopedAutopilot):
 
     # ---------------------------------------------------------------------------------------- messages
 
-    def _take(self, message: ReceivedFrame, now_ns: int) -> None:
+    def _handle_message(self, message: ReceivedFrame, now_ns: int) -> None:
         f = message.fields
         if message.number == MANUAL_CONTROL.number:
             pitch, roll, throttle, yaw = (float(v) / 1000.0 for v in f[:4])

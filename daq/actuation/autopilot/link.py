@@ -78,7 +78,7 @@ class AutopilotError(UserError):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class AutopilotHeartbeat:
     """A HEARTBEAT: when it came, whose it is, and MAV_AUTOPILOT, MAV_TYPE and custom mode in it."""
 
     time_ns: int
@@ -102,7 +102,7 @@ class AutopilotLink:
         self._offset_at_ns = self._boot_ms = 0
         self._asked_ns = -ASK_NS
         self._arrivals: deque[int] = deque(maxlen=_RATE_OF)
-        self.heard: Heard | None = None
+        self.heard: AutopilotHeartbeat | None = None
         self.channels: Channels | None = None
         self.parameters: Mapping[str, float] = {}
         self.port_fault = ""
@@ -119,7 +119,7 @@ class AutopilotLink:
             return
         for frame in frames_of(self._decoder.feed(data)):
             if frame.component == _AUTOPILOT:
-                self._take(frame, now_ns)
+                self._handle_frame(frame, now_ns)
         if self.heard is not None and now_ns - self._asked_ns >= ASK_NS:
             self._ask(now_ns)
 
@@ -139,19 +139,19 @@ class AutopilotLink:
             return 0.0
         return (len(self._arrivals) - 1) * 1e9 / max(now_ns - self._arrivals[0], 1)
 
-    def _take(self, frame: MavlinkFrame, now_ns: int) -> None:
+    def _handle_frame(self, frame: MavlinkFrame, now_ns: int) -> None:
         if frame.msg_id == RC_CHANNELS:
-            self._take_channels(frame, now_ns)
+            self._note_channels(frame, now_ns)
         elif frame.name == "HEARTBEAT":
             numbers = [_whole(frame, field) for field in ("autopilot", "type", "custom_mode")]
-            self.heard = Heard(now_ns, frame.system, *numbers)
+            self.heard = AutopilotHeartbeat(now_ns, frame.system, *numbers)
         elif frame.name == "PARAM_VALUE":
             fields = frame.fields()
             value = fields["param_value"]
             if isinstance(value, float):
                 self.parameters = {**self.parameters, str(fields["param_id"]): value}
 
-    def _take_channels(self, frame: MavlinkFrame, now_ns: int) -> None:
+    def _note_channels(self, frame: MavlinkFrame, now_ns: int) -> None:
         boot_ms, widths = read_channels(frame.payload)
         offset = now_ns - boot_ms * 1e6
         if self._offset_ns is None or boot_ms < self._boot_ms - _ANEW_MS:

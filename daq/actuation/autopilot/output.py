@@ -16,7 +16,7 @@ import math
 from daq.actuation.autopilot.link import RELEASE, AutopilotLink, AutopilotPort
 from daq.actuation.autopilot.proof import OverrideProof
 from daq.actuation.config import LEAST_RATE_HZ, PX4_WORDS, AutopilotConfig, SequencerConfig
-from daq.actuation.output import Glimpse, SequencerCommand
+from daq.actuation.output import OutputObservation, SequencerCommand
 from daq.contract.scan import Scan
 from daq.contract.sequencing import State, switch_position
 
@@ -110,18 +110,18 @@ class ArduPilotOutput:
         self._releases = 0
         self._asked_in = State.IDLE
 
-    def look(self, scan: Scan, now_ns: int) -> Glimpse:
+    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
         """RC_CHANNELS, and what is wrong with the autopilot."""
         self.link.poll(now_ns)
         channels = self.link.channels
         fault = unmet(self.link, self._config, now_ns, self._stale_ns)
         if channels is None or now_ns - channels.sampled_ns > self._stale_ns:
-            return Glimpse(fault=fault, readback=(None,) * len(self._outputs))
+            return OutputObservation(fault=fault, readback=(None,) * len(self._outputs))
         widths = channels.widths
         readback = tuple(widths.get(o.channel) for o in self._outputs)
         sticks = tuple(w for w in readback if w is not None)
         hidden = self._hidden(channels.sampled_ns)
-        return Glimpse(
+        return OutputObservation(
             switch=switch_position(widths.get(self._config.switch_channel)),
             pilot=sticks if len(sticks) == len(readback) and not hidden else None,
             hidden=hidden,

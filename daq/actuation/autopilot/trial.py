@@ -10,7 +10,7 @@ from daq.actuation.autopilot.link import AutopilotPort
 from daq.actuation.autopilot.output import ArduPilotOutput, unmet, wrong_parameter
 from daq.actuation.autopilot.proof import PROBE_US, REFUSED_S
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
-from daq.actuation.output import Glimpse
+from daq.actuation.output import OutputObservation
 from daq.actuation.servos import TrialFinding, try_manoeuvre
 from daq.clock import Clock
 from daq.contract.scan import Scan
@@ -52,7 +52,7 @@ class AutopilotTrial:
         if switch.well:
             yield self._refusal()
 
-    def _frame(self) -> Glimpse:
+    def _frame(self) -> OutputObservation:
         start = self._clock.monotonic_ns()
         scan = self._take_scan()
         glimpse = self._output.look(scan, self._clock.monotonic_ns())
@@ -68,7 +68,7 @@ class AutopilotTrial:
             return TrialFinding("autopilot stream", False, words)
         return TrialFinding("autopilot stream", True, f"RC_CHANNELS {rate:.0f} times a second")
 
-    def _switch(self, glimpse: Glimpse) -> TrialFinding:
+    def _switch(self, glimpse: OutputObservation) -> TrialFinding:
         if glimpse.pilot is None:
             return TrialFinding(
                 "pilot's signals", False, "a stick's channel is not in RC_CHANNELS; is the transmitter on?"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from daq.actuation.config import PilotConfig, SequencerConfig
-from daq.actuation.output import Glimpse, OutputTrial, OutputTrialResult, Seen, SequencerCommand
+from daq.actuation.output import FrameObservation, OutputObservation, OutputTrial, OutputTrialResult, SequencerCommand
 from daq.actuation.pwm.heartbeat import HeartbeatLine
 from daq.actuation.pwm.pca9685 import ChipState, Pca9685
 from daq.clock import Clock
@@ -105,7 +105,7 @@ class FrequencyProof(OutputTrial):
         """Forget what was measured."""
         self._measured, self.scale = [], 1.0
 
-    def check(self, seen: Seen, elapsed_s: float) -> OutputTrialResult | None:
+    def check(self, seen: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
         """Average the loopback pulses."""
         if elapsed_s < SETTLE_S:
             return None
@@ -123,7 +123,7 @@ class FrequencyProof(OutputTrial):
         self.scale = scale
         return OutputTrialResult(detail=detail)
 
-    def pulses(self, seen: Seen) -> tuple[float, ...] | None:
+    def pulses(self, seen: FrameObservation) -> tuple[float, ...] | None:
         """The pilot's signals."""
         return seen.output.pilot
 
@@ -188,13 +188,13 @@ class PwmOutput:
         )
         self._held = False  # the last frame beat
 
-    def look(self, scan: Scan, now_ns: int) -> Glimpse:
+    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
         """The pilot's co-processor, the driver, and the pulses behind the multiplexer as the scan has them."""
         pilot = self._pilot.poll(now_ns)
         status = scan.groups.get("capture")
         readable = status is not None and status.state is SensorState.OK
         counts = [scan.values.get(f"pwm_{o.readback}") if readable and o.readback else None for o in self._outputs]
-        return Glimpse(
+        return OutputObservation(
             switch=pilot.switch,
             pilot=pilot.sticks,
             loopback_us=pilot.loopback_us,

@@ -25,7 +25,7 @@ SAME_US = 25.0
 """The pilot's pulses in front of and behind the multiplexer: two captures with 10 us of jitter each, and rounding."""
 
 
-class Trial:
+class ServoDriverTrial:
     """take_scan: one scan of the aircraft's sensors, now."""
 
     def __init__(

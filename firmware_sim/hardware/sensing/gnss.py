@@ -8,7 +8,7 @@ the speed of the line.
 import math
 from collections.abc import Callable
 
-from firmware_sim.hardware.registers.ublox import Fix, UbloxReceiver
+from firmware_sim.hardware.registers.ublox import ReceiverFix, UbloxReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments
 
 BAUD = 115_200
@@ -100,10 +100,12 @@ class GnssReceiver:
             message = self._ublox.report(self._fix(epoch_ns, at_ns, period_ns))
             self._on_line.append((at_ns + latency_ns, self._corrupt(message, at_ns)))
 
-    def _fix(self, epoch_ns: int, at_ns: int, period_ns: int) -> Fix:
+    def _fix(self, epoch_ns: int, at_ns: int, period_ns: int) -> ReceiverFix:
         m = self._model
         if at_ns < self._silent_until:
-            return Fix(epoch_ns, 0, 0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0, 4294967.0, 4294967.0, 20.0, resolved=False)
+            return ReceiverFix(
+                epoch_ns, 0, 0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0, 4294967.0, 4294967.0, 20.0, resolved=False
+            )
         memory = math.exp(-period_ns * 1e-9 / m.drift_time_s)
         self._wander = memory * self._wander + math.sqrt(1.0 - memory**2) * self._rng.standard_normal(3)
         north, east, up = self._wander * (m.horizontal_m, m.horizontal_m, m.vertical_m)
@@ -112,7 +114,7 @@ class GnssReceiver:
         )(at_ns)
         metres_per_degree = math.pi / 180.0 * 6_371_000.0
         noise = m.velocity_m_s * self._rng.standard_normal(3)
-        return Fix(
+        return ReceiverFix(
             utc_ns=epoch_ns,
             fix_type=3,
             satellites=14,
