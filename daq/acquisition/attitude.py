@@ -24,7 +24,7 @@ from struct import Struct
 import imufusion
 import numpy as np
 
-from daq.contract.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from daq.sensors.config import AttitudeConfig
 from daq.sensors.gravity_reference import AirPath, GroundVelocity, VelocityFix
 from daq.sensors.vectors import UNTURNED, ZERO, Axes, Vector, cross, plus, times, turned

@@ -9,12 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from daq.actuation.config import EnvelopeConfig, SequencerConfig
-from daq.contract.atmosphere import indicated_airspeed
 from daq.contract.scan import RawValue, Scan, SensorState
 from daq.contract.sequencing import Reason
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_G
-from daq.sensors.ms4525do import nominal_transfer
+from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 
 _MS = 1_000_000
 _QUATERNION_SCALE = 1 / 32767

@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 
 from pydantic import field_validator
 
-from daq.contract.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from daq.contract.scan import SensorState
 from daq.sensors.base import (
     MS,

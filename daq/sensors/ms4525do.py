@@ -16,6 +16,7 @@ from typing import Literal
 
 from pydantic import field_validator
 
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait
 from daq.sensors.bus import read_raw
@@ -49,6 +50,11 @@ def nominal_transfer(config: object) -> tuple[float, float]:
     (low, high), (start, span) = config.range_pa, SPAN[config.output]
     per_count = (high - low) / (span * FULL)
     return per_count, low - start * FULL * per_count
+
+
+def indicated_airspeed(dynamic_pressure: float) -> float:
+    """Airspeed [m/s] that a dynamic pressure [Pa] means at sea level; 0 where it is not positive."""
+    return math.sqrt(max(0.0, 2.0 * dynamic_pressure / SEA_LEVEL_DENSITY))
 
 
 def split(data: bytes) -> tuple[int, int, int]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from daq.contract.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
 from estimation.errors import DataError

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.contract.atmosphere import density, density_at_altitude, density_at_pressure, is_of_the_air
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.signals.preprocess import denoise
 from groundstation.flight import Flight
+from groundstation.flight.atmosphere import density, density_at_altitude, density_at_pressure, is_of_the_air
 from groundstation.flight.notes import Note, NoteKind
 
 

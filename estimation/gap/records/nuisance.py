@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from daq.contract.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 from groundstation.flight import Flight

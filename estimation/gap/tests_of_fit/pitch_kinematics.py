@@ -1,6 +1,6 @@
 """The kinematic check of the pitching plane: airspeed, angle of attack and pitch attitude from measured rates and forces."""
 
-from daq.contract.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
 

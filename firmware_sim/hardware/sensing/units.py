@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from daq.contract.constants import PSI
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
-from firmware_sim.hardware.registers.ms4525do import PA_PER_PSI
 from firmware_sim.hardware.sensing.sensor_models import (
     REFERENCE_TEMPERATURE,
     Matrix,
@@ -113,7 +113,7 @@ def _matrix(values: NDArray[np.float64]) -> Matrix:
     return a, b, c
 
 
-PA_PER_COUNT = 2.0 * PA_PER_PSI / (0.8 * 16383.0)
+PA_PER_COUNT = 2.0 * PSI / (0.8 * 16383.0)
 
 
 def calibration_truth(models: SensorModels) -> dict[str, Mapping[str, Any]]:

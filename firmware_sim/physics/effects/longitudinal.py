@@ -6,7 +6,7 @@ Sizes are engineering estimates for this aircraft.
 
 from typing import TYPE_CHECKING, ClassVar
 
-from firmware_sim.physics.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from firmware_sim.physics.effects.aerodynamic import REFERENCE_ALPHA
 from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.effects.propulsion import DISC_AREA

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract import bmp390
-from daq.contract.atmosphere import GAS_CONSTANT, GRAVITY, LAPSE_RATE, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
+from daq.contract.constants import GAS_CONSTANT, GRAVITY, LAPSE_RATE, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
+from daq.contract.constants import HEAT_RATIO as GAMMA
 from groundstation.calibration.errors import CalibrationError
 
 Array = NDArray[np.float64]
-
-GAMMA = 1.4
-ZERO_CELSIUS = bmp390.ZERO_CELSIUS
 
 
 class Bmp390Compensation(bmp390.Bmp390Trimming):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.contract.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, scale_by_ground
 from groundstation.flight.windows import line, summed, windows

@@ -1,21 +1,18 @@
-"""Gravity and the standard atmosphere's troposphere (ICAO Doc 7488/3): one statement for air and ground.
-
-The simulator has its own on purpose (`firmware_sim.physics.atmosphere`): a shared mistake would cancel itself.
-"""
-
-import math
+"""The standard atmosphere's troposphere, and density of the air from what a flight measures (ICAO Doc 7488/3)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import (
+    GAS_CONSTANT,
+    LAPSE_RATE,
+    SEA_LEVEL_DENSITY,
+    SEA_LEVEL_PRESSURE,
+    SEA_LEVEL_TEMPERATURE,
+)
+
 Array = NDArray[np.float64]
 
-GRAVITY = 9.80665  # m/s2, standard
-GAS_CONSTANT = 287.05287  # J/(kg K), dry air
-SEA_LEVEL_PRESSURE = 101325.0  # Pa
-SEA_LEVEL_DENSITY = 1.225  # kg/m3, that equivalent and calibrated airspeed refer to
-SEA_LEVEL_TEMPERATURE = 288.15  # K
-LAPSE_RATE = 0.0065  # K/m, to 11 km
 _EXPONENT = 5.255876  # g / (R lapse)
 
 OUTSIDE_TEMPERATURE = 25.0
@@ -47,8 +44,3 @@ def density_at_altitude(altitude: Array) -> Array:
     """Density [kg/m3] at an altitude above mean sea level [m]."""
     share = 1.0 - LAPSE_RATE / SEA_LEVEL_TEMPERATURE * altitude
     return np.asarray(SEA_LEVEL_DENSITY * np.maximum(share, 0.0) ** (_EXPONENT - 1.0))
-
-
-def indicated_airspeed(dynamic_pressure: float) -> float:
-    """Airspeed [m/s] that a dynamic pressure [Pa] means at sea level; 0 where it is not positive."""
-    return math.sqrt(max(0.0, 2 * dynamic_pressure / SEA_LEVEL_DENSITY))
