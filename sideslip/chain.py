@@ -47,7 +47,7 @@ def fly_scenario(
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import hand_over
     from groundstation.live.station import Station
-    from groundstation.receiver.link_config import LinkConfig
+    from groundstation.receiver.ports import LinkConfig
     from groundstation.receiver.receive import Receiver
     from sideslip.live_aircraft import live_aircraft
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.cli.services import LogAdvice, Services
+from groundstation.cli.data import LogAdvice, Services
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight

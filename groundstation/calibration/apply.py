@@ -16,16 +16,13 @@ from numpy.typing import NDArray
 from daq.contract.channel_rows import RAW_LIMITS
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
+from groundstation.calibration import conversions, curves
 from groundstation.calibration.account import account
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
-from groundstation.calibration.columns import GNSS, CombinedColumns
-from groundstation.calibration.conversions import air_data, curves, inertial
-from groundstation.calibration.conversions.direct import direct_columns
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.columns import GNSS, CombinedColumns, direct_columns
 from groundstation.calibration.facts import RecordedFacts
-from groundstation.calibration.readings import Readings
-from groundstation.calibration.scan_table import ScanTable, bridged, scan_table
-from groundstation.calibration.schema import CalibrationCurve, CalibrationSet, Instrument, Triad
+from groundstation.calibration.scan_table import Readings, ScanTable, bridged, scan_table
+from groundstation.calibration.schema import CalibrationCurve, CalibrationError, CalibrationSet, Instrument, Triad
 from groundstation.flight import Flight, Provenance
 
 Array = NDArray[np.float64]
@@ -56,7 +53,7 @@ class Calibrator:
         self._as_they_are = frozenset(c.name for c in plain if c.raw_type != "bit")
         # of a channel that a table merely names it is not known that it is smooth
         self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.as_it_is or d.channel.package)}
-        self._static_chip = air_data.Bmp390Compensation.from_nvm(nvm) if nvm else None
+        self._static_chip = conversions.Bmp390Compensation.from_nvm(nvm) if nvm else None
 
     def sample(self, scan: Scan) -> dict[str, float]:
         """Calibrated columns of one scan, for live use: not aligned, only columns that have a value."""
@@ -138,7 +135,7 @@ class Calibrator:
         delay = item.delay + self.facts.delay(item.instrument, group)
         lag = self.facts.lag(item.instrument)
         warmth = held(table.time, self.physical(table, "imu_temperature"))
-        for axis, value in zip("xyz", inertial.apply_triad(triad, reading, warmth), strict=True):
+        for axis, value in zip("xyz", conversions.apply_triad(triad, reading, warmth), strict=True):
             _add(out, f"{item.instrument}_{axis}", value, group, delay)
             if lag:
                 out.lag[f"{item.instrument}_{axis}"] = lag

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from groundstation.calibration.conversions.air_data import Bmp390Compensation
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.conversions import Bmp390Compensation
+from groundstation.calibration.schema import CalibrationError
 
 _SCALE_KEYS = {
     **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "imu.accel_scale_m_s2"),

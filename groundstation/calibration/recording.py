@@ -11,11 +11,11 @@ from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify_recording
 from daq.contract.recordings.reading import Recording, read_recordings, sound
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
+from daq.contract.scan import SCAN_TOPIC
 from groundstation.calibration.apply import calibrate
-from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import Reported, reported
-from groundstation.calibration.schema import CalibrationSet, load_calibration
-from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance
+from groundstation.calibration.schema import CalibrationError, CalibrationSet, load_calibration
+from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 
 _TOLD = 20  # damages of a recording told one by one in a flight's notes
 
@@ -78,6 +78,21 @@ def calibrate_opened(
     )
     refused = [f"{why}: what the calibration set says is used in its place" for why in facts.refused.values()]
     return flight.with_notes(*refused[:_TOLD], *_undescribed(recording), *_gaps(recording))
+
+
+def is_raw(file: Path) -> bool:
+    """Whether a path holds scans as counts: a folder of segments, or a .mcap that says so in its first bytes."""
+    if file.is_dir():
+        return True
+    if file.suffix != ".mcap" or not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        return SCAN_TOPIC.encode() in stream.read(65536)
+
+
+def open_flight(file: Path, calibration: Path | None = None) -> Flight:
+    """A flight file as it is, a raw recording (file or directory of segments) calibrated, as `sideslip calibrate` does."""
+    return calibrate_recording(file, calibration, salvage=True) if is_raw(file) else read_flight(file)
 
 
 def _undescribed(recording: Recording) -> list[str]:

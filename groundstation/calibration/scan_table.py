@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNELS, GROUP_NAMES
 from daq.contract.scan import Scan
 from groundstation.calibration.align import BRIDGED
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.schema import CalibrationError
 
 Array = NDArray[np.float64]
 
@@ -145,3 +145,20 @@ def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
         values = np.array(read, float)
         found[channel.name] = np.where(found[f"{channel.group} usable"], values, np.nan)
     return found
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Physical value of each instrument axis, with what is known of its instant.
+
+    values: name -> (N,). group: name -> sensor group. delay: name -> by which it lags [s]. lag: name -> time constant of a
+    first-order low pass in front of it [s].
+    extrapolated, clipped: instrument or channel -> number of samples.
+    """
+
+    values: dict[str, Array]
+    group: dict[str, str]
+    delay: dict[str, float]
+    lag: dict[str, float]
+    extrapolated: dict[str, int]
+    clipped: dict[str, int]

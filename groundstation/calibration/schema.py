@@ -12,11 +12,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Literal
 
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.errors import UserError
 from daq.contract.input_files import parse_toml, read_text
-from groundstation.calibration.errors import CalibrationError
+
+
+class CalibrationError(UserError):
+    """A calibration file, set or recording that cannot be used for calibrating."""
+
 
 FORMAT = 1
 NOMINAL_DIRECTORY = Path(__file__).parent / "files"
@@ -303,3 +309,8 @@ def _parse(where: str, text: str) -> Instrument:
         message = first["msg"].removeprefix("Value error, ")
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}{more}") from error
+
+
+def to_toml(instrument: Instrument) -> str:
+    """The file's text: what is unset or at its default is left out, except what identifies it."""
+    return tomli_w.dumps(instrument.model_dump(exclude_defaults=True, exclude_none=True))

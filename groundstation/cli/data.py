@@ -1,9 +1,10 @@
 """Command line of the data side: `sideslip calibrate`, `bench` and `import`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -14,9 +15,8 @@ from daq.contract.options import aircraft_option, json_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
-    from groundstation.cli.services import Services
     from groundstation.flight import Flight
-
+    from groundstation.identification.aircraft import AircraftSource
 
 _JSON = json_option("Write the same as JSON.", "report")
 
@@ -277,8 +277,8 @@ def bench(
     Example: sideslip bench bench/vanes --plan bench/vanes.toml -o calibration/
     """
     from daq.contract.recordings.reading import read_recording
-    from groundstation.calibration.bench_work.bench import fit_bench, fitted_set
-    from groundstation.calibration.bench_work.plan import load_plan
+    from groundstation.calibration.bench import fit_bench, fitted_set
+    from groundstation.calibration.bench_plan import load_plan
     from groundstation.calibration.recording import embedded_calibration
     from groundstation.calibration.schema import load_calibration
 
@@ -298,3 +298,25 @@ def bench(
             for fit in fits
         ],
     )
+
+
+class LogAdvice(Protocol):
+    """Which models and methods a log is good for."""
+
+    def lines(self) -> Iterable[str]:
+        """For a person."""
+        ...
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as JSON."""
+        ...
+
+
+@dataclass(frozen=True)
+class Services:
+    """aircraft: of a name or file, for live identification. recipe: what a flight is good for. estimate: of flights, with model,
+    methods and the folder of the report; gives what a person reads."""
+
+    aircraft: "AircraftSource"
+    recipe: "Callable[[Flight], LogAdvice]"
+    estimate: Callable[[Sequence[Path], str, str, Path], Iterable[str]]

@@ -14,7 +14,7 @@ from daq.contract.options import aircraft_option, json_option, model_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
-    from groundstation.cli.services import Services
+    from groundstation.cli.data import Services
     from groundstation.identification.aircraft import AircraftSource
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover
@@ -128,7 +128,7 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
     one, and `ground.log` in the folder. replayed: then it must not hold a session already."""
     from daq.contract.durable import FolderInUseError, folder_of_ones_own
     from groundstation.live.config import GroundConfigError
-    from groundstation.live.said import spoken
+    from groundstation.live.console import spoken
 
     wanted = out or _session_folder(settings)
     dated = out is None and settings.output.dated

@@ -10,16 +10,13 @@ from typing import Protocol
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Reason, State
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import CalibrationSet
+from groundstation.calibration.schema import CalibrationError, CalibrationSet
 from groundstation.identification.session import LiveState
-from groundstation.live.alarms import AlarmChange, Alarms, AlarmState
 from groundstation.live.config import GroundConfig
-from groundstation.live.flight_phase import LandingWatch, Phase
-from groundstation.live.free_space import FreeSpace
 from groundstation.live.readouts import FreshValues, banner, readout_line
+from groundstation.live.watches import AlarmChange, Alarms, AlarmState, FreeSpace, LandingWatch, Phase
 from groundstation.receiver import events as ev
-from groundstation.receiver.legible import legible
+from groundstation.receiver.findings import legible
 
 IN_FLIGHT_ONLY = ("V", "alpha")
 _SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
@@ -168,13 +165,7 @@ class AircraftMonitor:
                 self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
             case ev.ManoeuvreSent(digest=digest, words=words, taken=taken):
                 self._note("INFO" if taken else "WARN", f"manoeuvre {digest[:6]}: {words}")
-            case ev.Refused(message=message, why=why, count=count):
-                self._note("WARN", f"refused {count} x {message}: {why}")
-            case ev.Doubted(what=what, count=count):
-                self._note("WARN", f"not believed: {count} {what}")
-            case ev.Quarantined(text=text):
-                self._note("WARN", text)
-            case ev.Contested():
+            case ev.ReceptionFinding():
                 self._note("WARN", event.text)
             case ev.Restarted(previous=previous) if previous is not None:
                 self._note("WARN", "the aircraft's logger has started anew: scan numbers begin again")

@@ -1,18 +1,26 @@
-"""Words typed at a running ground station: commands to the aircraft, alarms, downloads. `help` lists them.
+"""Words typed at a running ground station, and what it says. `help` lists the commands.
 
-Read from standard input without ever waiting: a terminal when this process is in its foreground, or a pipe.
+Typed words are read from standard input without ever waiting: a terminal when this process is in its foreground, or a pipe. Lines
+go to standard output as long as somebody reads it, and to `ground.log` always.
 """
 
 import os
 import select
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import click
+
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
+from daq.contract.plain_words import visible
+from daq.contract.rotating_log import RotatingLog
+from daq.contract.standard_streams import Speaker
 from groundstation.identification.words import lines
 from groundstation.live.station import Station
-from groundstation.receiver.sending.loglist import LogFetcher
+from groundstation.receiver.commands import LogFetcher
 
 HELP = """\
 status            state of each aircraft, recorder, link and alarms in force
@@ -201,3 +209,46 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if 0.0 <= value < 1e6 else None
+
+
+LOG = "ground.log"
+
+
+@contextmanager
+def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
+    """A function that says a line, without ever waiting for its reader or failing for want of one."""
+    with RotatingLog(folder / LOG) as log:
+
+        def write_down(line: str) -> None:
+            stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+            log.write(f"{stamp} {visible(line)}\n".encode("utf-8", "backslashreplace"))
+
+        descriptor = _descriptor()
+        if descriptor is None:  # within another program's Python, or a test: there nobody is slow
+
+            def both(line: str) -> None:
+                click.echo(line)
+                write_down(line)
+
+            yield both
+            return
+        speaker = Speaker(descriptor)
+
+        def say(line: str) -> None:
+            speaker.say(visible(line))
+            write_down(line)
+
+        try:
+            yield say
+        finally:
+            speaker.close()
+
+
+def _descriptor() -> int | None:
+    """Standard output of this process, where that is what `sys.stdout` writes to."""
+    try:
+        found = int(sys.stdout.fileno())
+        sys.stdout.flush()
+        return found if found == 1 and os.fstat(found) else None
+    except (OSError, ValueError, AttributeError):
+        return None

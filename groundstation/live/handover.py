@@ -10,8 +10,8 @@ from numpy.linalg import LinAlgError
 from daq.contract.errors import UserError
 from daq.contract.outputs import write_json
 from daq.contract.recordings.recording import RecordingError
-from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
+from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import Flight, FlightError, write_flight
 from groundstation.flight.manoeuvres import ManoeuvreStretch, cut, find_manoeuvres
 from groundstation.flight.quality.report import Finding, quality_report

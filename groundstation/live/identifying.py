@@ -4,7 +4,7 @@ Nothing here can end or delay reception: work is done in small pieces, and what 
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -12,6 +12,8 @@ from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
 from daq.identification.stretches import ManoeuvreDetector
+from daq.transport.mavlink_codec import FrameEncoder, message_by_name
+from daq.transport.ports import BytePort
 from groundstation.identification.aircraft import AircraftSource, LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
@@ -20,9 +22,9 @@ from groundstation.identification.watching import LiveWatch
 from groundstation.identification.words import NAMES, number, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import LiveIdentificationConfig
-from groundstation.live.flight_phase import LandingLimits
-from groundstation.live.named_values import NamedValues
+from groundstation.live.watches import LandingLimits
 from groundstation.receiver.events import Session
+from groundstation.receiver.ports import open_port
 
 UNNAMED_S = 15.0  # s of flight after which it is said that nobody has named the aircraft
 UNNAMED = (
@@ -203,3 +205,48 @@ class LiveIdentifications:
     def close(self) -> None:
         """Close what values are forwarded to."""
         self._forward.close()
+
+
+COMPONENT = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: a computer of that aircraft, but not the one that flies or logs
+STD = ".s"  # ends the name of a bound: ten bytes are all there is
+_MILLISECONDS = 2**32  # what time_boot_ms holds
+
+
+class NamedValues:
+    """Forwards to each port. say: told once about a port that fails, and again only after it has worked."""
+
+    def __init__(self, ports: Sequence[str], say: Callable[[str], None]) -> None:
+        self._ports: dict[str, BytePort] = {text: open_port(text) for text in ports}
+        self._encoders: dict[int, FrameEncoder] = {}
+        self._failing: set[str] = set()
+        self._say = say
+
+    def send(self, system: int, state: LiveState) -> None:
+        """Each derivative that is told, and its bound as `<name>.s`."""
+        if not self._ports:
+            return
+        encoder = self._encoders.setdefault(system, FrameEncoder(system, COMPONENT))
+        message = message_by_name()["NAMED_VALUE_FLOAT"]
+        boot_ms = int(state.time * 1e3) % _MILLISECONDS
+        for name in NAMES:
+            d = state.estimates.derivatives[name]
+            if d.told:
+                for key, value in ((name, d.estimate), (name + STD, d.std)):
+                    payload = message.pack({"time_boot_ms": boot_ms, "name": key, "value": value})
+                    self._write(encoder.frame(message.msg_id, payload))
+
+    def _write(self, frame: bytes) -> None:
+        for text, port in self._ports.items():
+            try:
+                port.read()  # what others say is not for here, and must not fill the system's buffer
+                port.write(frame)
+                self._failing.discard(text)
+            except OSError as error:
+                if text not in self._failing:
+                    self._failing.add(text)
+                    self._say(f"values cannot be forwarded to {text} ({error.strerror or error})")
+
+    def close(self) -> None:
+        """Close the ports."""
+        for port in self._ports.values():
+            port.close()

@@ -132,9 +132,9 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
 
 def _replay_recording(station: "Station", path: Path, speed: float | None) -> None:
     from daq.contract.recordings.reading import read_recording
-    from groundstation.calibration.errors import CalibrationError
     from groundstation.calibration.facts import reported
     from groundstation.calibration.recording import embedded_calibration
+    from groundstation.calibration.schema import CalibrationError
     from groundstation.receiver.events import Session
 
     recording = read_recording(path, salvage=True)

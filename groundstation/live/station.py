@@ -6,17 +6,15 @@ from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.rotating_log import RotatingLog
-from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import reported
-from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.calibration.schema import CalibrationError, CalibrationSet, load_calibration
 from groundstation.identification.aircraft import AircraftSource
 from groundstation.live.aircraft_monitor import AircraftMonitor, MonitorView
 from groundstation.live.config import GroundConfig
-from groundstation.live.free_space import FreeSpace, free_bytes
 from groundstation.live.identifying import LiveIdentifications
+from groundstation.live.watches import FreeSpace, free_bytes
 from groundstation.receiver import events as ev
-from groundstation.receiver.doubts import NOBODY
-from groundstation.receiver.legible import legible
+from groundstation.receiver.findings import NOBODY, legible
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import NS, GroundClock
 
@@ -81,17 +79,17 @@ class Station:
     def step(self) -> list[ev.Event]:
         """Take in what has arrived and act on it."""
         happened = self.receiver.poll()
-        quarantine = self.receiver.quarantine
+        findings = self.receiver.findings
         for event in happened:
             try:
                 self._dispatch(event)
-            except Exception as error:  # noqa: BLE001  the edge of what a sender can reach: see Quarantine
-                quarantine.put_error(_system(event), f"a {type(event).__name__}", error)
-        with quarantine.guard(NOBODY, "live identification"):
+            except Exception as error:  # noqa: BLE001  the edge of what a sender can reach: see ReceptionFindings
+                findings.quarantine_error(_system(event), f"a {type(event).__name__}", error)
+        with findings.guard(NOBODY, "live identification"):
             self.identifications.step()
         now = self._clock.monotonic_ns()
         for system, monitor in self.monitors.items():
-            with quarantine.guard(system, "its silence"):
+            with findings.guard(system, "its silence"):
                 monitor.silence(now)
         if now >= self._next_papers_ns:
             self._next_papers_ns = now + PAPERS_PERIOD_NS
@@ -108,23 +106,13 @@ class Station:
                 self.identifications.scan(session, event.scan, monitor)
             case ev.ScanFetched(session=session, data=data):
                 self.identifications.fetched(session, data, self.monitor(session.system))
-            case ev.Contested(system=system) | ev.Doubted(system=system) | ev.Quarantined(system=system) if (
-                system not in self.monitors
-            ):
-                text = f"not believed: {event.count} {event.what}" if isinstance(event, ev.Doubted) else event.text
-                who = f"aircraft {system}" if system else "ground station"
-                self._note(f"{'':10}    {who}  WARN {text}")
-            case (
-                ev.StatusText(system=system)
-                | ev.CommandResult(system=system)
-                | ev.ManoeuvreSent(system=system)
-                | ev.Refused(system=system)
-                | ev.Contested(system=system)
-                | ev.Doubted(system=system)
-                | ev.Quarantined(system=system)
-            ):
-                if system in self.monitors:
-                    self.monitors[system].happened(event)
+            case ev.ReceptionFinding(system=system) if system not in self.monitors:
+                if event.kind is not ev.FindingKind.REFUSED:
+                    source = f"aircraft {system}" if system else "ground station"
+                    self._note(f"{'':10}    {source}  WARN {event.text}")
+            case ev.StatusText() | ev.CommandResult() | ev.ManoeuvreSent() | ev.ReceptionFinding():
+                if event.system in self.monitors:
+                    self.monitors[event.system].happened(event)
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
@@ -142,7 +130,7 @@ class Station:
         with self.receiver.faults.watch("disk"):
             self.space.update(now_ns * 1e-9, free_bytes(self.folder))
         for system, monitor in self.monitors.items():
-            with self.receiver.quarantine.guard(system, "the disk"):
+            with self.receiver.findings.guard(system, "the disk"):
                 monitor.disk(self.space)
         if not (self._space_told or math.isnan(self.space.megabytes)):
             self._space_told = True
@@ -151,7 +139,7 @@ class Station:
     def _adopt_calibrations(self) -> None:
         """Once the recording's papers have come down, calibrate with what the aircraft carries."""
         for session, recorder in self.receiver.session_recorders().items():
-            with self.receiver.quarantine.guard(session.system, "what its recording says of itself"):
+            with self.receiver.findings.guard(session.system, "what its recording says of itself"):
                 self._adopt(session, recorder.info())
 
     def _adopt(self, session: ev.Session, info: RecordingInfo) -> None:
@@ -169,7 +157,7 @@ class Station:
             chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
             self.monitor(session.system).use(chosen, facts)
         except CalibrationError as error:
-            self.receiver.quarantine.put(session.system, "its calibration", str(error))
+            self.receiver.findings.quarantine(session.system, "its calibration", str(error))
             self.monitor(session.system).use(self.calibration, facts)
         self.identifications.known(session, info, self.monitor(session.system))
 
@@ -177,12 +165,12 @@ class Station:
         """Of the facts that a sender gives about its sensors those that can be; the others are quarantined."""
         found = reported(values)
         for name, why in found.refused.items():
-            self.receiver.quarantine.put(system, f"fact {name}", why)
+            self.receiver.findings.quarantine(system, f"fact {name}", why)
         return found.facts
 
     def close(self) -> None:
         """Write recordings and close every file and port; what failed is told."""
-        with self.receiver.quarantine.guard(NOBODY, "live identification"):
+        with self.receiver.findings.guard(NOBODY, "live identification"):
             self.identifications.finish()
         self.receiver.close()
         for event in self.receiver.faults.changes(self._clock.monotonic_ns()):

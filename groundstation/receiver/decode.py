@@ -11,12 +11,11 @@ from typing import Any
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_IDS, ScanPart, join_parts, layouts, unpack_scan
 from daq.transport.mavlink_codec import MavlinkFrame, padded
-from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
+from groundstation.receiver import findings
 from groundstation.receiver.continuity import LATE_NS, ConfirmedRun, PendingScan, ScanRun, Waiting
 from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
-from groundstation.receiver.ports.allowance import Allowance
-from groundstation.receiver.timeline import NS, ClockSync
+from groundstation.receiver.timeline import NS, Allowance, ClockSync
 
 _new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
 _PARTS_KEPT = 64
@@ -39,9 +38,9 @@ _FOREIGN_CHANNELS = (
 class AircraftDecoder:
     """Everything that is known of one aircraft (system id), from its frames alone."""
 
-    def __init__(self, system: int, doubts: d.Doubts | None = None) -> None:
+    def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
         self.system = system
-        self._doubts = doubts or d.Doubts()
+        self._findings = reception_findings or findings.ReceptionFindings()
         self.trackers: dict[int, SequenceTracker] = {}  # by component
         self.sync = ClockSync()
         self.sessions: list[SessionAccounting] = []
@@ -115,7 +114,7 @@ class AircraftDecoder:
             self._begin(held, books)
         elif books.line.follows(part, now_ns):
             self._believe(books, held)
-            self._doubts.note(self.system, d.NUMBERS, self._waiting.clear())
+            self._findings.doubt(self.system, findings.NUMBERS, self._waiting.clear())
         elif not (books.line.is_older(part) and part.number in books.received):  # a copy that was long on its way
             self._hold(books, held)
 
@@ -133,7 +132,7 @@ class AircraftDecoder:
         """The first scan of all, or the first since a report made its session known."""
         if books is None or books.session.boot != held.part.boot:
             if books is not None and not self._restarts.take(1, held.now_ns):
-                self._doubts.note(self.system, d.RESTARTS)
+                self._findings.doubt(self.system, findings.RESTARTS)
                 return
             books = self._new_session(held.part.boot, held.now_ns)
         books.line = ScanRun(held.part, held.now_ns)
@@ -142,7 +141,7 @@ class AircraftDecoder:
     def _hold(self, books: SessionAccounting, held: PendingScan) -> None:
         """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
         proven, given_up = self._waiting.hold(held, self.trackers[held.component].lost)
-        self._doubts.note(self.system, d.NUMBERS, given_up)
+        self._findings.doubt(self.system, findings.NUMBERS, given_up)
         if proven is None:
             return
         first = proven.parts[0].part
@@ -155,7 +154,7 @@ class AircraftDecoder:
             books.line = ScanRun(first, proven.parts[0].now_ns)
             self._restart_trackers(held.component, proven.lost)
         else:
-            self._doubts.note(self.system, d.RESTARTS)
+            self._findings.doubt(self.system, findings.RESTARTS)
             return
         self._believe_all(books, proven)
 
@@ -253,7 +252,7 @@ class AircraftDecoder:
         """Whether a text may come now; each is a line in the log."""
         if self._talk.take(1, now_ns):
             return True
-        self._doubts.note(self.system, d.TEXTS)
+        self._findings.doubt(self.system, findings.TEXTS)
         return False
 
     def _statustext(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
@@ -293,7 +292,7 @@ class AircraftDecoder:
         if books is None:
             return
         if f["scans_offered"] and not f["first_number"] <= f["last_number"] <= books.reach(now_ns):
-            self._doubts.note(self.system, d.REPORTS)
+            self._findings.doubt(self.system, findings.REPORTS)
             return
         names = (
             "first_number",
@@ -327,7 +326,7 @@ class AircraftDecoder:
                 return None
             del self._claims[boot]
             if not self._restarts.take(1, now_ns):
-                self._doubts.note(self.system, d.RESTARTS)
+                self._findings.doubt(self.system, findings.RESTARTS)
                 return None
         return self._new_session(boot, now_ns)
 
@@ -337,7 +336,7 @@ class AircraftDecoder:
             return
         first = f["first_number"]
         if f["last_number"] > books.reach(now_ns) or first > books.reach(now_ns):
-            self._doubts.note(self.system, d.REPORTS)
+            self._findings.doubt(self.system, findings.REPORTS)
         elif first % BLOCK == 0:
             sent, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
             books.take_map(first, f["last_number"], sent, absent)
@@ -348,7 +347,7 @@ class AircraftDecoder:
             return
         time_ns, number = f["time_monotonic_ns"], f["number"]
         if time_ns > MAX_AIRCRAFT_TIME_NS or number > books.reach(now_ns):
-            self._doubts.note(self.system, d.REPORTS)
+            self._findings.doubt(self.system, findings.REPORTS)
             return
         if not self._may_talk(now_ns):
             return

@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
 from daq.transport.ports import BytePort, TcpServerPort
-from groundstation.receiver.faults import Faults
-from groundstation.receiver.ports.allowance import Allowance
-from groundstation.receiver.ports.link import receive
-from groundstation.receiver.ports.udp_listener import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
+from groundstation.receiver.findings import Faults
+from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener, receive
+from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
 
 _MAX_DECODERS = 32

@@ -16,25 +16,20 @@ from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, FrameEncoder, MavlinkFrame, message_types
 from daq.transport.ports import BytePort
-from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
+from groundstation.receiver import findings
+from groundstation.receiver.backfill import BackfillClient, Mode
+from groundstation.receiver.commands import Commander, LogFetcher, ManoeuvreSender
 from groundstation.receiver.decode import AircraftDecoder
-from groundstation.receiver.faults import Faults
+from groundstation.receiver.events import FindingKind
+from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import FrameInput, Sender
-from groundstation.receiver.kept.disk import Disk
-from groundstation.receiver.kept.recording import SessionRecorder
-from groundstation.receiver.kept.sessions import RECORDING, Sessions
-from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.link_quality import RateMeter
-from groundstation.receiver.ports.link import open_port
-from groundstation.receiver.quarantine import Quarantine
-from groundstation.receiver.security import SIGNING_STATE, SignatureGate, make_signer
-from groundstation.receiver.senders import Senders
-from groundstation.receiver.sending.backfill import BackfillClient, Mode
-from groundstation.receiver.sending.command import Commander
-from groundstation.receiver.sending.loglist import LogFetcher
-from groundstation.receiver.sending.manoeuvre_sender import ManoeuvreSender
-from groundstation.receiver.summary import counters
+from groundstation.receiver.link_quality import RateMeter, counters
+from groundstation.receiver.ports import LinkConfig, open_port
+from groundstation.receiver.senders import SIGNING_STATE, Senders, SignatureGate, make_signer
+from groundstation.receiver.storage.lasting_log import Disk
+from groundstation.receiver.storage.recording import SessionRecorder
+from groundstation.receiver.storage.sessions import RECORDING, Sessions
 from groundstation.receiver.timeline import NS, GroundClock
 
 _HEARTBEAT_NS = NS
@@ -53,11 +48,11 @@ class _TrackedAircraft:
     """One aircraft as the receiver keeps it."""
 
     def __init__(
-        self, system: int, port: BytePort, sender: Sender, sessions: Sessions | None, doubts: d.Doubts
+        self, system: int, port: BytePort, sender: Sender, sessions: Sessions | None, reception: ReceptionFindings
     ) -> None:
-        self.decoder = AircraftDecoder(system, doubts)
+        self.decoder = AircraftDecoder(system, reception)
         self.first_sender = sender
-        self.senders = Senders(system)
+        self.senders = Senders(system, reception)
         self.meter = RateMeter(self.decoder)
         self.port = port
         self.sessions = sessions
@@ -85,9 +80,8 @@ class Receiver:
         self._folder = folder
         self._lock = threading.RLock()
         self.faults = Faults()
-        self.doubts = d.Doubts()
-        self.quarantine = Quarantine()
-        self._gate = SignatureGate(make_signer(config, clock), self.faults)
+        self.findings = ReceptionFindings()
+        self._gate = SignatureGate(make_signer(config, clock), self.faults, self.findings)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
         self._known_messages = frozenset(message_types())
@@ -126,12 +120,13 @@ class Receiver:
                 try:
                     self._take_frame(frame, sender, now, utc, out)
                 except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
-                    self.quarantine.put_error(frame.system, f"a frame of {frame.name}", error)
-            out += [*self._gate.reports(now), *self._contests(now)]
+                    self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
+            out += [*self.findings.reports(now, FindingKind.REFUSED), *self._contests(now)]
             self._keep(out)
-            with self.quarantine.guard(d.NOBODY, "what is due to be sent and told"):
+            with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
                 self._do_due(now, out)
-            return out + self.doubts.reports(now) + self.quarantine.reports(now) + self.faults.changes(now)
+            out += self.findings.reports(now, FindingKind.DOUBTED, FindingKind.QUARANTINED)
+            return out + self.faults.changes(now)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -168,10 +163,10 @@ class Receiver:
             return None
         if _is_aircraft(frame):
             if not self.config.systems and not self._room_for_one_more(sender):
-                self.doubts.note(d.NOBODY, d.AIRCRAFT)
+                self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
                 return None
             sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            known = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.doubts)
+            known = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.findings)
             self._aircraft[frame.system] = known
         return known
 
@@ -194,15 +189,15 @@ class Receiver:
             self._frame_input.favour(sender)
         return True
 
-    def _contests(self, now: int) -> list[ev.Contested]:
-        """Second senders that are to be told of; the first time of each is put into the recording."""
-        found = [r for a in self._aircraft.values() for r in a.senders.reports(now)]
-        for report in found:
+    def _contests(self, now: int) -> list[ev.ReceptionFinding]:
+        """Second senders that are to be reported; the first time of each is put into the recording."""
+        reports = self.findings.reports(now, FindingKind.CONTESTED)
+        for report in reports:
             aircraft = self._aircraft[report.system]
             books = aircraft.decoder.books
             if report.first and aircraft.sessions is not None and books is not None:
                 aircraft.sessions.note(books.session, report.text)
-        return found
+        return reports
 
     def _take_answer(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now: int, out: list[ev.Event]) -> None:
         """Answers to what was asked from here."""
@@ -222,7 +217,7 @@ class Receiver:
                         if frame.name == "BACKFILL_DATA":
                             before = aircraft.backfill.refused
                             aircraft.backfill.take_data(f, now)
-                            self.doubts.note(frame.system, d.PAPERS, aircraft.backfill.refused - before)
+                            self.findings.doubt(frame.system, findings.PAPERS, aircraft.backfill.refused - before)
                             fetched = aircraft.backfill.take_fetched()
                             out += [ev.ScanFetched(books.session, data, now) for data in fetched]
                         else:
@@ -237,18 +232,20 @@ class Receiver:
         """Hand events to the recorders of their sessions."""
         for event in out:
             if isinstance(event, ev.Restarted):
-                with self.quarantine.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
+                with self.findings.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
                     self._begin(event.session)
             elif isinstance(event, _KEPT):
                 try:
                     self._keep_one(event)
                 except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
-                    self.quarantine.put_error(event.session.system, f"a {type(event).__name__} in the recording", error)
+                    self.findings.quarantine_error(
+                        event.session.system, f"a {type(event).__name__} in the recording", error
+                    )
 
     def _keep_one(self, event: ev.ScanReceived | ev.EventMarked) -> None:
         sessions = self._aircraft[event.session.system].sessions
         if sessions is not None and not sessions.keep(event):
-            self.doubts.note(event.session.system, d.EVENTS)
+            self.findings.doubt(event.session.system, findings.EVENTS)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -336,10 +333,10 @@ class Receiver:
         self._frame_input.flush()
         self._look_after_disk()
         for what, count in (
-            (d.BYTES, self._frame_input.refused_bytes),
-            (d.DATAGRAMS, self._frame_input.datagrams_dropped),
+            (findings.BYTES, self._frame_input.refused_bytes),
+            (findings.DATAGRAMS, self._frame_input.datagrams_dropped),
         ):
-            self.doubts.note(d.NOBODY, what, count - self.doubts.total(what))
+            self.findings.doubt(findings.NOBODY, what, count - self.findings.total_doubted(what))
         with self.faults.watch(_DISK):
             journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
@@ -437,14 +434,15 @@ class Receiver:
 
     def _unbelieved(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
+        waiting = sum(a.decoder.waiting for a in self._aircraft.values())
         return {
             "bytes_refused": self._frame_input.refused_bytes,
             "datagrams_dropped": self._frame_input.datagrams_dropped,
             "frames_contested": sum(a.senders.contested for a in self._aircraft.values()),
-            "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
-            "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
-            "doubted": self.doubts.table(),
-            "quarantined": self.quarantine.table(),
+            "second_senders": [row for system in self._aircraft for row in self.findings.second_senders(system)],
+            "scans_doubted": self.findings.total_doubted(findings.NUMBERS) + waiting,
+            "doubted": self.findings.doubted(),
+            "quarantined": self.findings.quarantined(),
         }
 
     def close(self) -> None:

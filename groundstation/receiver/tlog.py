@@ -18,7 +18,7 @@ from daq.contract.link.wire import layouts
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, Junk, MavlinkFrame, frame_at
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived
-from groundstation.receiver.kept.lasting_log import LastingLog
+from groundstation.receiver.storage.lasting_log import LastingLog
 
 JUNK_PAYLOAD_TYPE = 44100
 """TUNNEL payload type of wrapped bytes, from the range of types in private use."""

@@ -15,7 +15,7 @@ from groundstation.identification.history import BELIEVED, DETAIL, history_of
 from groundstation.identification.session import LiveState
 from groundstation.identification.words import markdown
 from groundstation.viewer import entities as e
-from groundstation.viewer.glyphs import drawable
+from groundstation.viewer.entities import drawable
 
 BAND = 2.0  # bounds to each side: 95 %
 BAND_LABEL = " "  # of its edges: in the colour of their derivative, and the legend is long enough

@@ -6,7 +6,6 @@ server that viewers attach to lives in this process, on loopback, with bounded m
 back. Each start makes a recording id of its own, because a viewer shows an old recording for a known id.
 """
 
-import math
 import queue
 import socket
 import threading
@@ -22,9 +21,8 @@ from daq.contract.errors import UserError
 from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
-from groundstation.viewer.blueprint import Layout, blueprint
+from groundstation.viewer.blueprint import Layout, blueprint, fitted
 from groundstation.viewer.gate import LOOPBACK, ViewerGate, hidden_address
-from groundstation.viewer.panes import fitted
 from groundstation.viewer.scene import LinkSample, Scene
 
 DEFAULT_PORT = 9876
@@ -137,9 +135,8 @@ class LiveView:
 
     def quality(self, time_s: float, report: LinkStatistics) -> None:
         """Show what the receiver says of the link."""
-        signal = math.nan if report.rssi_dbm is None else report.rssi_dbm
-        latency = math.nan if report.latency_s is None else report.latency_s
-        self.link(time_s, LinkSample(100 * report.loss, report.scan_rate_hz, signal, latency))
+        sample = LinkSample.reported(report.loss, report.scan_rate_hz, report.rssi_dbm, report.latency_s)
+        self.link(time_s, sample)
 
     def status(self, time_s: float, markdown: str) -> None:
         """Show the status page."""

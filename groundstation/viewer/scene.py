@@ -17,9 +17,8 @@ from groundstation.flight import Flight
 from groundstation.identification.session import LiveState
 from groundstation.live.readouts import READOUTS, FreshValues, readout_line
 from groundstation.viewer import entities as e
-from groundstation.viewer.airframe import airframe_mesh
 from groundstation.viewer.derivatives import DerivativeCurves
-from groundstation.viewer.glyphs import drawable
+from groundstation.viewer.entities import airframe_mesh, drawable
 
 EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400
@@ -50,6 +49,19 @@ class LinkSample:
     rate_hz: float = math.nan
     signal_dbm: float = math.nan
     latency_s: float = math.nan
+
+    @classmethod
+    def reported(cls, loss: float, rate_hz: float, signal: float | None, latency_s: float | None) -> "LinkSample":
+        """From a report of the receiver. loss: share of frames; None: not known."""
+        unknown = math.nan
+        return cls(
+            100 * loss, rate_hz, unknown if signal is None else signal, unknown if latency_s is None else latency_s
+        )
+
+    def by_entity(self) -> dict[str, float]:
+        """Values as shown, by the entity that shows them."""
+        values = (self.loss_percent, self.rate_hz, self.signal_dbm, 1e3 * self.latency_s)
+        return dict(zip((row[0] for row in e.LINK_SERIES), values, strict=True))
 
 
 class Scene:
@@ -98,12 +110,7 @@ class Scene:
         rec.log(e.ALARM, lamp, static=True)
         for sensor in e.HEALTH_TITLES:
             rec.log(e.health_entity(sensor), lane, static=True)
-        for entity, label, color in (
-            (e.LINK_LOSS, "lost [%]", e.PALETTE[5]),
-            (e.LINK_RATE, "scans [1/s]", e.PALETTE[2]),
-            (e.LINK_SIGNAL, "signal [dBm]", e.PALETTE[0]),
-            (e.LINK_LATENCY, "latency [ms]", e.PALETTE[1]),
-        ):
+        for entity, label, color in e.LINK_SERIES:
             rec.log(entity, rr.SeriesLines(names=[label], colors=np.array([color], np.uint32)), static=True)
 
     # ------------------------------------------------------------------------------------------------ live
@@ -190,12 +197,7 @@ class Scene:
     def link(self, time: float, link: LinkSample) -> None:
         """Quality of the radio link."""
         self._stream.set_time(e.TIMELINE, duration=time)
-        for entity, value in (
-            (e.LINK_LOSS, link.loss_percent),
-            (e.LINK_RATE, link.rate_hz),
-            (e.LINK_SIGNAL, link.signal_dbm),
-            (e.LINK_LATENCY, 1e3 * link.latency_s),
-        ):
+        for entity, value in link.by_entity().items():
             if math.isfinite(value):
                 self._stream.log(entity, rr.Scalars([value]))
 

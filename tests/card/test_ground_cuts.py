@@ -11,8 +11,8 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan, decode_scan, encode_scan
 from groundstation.flight import read_flight
 from groundstation.live.handover import hand_over
-from groundstation.receiver.kept.session_log import SessionLog
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.storage.session_log import SessionLog
 from groundstation.receiver.tlog import read_tlog
 from tests.card.cuts import ONE_SECOND
 from tests.card.forgetting import CUTS

@@ -11,7 +11,7 @@ from daq.telemetry.config import DownlinkConfig
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.signing import Signer
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))

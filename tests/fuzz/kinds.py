@@ -186,8 +186,8 @@ def _calibration(path: Path, scratch: Path) -> object:
 
 
 def _bench_plan(path: Path, scratch: Path) -> object:
-    from groundstation.calibration.bench_work.bench import fit_bench
-    from groundstation.calibration.bench_work.plan import load_plan
+    from groundstation.calibration.bench import fit_bench
+    from groundstation.calibration.bench_plan import load_plan
     from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
 
     return fit_bench(_raw(), load_plan(path), load_calibration(NOMINAL_DIRECTORY / "cdfp"))

@@ -10,9 +10,9 @@ import pytest
 
 from daq.contract.recordings.reading import read_recording
 from daq.contract.rotating_log import RotatingLog
-from groundstation.live.free_space import FREE, LEFT, FreeSpace
-from groundstation.receiver.kept.lasting_log import LastingLog
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.live.watches import FREE, LEFT, FreeSpace
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.storage.lasting_log import LastingLog
 from tests.groundstation.test_receive import LISTEN, fly
 from tests.link_rig import Rig
 

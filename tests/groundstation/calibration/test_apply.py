@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from daq.contract.channels import COLUMNS
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from groundstation.calibration.apply import Calibrator, calibrate
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.calibration.schema import CalibrationError, CalibrationSet, load_calibration
 from groundstation.flight import Flight
 
 MakeScans = Callable[..., list[Scan]]

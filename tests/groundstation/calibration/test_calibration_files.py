@@ -2,10 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import RecordedFacts
-from groundstation.calibration.schema import CalibrationSet, Instrument, load_calibration
-from groundstation.calibration.write import to_toml
+from groundstation.calibration.schema import CalibrationError, CalibrationSet, Instrument, load_calibration, to_toml
 
 GOOD = """format = 1
 instrument = "thrust"

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from groundstation.calibration.conversions import curves
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import CalibrationCurve
+from groundstation.calibration import curves
+from groundstation.calibration.schema import CalibrationCurve, CalibrationError
 
 
 def polynomial(*coefficients: float, centre: float = 0.0, **more: object) -> CalibrationCurve:

@@ -19,7 +19,7 @@ import numpy as np
 
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
-from groundstation.receiver.kept.lasting_log import LastingLog
+from groundstation.receiver.storage.lasting_log import LastingLog
 
 _HEAD = struct.Struct("<BIII")  # kind, number, length, CRC-32 over the three and the data
 _CRC_OF = struct.Struct("<BII")

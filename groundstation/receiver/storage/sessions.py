@@ -5,9 +5,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from groundstation.receiver import events as ev
-from groundstation.receiver.faults import Faults
-from groundstation.receiver.kept.recording import SessionRecorder
+from groundstation.receiver.findings import Faults
 from groundstation.receiver.link_accounting import SessionAccounting
+from groundstation.receiver.storage.recording import SessionRecorder
 
 _MAX_OPEN = 8
 RECORDING = "recording"

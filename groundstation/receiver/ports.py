@@ -1,6 +1,6 @@
-"""A listening UDP port on which no sender can crowd out another.
+"""How the ground station is connected: `[link]` of the configuration, its ports, and a listening UDP port without crowding.
 
-All datagrams of a port share one buffer in the kernel, and a sender at loopback speed fills it in a millisecond: what then
+All datagrams of a UDP port share one buffer in the kernel, and a sender at loopback speed fills it in a millisecond: what then
 comes from the aircraft is gone before anybody has seen it. So the senders of aircraft get sockets of their own: bound to the
 same port and connected to that sender, which the kernel prefers, buffer and all. The port stays closed to other programs.
 What strangers send is read to the end, so that a new aircraft gets through, but only as much of it is kept as is allowed.
@@ -12,10 +12,56 @@ import socket
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from daq.transport.ports import MAX_PEERS, UdpPort
-from groundstation.receiver.ports.allowance import Allowance
-from groundstation.receiver.timeline import GroundClock
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from daq.transport.ports import (
+    MAX_PEERS,
+    BytePort,
+    PortError,
+    SerialPort,
+    TcpServerPort,
+    UdpPort,
+    open_socket_port,
+    parse_port,
+)
+from daq.transport.reconnecting_port import open_lasting
+from groundstation.receiver.timeline import Allowance, GroundClock, SystemClock
+
+
+class LinkConfig(BaseModel):
+    """ports: as `daq.transport.ports.parse_port` reads them; listeners bind to loopback unless a host is named.
+
+    systems: aircraft to listen to, all when empty. backfill: `lost` fetches scans lost on the link whenever there is
+    bandwidth, `all` fetches every scan in full (at the end of a flight), `off` asks for nothing.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    ports: tuple[str, ...] = ("udpin:14550",)
+    systems: tuple[Annotated[int, Field(ge=1, le=254)], ...] = ()
+    system_id: Annotated[int, Field(ge=1, le=255)] = 255
+    component_id: Annotated[int, Field(ge=1, le=255)] = 190
+    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits, mode 0600; with it unsigned frames are refused
+    signing_state: Path | None = None  # where signing timestamps survive a restart; default beside the key
+    backfill: Literal["off", "lost", "all"] = "lost"
+    transmit: bool = True  # False: listen only (no heartbeat, no time sync, no backfill)
+
+    @field_validator("ports", mode="before")
+    @classmethod
+    def _one_port_is_a_list_too(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @field_validator("ports")
+    @classmethod
+    def _each_port_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        twice = [p for p in value if value.count(p) > 1]
+        if twice:
+            raise ValueError(f"port {twice[0]!r} is listed twice")
+        return value
+
 
 READ_BYTES = 65536
 TURN_DATAGRAMS, TURN_BYTES = 4096, 1 << 24
@@ -190,3 +236,32 @@ def _drops(own: socket.socket) -> int:
     except OSError:
         return 0
     return int(struct.unpack_from("=I", counters, _DROPS_AT)[0]) if len(counters) >= 9 * 4 else 0
+
+
+def open_port(text: str, clock: GroundClock | None = None) -> BytePort:
+    """Open a port by its description; PortError says what is wrong with the description or the port.
+
+    clock: by which a listener allows strangers so much a second; this machine's by default.
+    """
+    spec = parse_port(text)
+    if spec.kind != "udpin":
+        return open_lasting(text, _serial)
+    open_socket_port(spec).close()  # says in words why it cannot be had
+    try:
+        return UdpListener((spec.address, spec.number), clock or SystemClock())
+    except OSError as error:
+        raise PortError(f"{text}: cannot be opened ({error.strerror}); is another program using it?") from error
+
+
+def _serial(device: str, baud: int) -> SerialPort:
+    import serial
+
+    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
+
+
+def receive(port: BytePort) -> list[tuple[str, bytes]]:
+    """What has arrived at a port, by sender where the port knows senders apart."""
+    if isinstance(port, UdpPort | TcpServerPort):
+        return port.receive()
+    data = port.read(65536)
+    return [("", data)] if data else []

@@ -15,14 +15,20 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.recordings.reading import Recording, read_recording
+from groundstation.calibration import conversions, curves
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.bench_work.fits import TriadFit, fit_sphere, fit_vectors
-from groundstation.calibration.bench_work.plan import BenchPlan, Dwell, InstrumentFit
-from groundstation.calibration.conversions import air_data, curves
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.bench_plan import BenchPlan, Dwell, InstrumentFit
+from groundstation.calibration.curves import TriadFit, fit_sphere, fit_vectors
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.calibration.scan_table import ScanTable, scan_table
-from groundstation.calibration.schema import BenchPoints, BenchSource, CalibrationSet, Instrument, Triad
+from groundstation.calibration.schema import (
+    BenchPoints,
+    BenchSource,
+    CalibrationError,
+    CalibrationSet,
+    Instrument,
+    Triad,
+)
 
 Array = NDArray[np.float64]
 
@@ -155,7 +161,7 @@ class _InstrumentJob:
             raise CalibrationError(
                 f"{self.fit.instrument}: a reference in m/s needs static pressure and temperature in the recording"
             )
-        return air_data.impact_pressure(dwell.reference, static, warmth)
+        return conversions.impact_pressure(dwell.reference, static, warmth)
 
     def _static(self) -> dict[str, object]:
         assert self.template.static is not None, "a file of kind static has one"
@@ -270,7 +276,7 @@ class _InstrumentJob:
 
 def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet:
     """The base set with the fitted files in place of its own."""
-    from groundstation.calibration.write import to_toml
+    from groundstation.calibration.schema import to_toml
 
     made = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
     return replace(base.with_texts(made), name=base.name)

@@ -15,8 +15,8 @@ from typing import Any, Literal
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import ScanDecodeError, decode_scan
 from groundstation.receiver import events as ev
-from groundstation.receiver.kept.recording import SessionRecorder
 from groundstation.receiver.link_accounting import SessionAccounting
+from groundstation.receiver.storage.recording import SessionRecorder
 from groundstation.receiver.timeline import NS
 
 Mode = Literal["off", "lost", "all"]

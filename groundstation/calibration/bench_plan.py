@@ -20,8 +20,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.input_files import parse_toml, read_text
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import Finite, Vector
+from groundstation.calibration.schema import CalibrationError, Finite, Vector
 
 
 class _BenchPlanTable(BaseModel):

@@ -24,8 +24,8 @@ from daq.contract.recordings.recording import (
 )
 from daq.contract.scan import decode_scan
 from groundstation.receiver import events as ev
-from groundstation.receiver.kept.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
-from groundstation.receiver.kept.session_log import RecordKind, SessionLog
+from groundstation.receiver.storage.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
+from groundstation.receiver.storage.session_log import RecordKind, SessionLog
 
 LINK_TOPIC = "/link"
 LINK_SCHEMA = "sideslip.Link"
