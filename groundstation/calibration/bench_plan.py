@@ -71,8 +71,6 @@ class InstrumentFit(_BenchPlanTable):
 
 
 class BenchPlan(_BenchPlanTable):
-    """A whole bench plan."""
-
     format: Literal[1]
     fit: tuple[InstrumentFit, ...]
 

@@ -40,7 +40,6 @@ def extrapolated(curve: CalibrationCurve, reading: ArrayLike) -> NDArray[np.bool
 
 
 def slope(curve: CalibrationCurve, reading: ArrayLike) -> Array:
-    """Derivative of the output with respect to the reading."""
     x = np.ascontiguousarray(reading, float)
     if curve.kind == "table":
         grid, out = np.array(curve.inputs), np.array(curve.outputs)

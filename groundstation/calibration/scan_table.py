@@ -47,7 +47,6 @@ class ScanTable:
         return int(self.time.size)
 
     def part(self, rows: slice | NDArray[np.bool_]) -> "ScanTable":
-        """A range of rows."""
         return ScanTable(
             self.number[rows],
             self.time[rows],

@@ -303,13 +303,9 @@ def bench(
 class LogAdvice(Protocol):
     """Which models and methods a log is good for."""
 
-    def lines(self) -> Iterable[str]:
-        """For a person."""
-        ...
+    def lines(self) -> Iterable[str]: ...
 
-    def to_json(self) -> dict[str, Any]:
-        """The same as JSON."""
-        ...
+    def to_json(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)

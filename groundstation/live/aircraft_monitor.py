@@ -49,7 +49,7 @@ class AircraftMonitor:
     ) -> None:
         self.system = system
         self._own = self._calibration = calibration
-        self._calibrator = Calibrator(calibration)
+        self.calibrator = Calibrator(calibration)  # of scans, at present
         self._view = view
         self._say = say
         self._alarms = Alarms(config.alarms)
@@ -68,20 +68,9 @@ class AircraftMonitor:
 
     @property
     def phase(self) -> Phase:
-        """Where in its flight the aircraft is."""
         return self._landing.phase
 
-    @property
-    def calibrator(self) -> Calibrator:
-        """What scans are calibrated with at present."""
-        return self._calibrator
-
-    def note(self, level: str, text: str) -> None:
-        """Say something about this aircraft, in the log and in its view."""
-        self._note(level, text)
-
     def show_identification(self, state: LiveState) -> None:
-        """Show what is identified by now."""
         if self._view is not None:
             self._view.identification(state)
 
@@ -91,7 +80,7 @@ class AircraftMonitor:
 
     def use(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
         """Calibrate with what the aircraft itself carries, from now on."""
-        self._calibrator = Calibrator(calibration, facts)
+        self.calibrator = Calibrator(calibration, facts)
         self._calibration = calibration
 
     def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
@@ -119,7 +108,7 @@ class AircraftMonitor:
                 self._next_status = scan.time + STATUS_PERIOD_S
                 self._view.status(scan.time, self.status_page())
         if ended:
-            self._note("INFO", "landed: the flight has ended")
+            self.note("INFO", "landed: the flight has ended")
         return ended
 
     def _show_readouts(self, view: MonitorView, time: float) -> None:
@@ -132,13 +121,13 @@ class AircraftMonitor:
     def _calibrated(self, scan: Scan) -> dict[str, float]:
         """Columns of a scan; with the station's own set from the moment that what came down proves unusable."""
         try:
-            return self._calibrator.sample(scan)
+            return self.calibrator.sample(scan)
         except CalibrationError as error:
             if self._calibration is self._own:
                 raise
-            self._note("WARN", f"the aircraft's calibration is not usable: {error}; the station's own is used")
+            self.note("WARN", f"the aircraft's calibration is not usable: {error}; the station's own is used")
             self.use(self._own, {})
-            return self._calibrator.sample(scan)
+            return self.calibrator.sample(scan)
 
     def silence(self, now_ns: int) -> None:
         """Called often: watches for telemetry that has stopped."""
@@ -158,18 +147,18 @@ class AircraftMonitor:
         """Everything that is not a scan."""
         match event:
             case ev.StatusText(severity=severity, text=text):
-                self._note(_SEVERITY.get(severity, "INFO"), text)
+                self.note(_SEVERITY.get(severity, "INFO"), text)
             case ev.EventMarked(time_monotonic_ns=at, origin=origin, text=text):
-                self._note("INFO", f"event ({origin}): {text}", at * 1e-9)
+                self.note("INFO", f"event ({origin}): {text}", at * 1e-9)
             case ev.CommandResult(words=words, accepted=accepted, command=command):
-                self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
+                self.note("INFO" if accepted else "WARN", f"command {command}: {words}")
             case ev.ManoeuvreSent(digest=digest, words=words, taken=taken):
-                self._note("INFO" if taken else "WARN", f"manoeuvre {digest[:6]}: {words}")
+                self.note("INFO" if taken else "WARN", f"manoeuvre {digest[:6]}: {words}")
             case ev.ReceptionFinding():
-                self._note("WARN", event.text)
+                self.note("WARN", event.text)
             case ev.Restarted(previous=previous) if previous is not None:
-                self._note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
-                self._calibrator = Calibrator(self._calibration)
+                self.note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
+                self.calibrator = Calibrator(self._calibration)
             case ev.LinkStatistics():
                 self._link = event
                 self._announce(self._alarms.update(self.time, {"link.loss_percent": 100 * event.loss}))
@@ -179,7 +168,7 @@ class AircraftMonitor:
                 self._view.event(self.time, f"{what}: {words or 'works again'}", "INFO" if words is None else "WARN")
             case ev.BackfillProgress(held=held, agreed=agreed):
                 if agreed and not (self._backfill is not None and self._backfill.agreed):
-                    self._note("INFO", f"air and ground agree: {held} scans")
+                    self.note("INFO", f"air and ground agree: {held} scans")
                 self._backfill = event
             case ev.SequencerStatus():
                 self._sequencer = event
@@ -190,14 +179,14 @@ class AircraftMonitor:
     def _announce(self, changes: list[AlarmChange]) -> None:
         for change in changes:
             level = change.level if change.state is AlarmState.ACTIVE else "INFO"
-            self._note(level, change.text, change.time)
+            self.note(level, change.text, change.time)
 
-    def _note(self, level: str, text: str, time: float | None = None) -> None:
-        at = self.time if time is None else time
-        text = legible(text)
-        self._say(at, level, text)
+    def note(self, level: str, text: str, time: float | None = None) -> None:
+        """Say something about this aircraft, in the log and in its view; time: of the flight [s], now by default."""
+        time, text = self.time if time is None else time, legible(text)
+        self._say(time, level, text)
         if self._view is not None:
-            self._view.event(at, text, level)
+            self._view.event(time, text, level)
 
     def status_page(self) -> str:
         """The status page as Markdown."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -79,14 +79,7 @@ DEFAULT_ALARMS = (
     Limit(channel="link.silence_s", high=3.0, level="CRITICAL", text="no telemetry"),
     Limit(channel="recorder.recording", low=0.5, hold_s=2.0, level="CRITICAL", text="onboard recorder stopped"),
     Limit(channel=FREE, low=200.0, hysteresis=50.0, level="ERROR", text="disk of the ground station nearly full"),
-    Limit(
-        channel=LEFT,
-        low=30.0,
-        hysteresis=10.0,
-        hold_s=5.0,
-        level="WARN",
-        text="disk of the ground station, minutes left",
-    ),
+    Limit(channel=LEFT, low=30.0, hysteresis=10.0, hold_s=5.0, text="disk of the ground station, minutes left"),
     Limit(channel="sensors.unusable", high=0.5, hold_s=1.0, level="WARN", text="sensor not usable"),
 )
 
@@ -157,16 +150,9 @@ RADIOS = frozenset({(0x0403, 0x6015), (0x0403, 0x6001), (0x10C4, 0xEA60)})
 Silicon Labs (RFD900, its clones). Other serial devices are left alone: opening one can reset what hangs on it."""
 
 
-class SerialDevice(Protocol):
-    """What `serial.tools.list_ports` tells of a device. vid, pid: None where it is not on USB."""
-
-    device: str
-    vid: int | None
-    pid: int | None
-
-
-def usual_ports(devices: Iterable[SerialDevice] | None = None) -> tuple[str, ...]:
-    """The UDP port, then every telemetry radio on USB, as `[link] ports` has them. devices: those of this computer by default."""
+def usual_ports(devices: Iterable[Any] | None = None) -> tuple[str, ...]:
+    """The UDP port, then every telemetry radio on USB, as `[link] ports` has them. devices: as `serial.tools.list_ports` gives
+    them (device, vid, pid; the two are None where it is not on USB), those of this computer by default."""
     if devices is None:
         from serial.tools.list_ports import comports
 

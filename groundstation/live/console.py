@@ -5,6 +5,7 @@ go to standard output as long as somebody reads it, and to `ground.log` always.
 """
 
 import os
+import re
 import select
 import sys
 import time
@@ -42,8 +43,6 @@ _LONGEST = 4096
 
 
 class Lines:
-    """Lines of a file descriptor as they come."""
-
     def __init__(self, descriptor: int) -> None:
         self._descriptor: int | None = descriptor
         self._waiting = b""
@@ -137,7 +136,7 @@ class Console:
                 commander.stop_recording(system)
             case ["zero"]:
                 commander.zero_pitot(system)
-            case ["fly", digest] if _is_digest(digest):
+            case ["fly", digest] if re.fullmatch("[0-9a-f]{6,}", digest):
                 commander.start_manoeuvre(system, digest)
             case ["send", *_] if len(words) > 1:
                 self._send_manoeuvre(system, " ".join(words[1:]))
@@ -197,10 +196,6 @@ class Console:
             if number in self._station.receiver.logs(system).done:
                 del self._fetching[system]
                 self._echo(f"aircraft {system}: recording {number} is here: {path}")
-
-
-def _is_digest(text: str) -> bool:
-    return len(text) >= 6 and all(letter in "0123456789abcdef" for letter in text)
 
 
 def _number(text: str) -> float | None:

@@ -34,7 +34,6 @@ class Handover:
     origin: str
 
     def lines(self) -> list[str]:
-        """For a person."""
         seconds = self.flight.time[-1] - self.flight.time[0]
         found = [f"flight {self.path}: {len(self.flight)} samples, {seconds:.1f} s, from {self.origin}"]
         found += [f"  manoeuvre {m.start:7.1f} to {m.stop:7.1f} s  {m.title}" for m in self.manoeuvres]

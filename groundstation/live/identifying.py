@@ -71,7 +71,6 @@ class LiveIdentifications:
             self._source(config.aircraft, None, config.model)  # a mistake is said at the start, not in the air
 
     def scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
-        """A scan as received."""
         if self._source is None:
             return
         run = self._run(session, monitor)
@@ -203,7 +202,6 @@ class LiveIdentifications:
         return {"watched_s": watch.watched, **held, "alarms": [asdict(a) for a in watch.alarms]}
 
     def close(self) -> None:
-        """Close what values are forwarded to."""
         self._forward.close()
 
 
@@ -247,6 +245,5 @@ class NamedValues:
                     self._say(f"values cannot be forwarded to {text} ({error.strerror or error})")
 
     def close(self) -> None:
-        """Close the ports."""
         for port in self._ports.values():
             port.close()

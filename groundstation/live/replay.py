@@ -1,7 +1,6 @@
 """Plays a telemetry log or a recording through the ground station, at any speed."""
 
 import threading
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +37,6 @@ class ReplayClock:
         return self.now_utc_ns - (self._first_ns or self.now_utc_ns)
 
     def utc_ns(self) -> int:
-        """Time as logged [ns]."""
         return self.now_utc_ns
 
 
@@ -49,16 +47,13 @@ class ReplayPort:
         self._waiting = bytearray()
 
     def feed(self, data: bytes) -> None:
-        """Let bytes arrive."""
         self._waiting += data
 
     @property
     def waiting(self) -> int:
-        """Bytes that have arrived and not been read."""
         return len(self._waiting)
 
     def read(self, limit: int = 65536) -> bytes:
-        """What has arrived."""
         data = bytes(self._waiting[:limit])
         del self._waiting[:limit]
         return data
@@ -84,12 +79,12 @@ def parse_speed(text: str) -> float | None:
     return speed
 
 
-@dataclass(frozen=True, slots=True)
 class Replay:
     """Clock and port that a replayed station runs on."""
 
-    clock: ReplayClock = field(default_factory=ReplayClock)
-    port: ReplayPort = field(default_factory=ReplayPort)
+    def __init__(self) -> None:
+        self.clock = ReplayClock()
+        self.port = ReplayPort()
 
 
 def replay_into(station: "Station", source: Replay, path: Path, speed: float | None) -> None:

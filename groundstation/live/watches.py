@@ -45,8 +45,6 @@ class Limit(BaseModel):
 
 
 class AlarmState(StrEnum):
-    """Where an alarm stands."""
-
     CLEAR = "clear"
     ACTIVE = "active"
     LATCHED = "latched"  # was active, is over, nobody has acknowledged it
@@ -81,10 +79,8 @@ class Alarms:
         changes = []
         for watch in self._watches:
             value = values.get(watch.limit.channel, math.nan)
-            if math.isfinite(value):
-                change = _step(watch, time, value)
-                if change is not None:
-                    changes.append(change)
+            change = _changed(watch, time, value) if math.isfinite(value) else None
+            changes += [] if change is None else [change]
         return changes
 
     def acknowledge(self, time: float) -> list[AlarmChange]:
@@ -103,7 +99,7 @@ class Alarms:
         return [(_name(w.limit), w.state, w.limit.level) for w in held]
 
 
-def _step(watch: _Watch, time: float, value: float) -> AlarmChange | None:
+def _changed(watch: _Watch, time: float, value: float) -> AlarmChange | None:
     limit = watch.limit
     beyond = (limit.low is not None and value < limit.low) or (limit.high is not None and value > limit.high)
     margin = limit.hysteresis
@@ -136,8 +132,6 @@ def _change(watch: _Watch, time: float, detail: str) -> AlarmChange:
 
 
 class Phase(StrEnum):
-    """Where the aircraft is in its flight."""
-
     BEFORE = "before flight"
     FLYING = "flying"
     LANDED = "landed"
@@ -222,7 +216,6 @@ class FreeSpace:
 
     @property
     def words(self) -> str:
-        """For a person."""
         if math.isnan(self.megabytes):
             return "unknown"
         left = f", {self.minutes:.0f} min at the present rate" if math.isfinite(self.minutes) else ""

@@ -76,8 +76,6 @@ def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
 
 
 class BackfillClient:
-    """Backfill of one session."""
-
     def __init__(self, recorder: SessionRecorder, books: SessionAccounting, mode: Mode = "off") -> None:
         self.mode = mode
         self.agreed = False
@@ -190,7 +188,6 @@ class BackfillClient:
     # ------------------------------------------------------------------------------------------ answers
 
     def take_data(self, f: Mapping[str, Any], now_ns: int) -> None:
-        """Use a BACKFILL_DATA."""
         key = (f["first_number"], f["wanted"])
         o = self._open.get(key)
         if o is None:

@@ -3,7 +3,7 @@
 import zlib
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,7 +26,6 @@ class _Pending:
     parameters: tuple[float, ...]
     sent: int = 0
     due_ns: int = 0
-    fields: dict[str, Any] = field(default_factory=dict)
 
 
 class Commander:
@@ -40,38 +39,34 @@ class Commander:
         self._mark = 0
 
     def start_recording(self, system: int) -> None:
-        """Ask the logger to record."""
-        self._add(system, c.LOGGING_START)
+        self._send(system, c.LOGGING_START)
 
     def stop_recording(self, system: int) -> None:
-        """Ask the logger to end the recording."""
-        self._add(system, c.LOGGING_STOP)
+        self._send(system, c.LOGGING_STOP)
 
     def mark(self, system: int) -> int:
         """Mark an event; returns the number it will carry."""
         self._mark += 1
-        self._add(system, c.EVENT_MARK, float(self._mark))
+        self._send(system, c.EVENT_MARK, float(self._mark))
         return self._mark
 
     def set_rate(self, system: int, rate_hz: float) -> None:
         """Wish for a downlink rate [Hz]; 0 for the configured one."""
-        self._add(system, c.SET_MESSAGE_INTERVAL, float(SCAN_FAST_ID), 1e6 / rate_hz if rate_hz > 0 else 0.0)
+        self._send(system, c.SET_MESSAGE_INTERVAL, float(SCAN_FAST_ID), 1e6 / rate_hz if rate_hz > 0 else 0.0)
 
     def zero_pitot(self, system: int) -> None:
         """Zero the pitot; the aircraft refuses unless it is clearly at rest."""
-        self._add(system, c.PREFLIGHT_CALIBRATION, 0.0, 0.0, 0.0, 0.0, 0.0, c.AIRSPEED_CALIBRATION)
+        self._send(system, c.PREFLIGHT_CALIBRATION, 0.0, 0.0, 0.0, 0.0, 0.0, c.AIRSPEED_CALIBRATION)
 
     def start_manoeuvre(self, system: int, digest: str) -> None:
         """Start the armed manoeuvre with this digest; the aircraft obeys a signed wish only, with its pilot's switch at go."""
-        self._add(system, c.SEQUENCER, 1.0, float(int(digest[:6], 16)))
+        self._send(system, c.SEQUENCER, 1.0, float(int(digest[:6], 16)))
 
     def stop_manoeuvre(self, system: int) -> None:
-        """End the manoeuvre under way."""
-        self._add(system, c.SEQUENCER, 0.0)
+        self._send(system, c.SEQUENCER, 0.0)
 
-    def _add(self, system: int, command: int, *parameters: float) -> None:
-        filled = parameters + (0.0,) * (7 - len(parameters))
-        self._pending.append(_Pending(system, command, filled))
+    def _send(self, system: int, command: int, *parameters: float) -> None:
+        self._pending.append(_Pending(system, command, parameters + (0.0,) * (7 - len(parameters))))
 
     def due(self, now_ns: int) -> tuple[list[tuple[int, dict[str, Any]]], list[ev.CommandResult]]:
         """COMMAND_LONG fields to send now, by system, and commands given up."""
@@ -93,14 +88,14 @@ class Commander:
             p.due_ns = now_ns + RETRY_NS
         return send, given_up
 
-    def acknowledge(self, system: int, command: int, result: int, now_ns: int) -> ev.CommandResult | None:
-        """Use a COMMAND_ACK; None when nothing was waiting for it."""
+    def acknowledge(self, system: int, command: int, result: int, now_ns: int) -> list[ev.CommandResult]:
+        """Use a COMMAND_ACK; empty when nothing was waiting for it."""
         for p in self._pending:
             if p.sent and (p.system, p.command) == (system, command):
                 self._pending.remove(p)
                 words = c.RESULT_WORDS.get(result, f"result {result}")
-                return ev.CommandResult(system, command, words, result == c.ACCEPTED, now_ns)
-        return None
+                return [ev.CommandResult(system, command, words, result == c.ACCEPTED, now_ns)]
+        return []
 
 
 _TURN_NS = NS // 4
@@ -124,11 +119,6 @@ class ManoeuvreSender:
         self._heard_ns: int | None = None
         self._place = 0
 
-    @property
-    def under_way(self) -> bool:
-        """Whether a manoeuvre is being sent."""
-        return self._next_ns is not None
-
     def send(self, manoeuvre: Manoeuvre) -> None:
         """Begin to send. Raises ManoeuvreError where it is too long for the link."""
         data = wire.pack(manoeuvre)
@@ -147,17 +137,12 @@ class ManoeuvreSender:
         order = [(self._place + i) % count for i in range(count)]
         chosen = [i for i in order if i in self._missing][:_AT_ONCE] or [count - 1]
         self._place = (chosen[-1] + 1) % count
-        return [("MANOEUVRE_DATA", self._fields(i)) for i in chosen]
-
-    def _fields(self, number: int) -> dict[str, Any]:
-        piece = self._fragments[number]
-        return {
-            "checksum": self._checksum,
-            "fragment": number,
-            "fragments": len(self._fragments),
-            "length": len(piece),
-            "data": piece.ljust(wire.FRAGMENT_BYTES, b"\0"),
-        }
+        common = {"checksum": self._checksum, "fragments": count}
+        pieces = [(i, self._fragments[i]) for i in chosen]
+        return [
+            ("MANOEUVRE_DATA", {**common, "fragment": i, "length": len(p), "data": p.ljust(wire.FRAGMENT_BYTES, b"\0")})
+            for i, p in pieces
+        ]
 
     def take_status(self, fields: Mapping[str, Any], now_ns: int) -> list[ev.ManoeuvreSent]:
         """Use a MANOEUVRE_STATUS; what became of the manoeuvre, where it says so."""
@@ -187,8 +172,6 @@ _EVERY = 2**32 - 1
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """A recording on the aircraft."""
-
     number: int
     size: int
     time_utc: int
@@ -201,7 +184,7 @@ class LogFetcher:
         self.system = system
         self.entries: dict[int, LogEntry] = {}
         self.done: set[int] = set()
-        self._listing = False
+        self.listing = False  # a list has been asked for and has not come
         self._asked_ns: int | None = None
         self._file: IO[bytes] | None = None
         self._number = 0
@@ -212,7 +195,7 @@ class LogFetcher:
     def request_list(self) -> None:
         """Ask for all entries; they appear in `entries`."""
         self.entries.clear()
-        self._listing = True
+        self.listing = True
         self._asked_ns = None
 
     def download(self, number: int, path: Path) -> None:
@@ -225,16 +208,6 @@ class LogFetcher:
         self._asked_ns = None
         self._check_end()
 
-    @property
-    def listing(self) -> bool:
-        """Whether a list has been asked for and has not come."""
-        return self._listing
-
-    @property
-    def progress(self) -> tuple[int, int]:
-        """Bytes fetched and size of the present download."""
-        return self._at, self._size
-
     def due(self, now_ns: int) -> list[tuple[str, dict[str, Any]]]:
         """Messages to send now."""
         if self._asked_ns is not None and now_ns - self._asked_ns < _LOG_RETRY_NS:
@@ -243,18 +216,17 @@ class LogFetcher:
             self._asked_ns = now_ns
             self._ahead.clear()
             return [("LOG_REQUEST_DATA", {"id": self._number, "ofs": self._at, "count": _EVERY - self._at})]
-        if self._listing:
+        if self.listing:
             self._asked_ns = now_ns
             return [("LOG_REQUEST_LIST", {"start": 0, "end": 65535})]
         return []
 
     def take(self, name: str, f: Mapping[str, Any], now_ns: int) -> None:
-        """Use a LOG_ENTRY or LOG_DATA."""
         if name == "LOG_ENTRY":
             if f["num_logs"] and f["id"]:
                 self.entries[f["id"]] = LogEntry(f["id"], f["size"], f["time_utc"])
             if len(self.entries) >= f["num_logs"]:
-                self._listing = False
+                self.listing = False
             return
         if self._file is None or f["id"] != self._number or f["count"] > DATA_BYTES:
             return
@@ -281,7 +253,6 @@ class LogFetcher:
             self.close()
 
     def close(self) -> None:
-        """End a download; what has come stays."""
         if self._file is not None:
             self._file.close()
             self._file = None

@@ -118,7 +118,6 @@ class Waiting:
 
     @property
     def count(self) -> int:
-        """Parts that wait."""
         return sum(len(c.parts) for c in self._candidates)
 
     def hold(self, held: PendingScan, lost: int) -> tuple[ConfirmedRun | None, int]:

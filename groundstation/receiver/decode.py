@@ -13,7 +13,7 @@ from daq.contract.link.wire import SCAN_FAST_ID, SCAN_IDS, ScanPart, join_parts,
 from daq.transport.mavlink_codec import MavlinkFrame, padded
 from groundstation.receiver import events as ev
 from groundstation.receiver import findings
-from groundstation.receiver.continuity import LATE_NS, ConfirmedRun, PendingScan, ScanRun, Waiting
+from groundstation.receiver.continuity import LATE_NS, PendingScan, ScanRun, Waiting
 from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
 from groundstation.receiver.timeline import NS, Allowance, ClockSync
 
@@ -28,6 +28,11 @@ _CLAIMS, _CLAIM_NS = 3, 8 * NS  # reports of a new run without scans that are be
 _MAX_CLAIMS = 8
 MAX_AIRCRAFT_TIME_NS = 2**56 - 1
 """What a packed scan can say; two years."""
+_STATUS_COUNTS = ("slots", "written", "dropped", "lost", "missed", "queue", "lateness_p99_us", "write_errors")
+_STATISTICS_COUNTS = (
+    *("first_number", "last_number", "scans_offered", "scans_sent", "scans_dropped"),
+    *("frames_sent", "rejected_frames", "rejected_commands"),
+)
 _WARNING = 4  # as in syslog
 _FOREIGN_CHANNELS = (
     "ground: the aircraft sends laboratory channels that no package installed here describes, or another version of it"
@@ -72,7 +77,6 @@ class AircraftDecoder:
 
     @property
     def books(self) -> SessionAccounting | None:
-        """The books of the present session."""
         return self.sessions[-1] if self.sessions else None
 
     def take(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> list[ev.Event]:
@@ -156,7 +160,8 @@ class AircraftDecoder:
         else:
             self._findings.doubt(self.system, findings.RESTARTS)
             return
-        self._believe_all(books, proven)
+        for part in proven.parts:
+            self._believe(books, part)
 
     def _restart_trackers(self, component: int, lost: int) -> None:
         """The logger has started anew, and with it all its components; of an autopilot's a second's loss is forgiven."""
@@ -164,10 +169,6 @@ class AircraftDecoder:
             tracker.restart(lost if number == component else tracker.lost)
             if number != component:
                 tracker.forget()
-
-    def _believe_all(self, books: SessionAccounting, proven: ConfirmedRun) -> None:
-        for held in proven.parts:
-            self._believe(books, held)
 
     def _believe(self, books: SessionAccounting, held: PendingScan) -> None:
         part, now_ns = held.part, held.now_ns
@@ -186,8 +187,9 @@ class AircraftDecoder:
             return
         late = part.time_monotonic_ns < books.last_time_ns
         parts.append(part)
-        if len(self._parts) > _PARTS_KEPT:
-            self._forget_old_parts()
+        while len(self._parts) > _PARTS_KEPT:
+            _, forgotten = self._parts.popitem(last=False)
+            self.partial_scans += all(p.msg_id != SCAN_FAST_ID for p in forgotten)
         if part.msg_id == SCAN_FAST_ID:
             if not books.received.add(part.number):
                 return
@@ -220,12 +222,6 @@ class AircraftDecoder:
             self._told_of_foreign_channels = True
             self._out.append(ev.StatusText(self.system, _WARNING, _FOREIGN_CHANNELS, now_ns))
         return None
-
-    def _forget_old_parts(self) -> None:
-        while len(self._parts) > _PARTS_KEPT:
-            _, parts = self._parts.popitem(last=False)
-            if parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in parts):
-                self.partial_scans += 1
 
     def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
         previous = self.sessions[-1].session if self.sessions else None
@@ -274,7 +270,6 @@ class AircraftDecoder:
         books = self._session(f["boot"])
         if books is None:
             return
-        names = ("slots", "written", "dropped", "lost", "missed", "queue", "lateness_p99_us", "write_errors")
         self._out.append(
             ev.LoggerStatus(
                 books.session,
@@ -282,7 +277,7 @@ class AircraftDecoder:
                 in_flight=bool(f["in_flight"]),
                 free_bytes=None if f["free_bytes"] == 2**64 - 1 else f["free_bytes"],
                 received_ns=now_ns,
-                **{n: f[n] for n in names},
+                **{name: f[name] for name in _STATUS_COUNTS},
             )
         )
 
@@ -294,25 +289,12 @@ class AircraftDecoder:
         if f["scans_offered"] and not f["first_number"] <= f["last_number"] <= books.reach(now_ns):
             self._findings.doubt(self.system, findings.REPORTS)
             return
-        names = (
-            "first_number",
-            "last_number",
-            "scans_offered",
-            "scans_sent",
-            "scans_dropped",
-            "frames_sent",
-            "rejected_frames",
-            "rejected_commands",
-        )
-        found = ev.AircraftStatistics(
-            books.session,
-            **{n: f[n] for n in names},
-            rate_hz=f["rate_centihz"] / 100,
-            received_ns=now_ns,
-        )
-        if books.statistics is None or found.scans_offered >= books.statistics.scans_offered:
-            books.statistics = found
-        self._out.append(found)
+        counts = {name: f[name] for name in _STATISTICS_COUNTS}
+        rate_hz = f["rate_centihz"] / 100
+        statistics = ev.AircraftStatistics(books.session, **counts, rate_hz=rate_hz, received_ns=now_ns)
+        if books.statistics is None or statistics.scans_offered >= books.statistics.scans_offered:
+            books.statistics = statistics
+        self._out.append(statistics)
 
     def _claimed(self, boot: int, now_ns: int) -> SessionAccounting | None:
         """The session that a report of an unknown run speaks of: the first at once, a further one when it is repeated

@@ -63,8 +63,6 @@ class StatusText:
 
 @dataclass(frozen=True, slots=True)
 class LoggerStatus:
-    """State of recorder and logger."""
-
     session: Session
     recording: bool
     in_flight: bool
@@ -209,7 +207,6 @@ class ReceptionFinding:
 
     @property
     def text(self) -> str:
-        """For a person."""
         match self.kind:
             case FindingKind.REFUSED:
                 return f"refused {self.count} x {self.subject}: {self.detail}"
@@ -267,7 +264,6 @@ class Accounting:
 
     @property
     def lost_count(self) -> int:
-        """Scans sent and not received."""
         return sum(b - a + 1 for a, b in self.lost)
 
 

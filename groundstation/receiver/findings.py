@@ -164,7 +164,6 @@ class Faults:
         self.present[what] = error.strerror or str(error)
 
     def clear(self, what: str) -> None:
-        """It works (again)."""
         self.present.pop(what, None)
 
     @contextmanager

@@ -12,6 +12,7 @@ from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
 from daq.transport.ports import BytePort, TcpServerPort
 from groundstation.receiver.findings import Faults
 from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener, receive
+from groundstation.receiver.storage.lasting_log import LastingLog
 from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
 
@@ -27,7 +28,6 @@ class Sender(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For a person."""
         return f"{self.source} on {self.port}" if self.source else self.port
 
 
@@ -131,9 +131,8 @@ class FrameInput:
                 self._tlog.look_after()
 
     @property
-    def logs(self) -> list[TlogWriter]:
-        """The files it writes to."""
-        return [] if self._tlog is None else [self._tlog]
+    def logs(self) -> list[LastingLog]:
+        return [] if self._tlog is None else [self._tlog.file]
 
     def close(self, utc_ns: int) -> None:
         """Log what is still undecided, close the log."""

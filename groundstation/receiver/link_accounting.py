@@ -124,7 +124,6 @@ class SessionAccounting:
         return self.line is None or self.line.fits(number, time_ns)
 
     def take_map(self, first: int, settled: int, sent: int, absent: int) -> None:
-        """Use a SENT_MAP."""
         block, top = first // BLOCK, first + BLOCK - 1
         if settled < first or settled < self.settled.get(block, -1):
             return
@@ -191,7 +190,6 @@ class SessionAccounting:
         )
 
     def _known_blocks(self, first: int, last: int) -> list[int]:
-        """Blocks of which anything is known, ascending."""
         known = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
         return sorted(b for b in known if first <= b <= last)
 

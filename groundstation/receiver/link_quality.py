@@ -21,7 +21,6 @@ class RateMeter:
         self._radio: deque[Mapping[str, int]] = deque(maxlen=1)
 
     def radio(self, fields: Mapping[str, Any]) -> None:
-        """Remember the radio's own report."""
         self._radio.append(dict(fields))
 
     def report(self, now_ns: int) -> ev.LinkStatistics | None:

@@ -162,17 +162,15 @@ class Receiver:
         if self.config.systems and frame.system not in self.config.systems:
             return None
         if _is_aircraft(frame):
-            if not self.config.systems and not self._room_for_one_more(sender):
+            of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
+            room = len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
+            if not self.config.systems and not room:
                 self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
                 return None
             sessions = None if self._folder is None else Sessions(self._folder, self.faults)
             known = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.findings)
             self._aircraft[frame.system] = known
         return known
-
-    def _room_for_one_more(self, sender: Sender) -> bool:
-        of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
-        return len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
 
     def _believed(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
@@ -205,10 +203,7 @@ class Receiver:
             case "COMMAND_ACK":
                 f = frame.fields()
                 if f["target_system"] in (0, self.config.system_id):
-                    done = self.commander.acknowledge(
-                        frame.system, int(_int(f["command"])), int(_int(f["result"])), now
-                    )
-                    out += [] if done is None else [done]
+                    out += self.commander.acknowledge(frame.system, f["command"], f["result"], now)
             case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
                 f = frame.fields()
                 books = aircraft.decoder.books
@@ -236,16 +231,13 @@ class Receiver:
                     self._begin(event.session)
             elif isinstance(event, _KEPT):
                 try:
-                    self._keep_one(event)
+                    sessions = self._aircraft[event.session.system].sessions
+                    if sessions is not None and not sessions.keep(event):
+                        self.findings.doubt(event.session.system, findings.EVENTS)
                 except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
                     self.findings.quarantine_error(
                         event.session.system, f"a {type(event).__name__} in the recording", error
                     )
-
-    def _keep_one(self, event: ev.ScanReceived | ev.EventMarked) -> None:
-        sessions = self._aircraft[event.session.system].sessions
-        if sessions is not None and not sessions.keep(event):
-            self.findings.doubt(event.session.system, findings.EVENTS)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -288,7 +280,7 @@ class Receiver:
         if now >= aircraft.next_map_ns:
             aircraft.next_map_ns = now + _MAP_NS
             # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
-            quiet = self._quiet(aircraft, now)
+            quiet = now - aircraft.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
             wanted = (b for b in books.open_blocks() if b < books.last // BLOCK or quiet)
             for block in islice(wanted, _MAPS_AT_ONCE):
                 self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
@@ -297,10 +289,6 @@ class Receiver:
                 self._send(aircraft, name, fields)
         for name, fields in (*aircraft.logs.due(now), *aircraft.manoeuvre.due(now)):
             self._send(aircraft, name, fields)
-
-    def _quiet(self, aircraft: _TrackedAircraft, now: int) -> bool:
-        """Whether no scan has come for a while, so that the last block will get no map by itself."""
-        return now - aircraft.decoder.last_scan_ns > 2 * NS
 
     def _send(self, aircraft: _TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
         targets = {} if name == "TIMESYNC" else {"target_system": aircraft.decoder.system}
@@ -331,28 +319,25 @@ class Receiver:
             if progress is not None:
                 out.append(progress)
         self._frame_input.flush()
-        self._look_after_disk()
+        for (
+            aircraft
+        ) in self._aircraft.values():  # journals go on where the disk failed, and what it lost is wanted again
+            if aircraft.sessions is not None:
+                aircraft.sessions.look_after()
+            if aircraft.backfill is not None:
+                aircraft.backfill.look_after()
         for what, count in (
             (findings.BYTES, self._frame_input.refused_bytes),
             (findings.DATAGRAMS, self._frame_input.datagrams_dropped),
         ):
             self.findings.doubt(findings.NOBODY, what, count - self.findings.total_doubted(what))
         with self.faults.watch(_DISK):
-            journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
+            journals = (r.journal.file for kept in self._kept() for r in kept.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
-
-    def _look_after_disk(self) -> None:
-        """Journals go on where the disk failed, and what it has lost is wanted again."""
-        for aircraft in self._aircraft.values():
-            if aircraft.sessions is not None:
-                aircraft.sessions.look_after()
-            if aircraft.backfill is not None:
-                aircraft.backfill.look_after()
 
     # ------------------------------------------------------------------------------------------ for the owner
 
     def set_backfill(self, mode: Mode, system: int | None = None) -> None:
-        """Change what is fetched, for one aircraft or all."""
         with self._lock:
             for number, aircraft in self._aircraft.items():
                 if aircraft.backfill is not None and system in (None, number):
@@ -393,12 +378,10 @@ class Receiver:
             self._aircraft[system].manoeuvre.send(manoeuvre)
 
     def accounting(self) -> list[ev.Accounting]:
-        """Where the scans of all sessions went."""
         with self._lock:
             return [b.accounting() for a in self._aircraft.values() for b in a.decoder.sessions]
 
     def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
-        """The recorders of all sessions."""
         with self._lock:
             return {s: r for kept in self._kept() for s, r in kept.recorders.items()}
 
@@ -471,7 +454,3 @@ def _is_aircraft(frame: MavlinkFrame) -> bool:
     # The logger says truly that it is no autopilot, as do ground stations, cameras and radios: it is told by its type.
     said = frame.fields()
     return said["autopilot"] != _NO_AUTOPILOT or said["type"] == _FIXED_WING
-
-
-def _int(value: object) -> int:
-    return value if isinstance(value, int) else 0

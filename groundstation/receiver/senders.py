@@ -49,7 +49,6 @@ class SignatureGate:
         self.rejected = 0
 
     def allows(self, frame: MavlinkFrame) -> bool:
-        """Whether to use a frame."""
         if self.signer is None or frame.msg_id == RADIO_STATUS_ID:
             return True
         verdict = self.signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
@@ -94,8 +93,6 @@ class _Speaker:
 
 
 class Senders:
-    """The speakers of one aircraft."""
-
     def __init__(self, system: int, findings: ReceptionFindings) -> None:
         self.system = system
         self._findings = findings

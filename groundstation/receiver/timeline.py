@@ -21,8 +21,6 @@ class GroundClock(Protocol):
 
 
 class SystemClock:
-    """The clock of this machine."""
-
     def monotonic_ns(self) -> int:
         return time.monotonic_ns()
 

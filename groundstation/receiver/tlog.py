@@ -38,7 +38,7 @@ class TlogWriter:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file = LastingLog(path)
+            self.file = LastingLog(path)
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
         self.path = path
@@ -59,34 +59,24 @@ class TlogWriter:
             self._put(stamp + wrapped)
 
     def _put(self, record: bytes) -> None:
-        self._file.append(record)
-        if self._file.waiting >= _FLUSH_BYTES and self._sound:
+        self.file.append(record)
+        if self.file.waiting >= _FLUSH_BYTES and self._sound:
             self.flush()
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
         self._sound = False  # on a disk that fails it is tried once a second, not at each frame
-        self._file.flush()
+        self.file.flush()
         self._sound = True
 
     def look_after(self) -> None:
         """Called now and then: as `LastingLog.look_after`, and everything handed to the operating system."""
         self._sound = False
-        self._file.look_after()
+        self.file.look_after()
         self.flush()
 
-    @property
-    def refused(self) -> int:
-        """Bytes for which there was no room, neither on the disk nor in memory."""
-        return self._file.refused
-
-    def descriptor(self) -> int:
-        """The open file, for whoever syncs it."""
-        return self._file.descriptor()
-
     def close(self) -> None:
-        """Close the file, its content on the disk."""
-        self._file.close()
+        self.file.close()
 
 
 def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:

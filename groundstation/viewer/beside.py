@@ -10,7 +10,7 @@ from groundstation.flight import Flight
 from groundstation.flight.flight import GAP_FACTOR
 from groundstation.flight.manoeuvres import find_manoeuvres
 from groundstation.flight.marks import marks_of
-from groundstation.viewer.live import ViewerError
+from groundstation.viewer.gate import ViewerError
 
 Array = NDArray[np.float64]
 

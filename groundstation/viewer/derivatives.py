@@ -23,7 +23,6 @@ THIN, THICK = 0.6, 2.0  # widths of lines, in points
 
 
 def entity(coefficient: str) -> str:
-    """Where the curves of a coefficient are."""
     return f"{e.IDENTIFICATION}/{coefficient}"
 
 

@@ -111,7 +111,6 @@ def model_groups(available: Iterable[str], whose: str = "model") -> tuple[Series
 
 
 def health_entity(group: str) -> str:
-    """Entity of one sensor's state lane."""
     return f"{HEALTH}/{group}"
 
 

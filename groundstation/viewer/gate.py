@@ -16,6 +16,8 @@ import threading
 from collections.abc import Mapping
 from http import HTTPStatus
 
+from daq.contract.errors import UserError
+
 LOOPBACK = "127.0.0.1"
 HERE = frozenset({"127.0.0.1", "localhost", "::1"})
 """Names of this computer that a page of it can be asked by."""
@@ -28,6 +30,27 @@ _BLOCK = 1 << 16
 _BACKLOG = 128
 _HTTP2 = b"PRI * HTTP/2.0\r\n\r\n"
 COOKIE = "sideslip"
+
+
+class ViewerError(UserError):
+    """The viewer cannot be started."""
+
+
+def port_is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError:
+            return False
+    return True
+
+
+def free_port() -> int:
+    """A TCP port on loopback that is free now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
 
 
 def hidden_address() -> str:
@@ -87,7 +110,6 @@ class BoundedServer(socketserver.ThreadingTCPServer):
     def process_request_thread(
         self, request: socket.socket | tuple[bytes, socket.socket], client_address: object
     ) -> None:
-        """In the connection's thread."""
         try:
             super().process_request_thread(request, client_address)  # type: ignore[arg-type]
         finally:

@@ -102,7 +102,6 @@ class PageServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Serve no more."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

@@ -22,7 +22,7 @@ from groundstation.viewer.beside import beside
 from groundstation.viewer.blueprint import Layout, blueprint, fitted
 from groundstation.viewer.derivatives import entity as curves_of
 from groundstation.viewer.entities import drawable
-from groundstation.viewer.live import ViewerError
+from groundstation.viewer.gate import ViewerError
 from groundstation.viewer.scene import LinkSample, Scene
 
 if TYPE_CHECKING:

@@ -188,14 +188,12 @@ class Scene:
             self._stream.log(e.ALARM, rr.StateChange(state=level or e.NO_ALARM))
 
     def identification(self, state: LiveState) -> None:
-        """What is identified by now."""
         self._derivatives.show(state)
 
     def _document(self, entity: str, markdown: str) -> None:
         self._stream.log(entity, rr.TextDocument(drawable(markdown), media_type=rr.MediaType.MARKDOWN))
 
     def link(self, time: float, link: LinkSample) -> None:
-        """Quality of the radio link."""
         self._stream.set_time(e.TIMELINE, duration=time)
         for entity, value in link.by_entity().items():
             if math.isfinite(value):

@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable
 
 from groundstation.live.config import ViewConfig
-from groundstation.viewer.gate import LOOPBACK
-from groundstation.viewer.live import LiveView, ViewerError, ViewOptions, port_is_free
+from groundstation.viewer.gate import LOOPBACK, ViewerError, port_is_free
+from groundstation.viewer.live import LiveView, ViewOptions
 from groundstation.viewer.window import NativeWindow, WebPage, Window
 
 _RESTART_S = 5.0
@@ -68,7 +68,6 @@ class SessionViews:
                 page.restart()
 
     def close(self) -> None:
-        """Close all views, pages and windows."""
         for view in self._views:
             view.close()
         for shown in self._shown:

@@ -18,8 +18,7 @@ import urllib.parse
 from pathlib import Path
 from typing import Literal
 
-from groundstation.viewer.gate import LOOPBACK, hidden_address
-from groundstation.viewer.live import ViewerError, free_port, port_is_free
+from groundstation.viewer.gate import LOOPBACK, ViewerError, free_port, hidden_address, port_is_free
 from groundstation.viewer.page import DIRECT, TOKEN, PageServer
 
 Window = Literal["web", "native", "none"]
@@ -111,16 +110,13 @@ class WebPage:
 
     @property
     def open(self) -> bool:
-        """Whether the page's process is there."""
         return self._process.poll() is None
 
     @property
     def pid(self) -> int:
-        """Process id of the page's server."""
         return self._process.pid
 
     def restart(self) -> None:
-        """Start the page's process anew, after it has died."""
         self._process = _start(self._command)
 
     def _wait(self, address: str) -> None:
@@ -140,7 +136,6 @@ class WebPage:
             self._process.wait(timeout)
 
     def close(self) -> None:
-        """End the page."""
         self._server.close()
         self._end_process()
 
@@ -170,12 +165,10 @@ class NativeWindow:
 
     @property
     def pid(self) -> int:
-        """Process id of the viewer."""
         return self._process.pid
 
     @property
     def open(self) -> bool:
-        """Whether the window is still there."""
         return self._process.poll() is None
 
     def wait(self, timeout: float | None = None) -> None:
@@ -184,7 +177,6 @@ class NativeWindow:
             self._process.wait(timeout)
 
     def close(self) -> None:
-        """Close the window."""
         if self.open:
             self._process.terminate()
             try:

@@ -108,7 +108,7 @@ def test_a_folder_that_is_lost_is_filled_again_from_the_aircraft(tmp_path: Path)
     blank = os.open(
         tmp_path / "blank", os.O_RDWR | os.O_CREAT
     )  # as an old disk that is gone: nothing can be read of it
-    os.dup2(blank, recorder.journal.descriptor())
+    os.dup2(blank, recorder.journal.file.descriptor())
     os.close(blank)
     shutil.rmtree(folder)
     gone = len(rig.ground.accounting()[0].session.name) and rig.ground.summary()["scans_received"]

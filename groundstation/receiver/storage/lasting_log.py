@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO
 
 from daq.contract.durable import open_log, sync_directory
 
@@ -24,7 +24,6 @@ class LastingLog:
     def __init__(self, path: Path, most_waiting: int = MOST_WAITING) -> None:
         self.path = path
         self.refused = 0  # bytes for which there was no room, neither on the disk nor in memory
-        self.renewals = 0  # how often the file had to be begun anew
         self._most = most_waiting
         self._waiting: deque[bytes] = deque()
         self._size = 0
@@ -79,7 +78,6 @@ class LastingLog:
         finally:
             old, self._file = self._file, new
             self._written = 0
-            self.renewals += 1
             old.close()
         return False
 
@@ -94,13 +92,12 @@ class LastingLog:
 
     def take_waiting(self) -> list[bytes]:
         """The records that wait, which the caller appends again after what comes before them."""
-        found = list(self._waiting)
+        records = list(self._waiting)
         self._waiting.clear()
         self._size = self._written = 0
-        return found
+        return records
 
     def truncate(self, size: int) -> None:
-        """Cut the file after so many bytes."""
         self._file.truncate(size)
 
     def descriptor(self) -> int:
@@ -116,16 +113,6 @@ class LastingLog:
             self._file.close()
 
 
-class OpenFile(Protocol):
-    """A file being written to, everything handed to the operating system."""
-
-    path: Path
-
-    def descriptor(self) -> int:
-        """Its open file."""
-        ...
-
-
 class Disk:
     """Syncs files, one round at a time. All methods belong to one thread."""
 
@@ -134,7 +121,7 @@ class Disk:
         self._round: Future[None] | None = None
         self._named: set[Path] = set()  # whose names are on the disk
 
-    def sync(self, files: Iterable[OpenFile]) -> None:
+    def sync(self, files: Iterable[LastingLog]) -> None:
         """Begin to sync these files; nothing while the last round still waits for the disk. OSError when that one failed."""
         if self.busy:
             return
@@ -148,7 +135,6 @@ class Disk:
 
     @property
     def busy(self) -> bool:
-        """Whether a round is under way."""
         return self._round is not None and not self._round.done()
 
     def _submit(self, held: list[tuple[int, Path]]) -> "Future[None]":

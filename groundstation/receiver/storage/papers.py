@@ -61,7 +61,6 @@ class Papers(BaseModel):
         return session
 
     def info(self, attachments: Mapping[str, bytes]) -> RecordingInfo:
-        """As a recording says it of itself."""
         return RecordingInfo(
             session=self.session,
             source=self.source,
@@ -75,7 +74,6 @@ class Papers(BaseModel):
         )
 
     def marks(self) -> list[EventMessage]:
-        """The events of the recording."""
         return [EventMessage(*row) for row in self.events]
 
 

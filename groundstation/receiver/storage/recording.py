@@ -64,7 +64,6 @@ class ReceivedWriter(RecordingWriter):
         self._link_channel = self._writer.register_channel(LINK_TOPIC, "json", schema_id)
 
     def write_link(self, data: bytes, time_ns: int, sequence: int) -> None:
-        """Add a report of link quality."""
         self._add(
             self._link_channel, RecordedMessage(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data)
         )
@@ -139,7 +138,6 @@ class SessionRecorder:
             self.journal.add(RecordKind.NOTE, data)
 
     def link(self, report: ev.LinkStatistics) -> None:
-        """Keep a report of link quality."""
         if self._last_ns:
             self.journal.add(RecordKind.LINK, link_json(report, self._last_ns))
 
@@ -192,7 +190,6 @@ class SessionRecorder:
 
     @property
     def has_scans(self) -> bool:
-        """Whether there is anything to write."""
         return bool(len(self.journal.complete) or len(self.journal.received))
 
     def write(self, path: Path | None = None) -> Path | None:
@@ -217,7 +214,6 @@ class SessionRecorder:
             writer.finish()
 
     def close(self) -> None:
-        """Close the journal."""
         self.journal.close()
 
 

@@ -9,6 +9,7 @@ import os
 import struct
 import zlib
 from array import array
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from enum import IntEnum
@@ -28,8 +29,6 @@ _LIMIT = 1 << 20
 
 
 class RecordKind(IntEnum):
-    """What a record holds."""
-
     RECEIVED = 0  # a scan as far as the downlink carries it
     COMPLETE = 1  # a scan as the aircraft encoded it
     EVENT = 2  # an encoded event
@@ -60,7 +59,7 @@ class SessionLog:
         self.path = path
         self.received = ScanMap()
         self.complete = ScanMap()
-        self._file = LastingLog(path)
+        self.file = LastingLog(path)
         self._take_stock()
 
     # ------------------------------------------------------------------------------------------ writing
@@ -72,27 +71,27 @@ class SessionLog:
         for record in self._records():
             self._note(record.kind, record.number)
             end = record.end
-        self._file.truncate(end)  # a torn last record, or a file that is no journal
+        self.file.truncate(end)  # a torn last record, or a file that is no journal
         if end == 0:
-            self._file.append(_MAGIC)
+            self.file.append(_MAGIC)
 
     def look_after(self) -> None:
         """Called now and then: write what waits for the disk; go on in a new file where the old one is gone, with what it
         had where that can be read. `received` and `complete` then say what is there. Raises OSError while there is no disk."""
-        if not self._file.look_after():
-            waiting = self._file.take_waiting()
+        if not self.file.look_after():
+            waiting = self.file.take_waiting()
             self._take_stock()
             for record in waiting:
                 if record != _MAGIC:
-                    self._file.append(record)
+                    self.file.append(record)
                     kind, number, *_ = _HEAD.unpack_from(record)
                     self._note(RecordKind(kind), number)
-        self._file.flush()
+        self.file.flush()
 
     @property
     def scans_waiting(self) -> int:
         """Scans that are in memory only, because the disk has not taken them yet."""
-        kinds = (record[0] for record in self._file.records_waiting if record != _MAGIC)
+        kinds = (record[0] for record in self.file.records_waiting if record != _MAGIC)
         return sum(kind in (RecordKind.RECEIVED, RecordKind.COMPLETE) for kind in kinds)
 
     @property
@@ -100,26 +99,22 @@ class SessionLog:
         """Scans whose record is in the file."""
         return len(self.complete) + len(self.received.minus(self.complete)) - self.scans_waiting
 
-    @property
-    def waiting(self) -> int:
-        """Bytes that the disk has not taken yet."""
-        return self._file.waiting
-
     def _note(self, kind: RecordKind, number: int) -> None:
         if kind is RecordKind.RECEIVED:
             self.received.add(number)
         elif kind is RecordKind.COMPLETE:
             self.complete.add(number)
 
-    def _append(self, kind: RecordKind, number: int, data: bytes) -> None:
+    def add(self, kind: RecordKind, data: bytes, number: int = 0) -> None:
+        """Append a record; number: of a scan."""
         crc = zlib.crc32(_CRC_OF.pack(kind, number, len(data)) + data)
-        if self._file.append(_HEAD.pack(kind, number, len(data), crc) + data):
+        if self.file.append(_HEAD.pack(kind, number, len(data), crc) + data):
             self._note(kind, number)
-        self._file.flush()  # on a full disk it waits in memory, and goes with the next that succeeds
+        self.file.flush()  # on a full disk it waits in memory, and goes with the next that succeeds
 
     def add_received(self, scan: Scan) -> None:
         """Keep a scan as received; one completed by a later part replaces it."""
-        self._append(RecordKind.RECEIVED, scan.number, encode_scan(scan))
+        self.add(RecordKind.RECEIVED, encode_scan(scan), scan.number)
 
     def add_complete(self, data: bytes) -> int | None:
         """Keep a scan in the aircraft's own bytes; returns its number, None when the bytes are no scan."""
@@ -128,31 +123,18 @@ class SessionLog:
         except ScanDecodeError:
             return None
         if scan.number not in self.complete:
-            self._append(RecordKind.COMPLETE, scan.number, data)
+            self.add(RecordKind.COMPLETE, data, scan.number)
         return scan.number
 
-    def add(self, kind: RecordKind, data: bytes) -> None:
-        """Keep another record."""
-        self._append(kind, 0, data)
-
-    def flush(self) -> None:
-        """Hand everything to the operating system."""
-        self._file.flush()
-
-    def descriptor(self) -> int:
-        """The open file, for whoever syncs it."""
-        return self._file.descriptor()
-
     def close(self) -> None:
-        """Close the file, its content on the disk."""
-        self._file.close()
+        self.file.close()
 
     # ------------------------------------------------------------------------------------------ reading
 
     def _records(self) -> Iterator[_Record]:
         """All sound records of the file in order; a damaged stretch is passed over. What waits is not among them."""
         with suppress(OSError):
-            self.flush()
+            self.file.flush()
         with self.path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             if file.read(len(_MAGIC)) != _MAGIC:
@@ -190,11 +172,7 @@ class SessionLog:
         return (record.data for record in self._records() if record.kind is kind)
 
     def last(self, kind: RecordKind) -> bytes | None:
-        """The last record of a kind."""
-        found = None
-        for data in self.others(kind):
-            found = data
-        return found
+        return next(iter(deque(self.others(kind), maxlen=1)), None)
 
 
 def _record_at(file: IO[bytes], at: int, size: int) -> _Record | None:

@@ -85,7 +85,6 @@ class Sessions:
         return [] if path is None else [path]
 
     def close(self) -> None:
-        """Close all files."""
         for recorder in self._open.values():
             self._close(recorder)
 
