@@ -47,7 +47,7 @@ VERBS: dict[str, Verb] = {
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
     "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
-    "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
+    "view": Verb("groundstation.cli.view", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb(

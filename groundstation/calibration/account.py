@@ -11,7 +11,7 @@ from groundstation.calibration import curves
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
 from groundstation.calibration.columns import direct_columns
 from groundstation.calibration.scan_table import Readings, ScanTable
-from groundstation.calibration.schema import CalibrationCurve, CalibrationSet, Instrument
+from groundstation.calibration.schema import CalibrationSet, Instrument
 from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
@@ -134,13 +134,8 @@ def _curve_sigma(item: Instrument | None) -> float | None:
     """Root mean square over the calibrated range: the flight's readings are not at one place of it."""
     if item is None or item.curve is None:
         return None
-    return curve_sigma(item.curve)
-
-
-def curve_sigma(curve: CalibrationCurve) -> float:
-    """One sigma of a curve, root mean square over its valid range [output unit]."""
-    grid = np.linspace(*curve.valid, 21)
-    return float(np.sqrt(np.mean(curves.standard_deviation(curve, grid) ** 2)))
+    grid = np.linspace(*item.curve.valid, 21)
+    return float(np.sqrt(np.mean(curves.standard_deviation(item.curve, grid) ** 2)))
 
 
 def _controls(calibration: CalibrationSet, out: dict[str, float]) -> None:

@@ -8,6 +8,7 @@ however many scans are calibrated at once.
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -266,13 +267,6 @@ def calibrate(
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset
     origin = provenance or Provenance()
-    origin = Provenance(
-        source=origin.source,
-        path=origin.path,
-        sha256=origin.sha256,
-        aircraft=origin.aircraft,
-        software=origin.software,
-        calibration=calibration.hashes,
-        detail=MappingProxyType({**origin.detail, **detail}),
-    )
+    details = MappingProxyType({**origin.detail, **detail})
+    origin = replace(origin, calibration=calibration.hashes, detail=details)
     return Flight.build(name, table.time, columns, provenance=origin, notes=[*table.notes, *notes])

@@ -176,17 +176,6 @@ class SupplySensitivity(_CalibrationTable):
     reference: Annotated[float, Field(gt=0)] = 5.0
 
 
-_KINDS = {
-    "curve": ("curve",),
-    "triad": ("triad",),
-    "static": ("static",),
-    "mixing": ("mixing",),
-    "attitude": ("attitude",),
-    "logger": ("logger",),
-    "antenna": ("mount",),
-}
-
-
 class Instrument(_CalibrationTable):
     """One calibration file.
 
@@ -218,9 +207,9 @@ class Instrument(_CalibrationTable):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Instrument":
-        for table in _KINDS[self.kind]:
-            if getattr(self, table) is None:
-                raise ValueError(f"a file of kind {self.kind} needs the table [{table}]")
+        table = "mount" if self.kind == "antenna" else self.kind
+        if getattr(self, table) is None:
+            raise ValueError(f"a file of kind {self.kind} needs the table [{table}]")
         unknown = [c for c in (self.channel, *self.channels) if c is not None and c not in CHANNEL_BY_NAME]
         if unknown:
             raise ValueError(f"channel: {unknown[0]} is not in the channel table")
@@ -287,17 +276,11 @@ def load_calibration(directory: str | Path = "cdfp") -> CalibrationSet:
     if not path.is_dir():
         built_in = NOMINAL_DIRECTORY / str(directory)
         if path.name != str(directory) or not built_in.is_dir():
-            raise CalibrationError(
-                f"{directory}: no such directory of calibration files (built in: {', '.join(built_in_sets())})"
-            )
+            names = ", ".join(sorted(p.name for p in NOMINAL_DIRECTORY.iterdir() if p.is_dir()))
+            raise CalibrationError(f"{directory}: no such directory of calibration files (built in: {names})")
         path = built_in
     texts = {file.name: read_text(file, "file", CalibrationError) for file in sorted(path.glob("*.toml"))}
     return CalibrationSet.from_texts(path.name, texts)
-
-
-def built_in_sets() -> tuple[str, ...]:
-    """Names of the calibration sets that come with the software."""
-    return tuple(sorted(p.name for p in NOMINAL_DIRECTORY.iterdir() if p.is_dir()))
 
 
 def _parse(where: str, text: str) -> Instrument:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -300,19 +300,13 @@ def bench(
     )
 
 
-class LogAdvice(Protocol):
-    """Which models and methods a log is good for."""
-
-    def lines(self) -> Iterable[str]: ...
-
-    def to_json(self) -> dict[str, Any]: ...
-
-
 @dataclass(frozen=True)
 class Services:
-    """aircraft: of a name or file, for live identification. recipe: what a flight is good for. estimate: of flights, with model,
+    """What the command line gives the verbs, as click's object; they know no aircraft files, models and estimators.
+
+    aircraft: of a name or file, for live identification. recipe: what a flight is good for. estimate: of flights, with model,
     methods and the folder of the report; gives what a person reads."""
 
     aircraft: "AircraftSource"
-    recipe: "Callable[[Flight], LogAdvice]"
+    recipe: "Callable[[Flight], Any]"
     estimate: Callable[[Sequence[Path], str, str, Path], Iterable[str]]

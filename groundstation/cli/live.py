@@ -1,4 +1,4 @@
-"""Command line of the ground station: `sideslip ground` and `sideslip view`."""
+"""Command line of the ground station: `sideslip ground`."""
 
 import signal
 import time
@@ -11,7 +11,8 @@ import click
 
 from daq.contract.errors import UserError
 from daq.contract.options import aircraft_option, json_option, model_option
-from daq.contract.outputs import tried_file, tried_folder
+from daq.contract.outputs import tried_folder
+from groundstation.cli.view import VIEW, VIEW_HELP, terminated_is_interrupt
 
 if TYPE_CHECKING:
     from groundstation.cli.data import Services
@@ -24,15 +25,13 @@ if TYPE_CHECKING:
 
 POLL_S = 0.02
 Say = Callable[[str], None]
-VIEW = click.Choice(["web", "native", "none"])
-_VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 
 
 @click.command(epilog="Example: sideslip ground ground.toml --view web --json session.json")
 @click.argument("config", type=click.Path(path_type=Path), required=False)
 @click.option("--replay", type=click.Path(path_type=Path), help="Play a .tlog or a recording instead of listening.")
 @click.option("--speed", default="1", show_default=True, help="Of the replay: recorded seconds a second, or max.")
-@click.option("--view", "window", type=VIEW, default="none", show_default=True, help=_VIEW_HELP)
+@click.option("--view", "window", type=VIEW, default="none", show_default=True, help=VIEW_HELP)
 @click.option(
     "--layout",
     type=click.Choice(["full", "light"]),
@@ -77,6 +76,7 @@ def ground(
     command the aircraft: help lists them.
     """
     from groundstation.live.config import configured
+    from groundstation.live.handover import hand_over_sessions
     from groundstation.live.replay import Replay, parse_speed, replay_into
 
     settings = configured(config, layout, aircraft, watched, model)
@@ -93,7 +93,7 @@ def ground(
         )
         interrupted = False
         try:
-            with _terminated_is_interrupt():
+            with terminated_is_interrupt():
                 if replay is not None:
                     replay_into(station, player, replay, parse_speed(speed))
                 else:
@@ -102,7 +102,7 @@ def ground(
             interrupted = True
         finally:
             station.close()
-        handed = _finish(station, settings, folder, say)
+        handed = hand_over_sessions(station, folder, say)
         whole = _conclude(station, handed, json_path, settings.identification.model, say)
         if with_estimate and services is not None:
             _estimate(handed, settings, folder, say, services, show=views is not None)
@@ -178,7 +178,7 @@ def _conclude(station: "Station", handed: list["Handover"], json_path: Path | No
 def _hold(views: "SessionViews") -> None:
     """Keep the views until somebody has seen enough."""
     try:
-        with _terminated_is_interrupt():
+        with terminated_is_interrupt():
             while True:
                 views.tend()
                 time.sleep(0.1)
@@ -189,24 +189,6 @@ def _hold(views: "SessionViews") -> None:
 def _session_folder(settings: "GroundConfig") -> Path:
     base = settings.output.directory
     return base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if settings.output.dated else base
-
-
-@contextmanager
-def _terminated_is_interrupt() -> Iterator[None]:
-    """SIGTERM and SIGINT end a session alike: files are closed and the flight is written.
-
-    SIGINT too is asked for, because a shell's background job starts with it ignored.
-    """
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _station(
@@ -280,47 +262,6 @@ def _listen(
         time.sleep(POLL_S)
 
 
-def _finish(station: "Station", settings: "GroundConfig", folder: Path, say: Say) -> list["Handover"]:
-    """Hand over every session that holds a flight."""
-    from groundstation.live.handover import HandoverError, hand_over, onboard_recording
-
-    handed = []
-    if station.replayed is not None:
-        identified = None if station.replayed_as is None else station.identifications.kept(station.replayed_as)
-        handed.append(
-            hand_over(station.replayed, folder, origin=f"replay of {station.replayed}", identified=identified)
-        )
-    sessions = [(s, r) for s, r in station.receiver.session_recorders().items() if r.path.is_file()]
-    sessions.sort(key=lambda pair: pair[1].path.stat().st_size, reverse=True)
-    for number, (session, recorder) in enumerate(sessions):
-        name = "flight" if number == 0 and not handed else f"flight_{session.name}"
-        onboard = onboard_recording(settings.handover.onboard, recorder.info().session)
-        source, origin = (
-            (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
-        )
-        try:
-            handed.append(
-                hand_over(
-                    source,
-                    folder,
-                    origin=origin,
-                    fallback_calibration=settings.calibration.directory,
-                    name=name,
-                    identified=station.identifications.kept(session),
-                )
-            )
-        except HandoverError as error:
-            say(f"{session.name}: {error}")
-        except OSError as error:
-            say(f"{session.name}: the flight cannot be written ({error.strerror or error})")
-        except Exception as error:  # noqa: BLE001  what a sender said must not keep the other flights from being written
-            say(f"{session.name}: no flight can be made of it ({type(error).__name__}: {error}); its recording stays")
-    if any(not r.path.is_file() for r in station.receiver.session_recorders().values() if r.has_scans):
-        advice = f"sideslip ground CONFIG --replay {folder / 'telemetry.tlog'} --speed max --out ELSEWHERE"
-        say(f"not everything received could be written as a recording; make room and play it again: {advice}")
-    return handed
-
-
 def _estimate(
     handed: list["Handover"],
     settings: "GroundConfig",
@@ -345,75 +286,3 @@ def _estimate(
         say(line)
     if show:
         click.launch(str(report / "index.html"))
-
-
-@click.command(epilog="Example: sideslip view flights/first/flight.mcap")
-@click.argument("file", type=click.Path(path_type=Path))
-@click.argument("other", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "--align",
-    type=click.Choice(["auto", "correlation", "input", "event", "start"]),
-    is_flag=False,
-    flag_value="auto",
-    help="Lay the flight OTHER on FILE in time: by likeness, by the first input, by an event that both have, or by their starts.",
-)
-@click.option("--view", "window", type=VIEW, default="web", show_default=True, help=_VIEW_HELP)
-@click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
-@click.option(
-    "--rrd", type=click.Path(path_type=Path), callback=tried_file, help="Write the rerun recording here and keep it."
-)
-@click.option(
-    "--calibration", type=click.Path(path_type=Path), help="For a raw recording: calibration in place of its own."
-)
-@click.option(
-    "--save-blueprint", type=click.Path(path_type=Path), help="Write the layout as .rbl, for rerun's own use."
-)
-@click.option("--web-port", type=int, default=9090, show_default=True)
-@click.option("--duration", type=float, help="Close after this many seconds.")
-def view(
-    file: Path,
-    other: Path | None,
-    align: str | None,
-    window: str,
-    layout: str,
-    rrd: Path | None,
-    calibration: Path | None,
-    save_blueprint: Path | None,
-    web_port: int,
-    duration: float | None,
-) -> int:
-    """Show any recording or flight FILE (.mcap raw or calibrated, .csv, .parquet, .rrd) in rerun; with --align two."""
-    import tempfile
-
-    from groundstation.viewer import blueprint
-    from groundstation.viewer.recorded import as_rrd, both_as_rrd
-    from groundstation.viewer.window import NativeWindow, WebPage
-
-    if (other is None) != (align is None):
-        raise click.UsageError("two flights in one view: sideslip view A B --align")
-    chosen: blueprint.Layout = "light" if layout == "light" else "full"
-    if save_blueprint is not None:
-        blueprint.save_blueprint(save_blueprint, chosen)
-        click.echo(f"layout: {save_blueprint}")
-    with ExitStack() as scratch:
-        target = rrd or Path(scratch.enter_context(tempfile.TemporaryDirectory())) / "view.rrd"
-        if other is not None and align is not None:
-            shown, said = both_as_rrd(file, other, target, chosen, align, calibration)
-            click.echo(said)
-        else:
-            shown = as_rrd(file, target, chosen, calibration)
-        if rrd is not None:
-            click.echo(f"rerun recording: {shown}")
-        if window == "none":
-            return 0
-        opened = NativeWindow(shown) if window == "native" else WebPage(shown, web_port)
-        try:
-            with _terminated_is_interrupt():
-                if isinstance(opened, WebPage):
-                    click.echo(f"{opened.url}\nCtrl-C ends the page")
-                opened.wait(duration)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            opened.close()
-    return 0

@@ -1,9 +1,9 @@
 """The end of a flight: from recordings to a calibrated, split and checked flight for the estimation package."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.linalg import LinAlgError
 
@@ -16,6 +16,9 @@ from groundstation.flight import Flight, FlightError, write_flight
 from groundstation.flight.manoeuvres import ManoeuvreStretch, cut, find_manoeuvres
 from groundstation.flight.quality.report import Finding, quality_report
 from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
+
+if TYPE_CHECKING:
+    from groundstation.live.station import Station
 
 
 class HandoverError(UserError):
@@ -82,15 +85,50 @@ def hand_over(
     flight = replace(flight, name=name, provenance=replace(flight.provenance, detail=detail))
     path = folder / f"{name}.mcap"
     write_flight(flight, path)
-    manoeuvres_path = _write_manoeuvres(flight, manoeuvres, folder / f"{name}_manoeuvres.mcap")
+    manoeuvres_path = folder / f"{name}_manoeuvres.mcap" if manoeuvres else None
+    if manoeuvres_path is not None:
+        write_flight(cut(flight, manoeuvres, manoeuvres_path.stem), manoeuvres_path)
     handed = Handover(path, manoeuvres_path, flight, manoeuvres, findings, origin)
     summary = {"flight": str(path), "origin": origin, "manoeuvres": listed, "quality": [f.to_json() for f in findings]}
     write_json(summary, folder / f"{name}.json")
     return handed
 
 
-def _write_manoeuvres(flight: Flight, manoeuvres: Sequence[ManoeuvreStretch], path: Path) -> Path | None:
-    if not manoeuvres:
-        return None
-    write_flight(cut(flight, manoeuvres, path.stem), path)
-    return path
+def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], None]) -> list[Handover]:
+    """Hand over every session that holds a flight."""
+    settings = station.config
+    handed = []
+    if station.replayed is not None:
+        identified = None if station.replayed_as is None else station.identifications.kept(station.replayed_as)
+        handed.append(
+            hand_over(station.replayed, folder, origin=f"replay of {station.replayed}", identified=identified)
+        )
+    sessions = [(s, r) for s, r in station.receiver.session_recorders().items() if r.path.is_file()]
+    sessions.sort(key=lambda pair: pair[1].path.stat().st_size, reverse=True)
+    for number, (session, recorder) in enumerate(sessions):
+        name = "flight" if number == 0 and not handed else f"flight_{session.name}"
+        onboard = onboard_recording(settings.handover.onboard, recorder.info().session)
+        source, origin = (
+            (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
+        )
+        try:
+            handed.append(
+                hand_over(
+                    source,
+                    folder,
+                    origin=origin,
+                    fallback_calibration=settings.calibration.directory,
+                    name=name,
+                    identified=station.identifications.kept(session),
+                )
+            )
+        except HandoverError as error:
+            say(f"{session.name}: {error}")
+        except OSError as error:
+            say(f"{session.name}: the flight cannot be written ({error.strerror or error})")
+        except Exception as error:  # noqa: BLE001  what a sender said must not keep the other flights from being written
+            say(f"{session.name}: no flight can be made of it ({type(error).__name__}: {error}); its recording stays")
+    if any(not r.path.is_file() for r in station.receiver.session_recorders().values() if r.has_scans):
+        advice = f"sideslip ground CONFIG --replay {folder / 'telemetry.tlog'} --speed max --out ELSEWHERE"
+        say(f"not everything received could be written as a recording; make room and play it again: {advice}")
+    return handed

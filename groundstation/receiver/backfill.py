@@ -84,6 +84,7 @@ class BackfillClient:
         self.refused = 0  # papers and archives that were none
         self._recorder = recorder
         self._books = books
+        self._boot = books.session.boot
         self._open: dict[tuple[int, int], _Open] = {}
         self._archive: dict[int, bytes] = {}  # parts by number, as many as the papers say there are
         self._summary: tuple[int, int, int, bytes] | None = None  # first, last, count, hash
@@ -106,7 +107,12 @@ class BackfillClient:
 
     def due(self, now_ns: int) -> list[Request]:
         """Messages to send now (name, fields without targets)."""
-        out = [self._again(key, o, now_ns) for key, o in self._open.items() if now_ns - o.asked_ns >= o.retry_ns]
+        out = []
+        for key, request in self._open.items():
+            if now_ns - request.asked_ns >= request.retry_ns:
+                request.asked_ns, request.flowing = now_ns, False
+                request.retry_ns = min(MAX_RETRY_NS, max(RETRY_NS, request.retry_ns * 2))
+                out.append(self._request(key, request.missing()))
         room = WINDOW - len(self._open)
         if room > 0 and not out and now_ns >= self._look_ns:
             for key in self._next_wanted(room, now_ns):
@@ -115,22 +121,11 @@ class BackfillClient:
                     out.append(self._request(key, _ALL_FRAGMENTS))
             if not out:
                 self._look_ns = now_ns + LOOK_NS
-        if self.mode == "all" and not self.agreed and not self._open and self._summary_due(now_ns):
+        summary_due = self._summary_ns is None or now_ns - self._summary_ns >= SUMMARY_NS
+        if self.mode == "all" and not self.agreed and not self._open and summary_due:
             self._summary_ns, self._summary_asked = now_ns, True
             out.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
         return out
-
-    @property
-    def _boot(self) -> int:
-        return self._books.session.boot
-
-    def _summary_due(self, now_ns: int) -> bool:
-        return self._summary_ns is None or now_ns - self._summary_ns >= SUMMARY_NS
-
-    def _again(self, key: tuple[int, int], o: _Open, now_ns: int) -> Request:
-        o.asked_ns, o.flowing = now_ns, False
-        o.retry_ns = min(MAX_RETRY_NS, max(RETRY_NS, o.retry_ns * 2))
-        return self._request(key, o.missing())
 
     def _request(self, key: tuple[int, int], fragments: int) -> Request:
         first, wanted = key
@@ -244,25 +239,20 @@ class BackfillClient:
 
     def _take_scans(self, asked: set[int], data: bytes) -> None:
         for encoded in unpack_scans(data):
-            number = self._believed(encoded, asked)
-            if number is not None:
+            try:
+                scan = decode_scan(encoded)
+            except ScanDecodeError:
+                continue
+            # only one that was asked for, and that can have been made when it says
+            if scan.number in asked and self._books.fits(scan.number, scan.time_monotonic_ns):
                 self._recorder.complete(encoded)
                 self._fetched.append(encoded)
-                asked.discard(number)
-                self._books.see(number)
-                self._books.backfilled.add(number)
+                asked.discard(scan.number)
+                self._books.see(scan.number)
+                self._books.backfilled.add(scan.number)
         # What the aircraft left out of a sound answer it does not have (any more).
         for number in asked:
             self.unavailable.add(number)
-
-    def _believed(self, encoded: bytes, asked: set[int]) -> int | None:
-        """The number of a scan that was asked for, and that can have been made when it says; None for any other."""
-        try:
-            scan = decode_scan(encoded)
-        except ScanDecodeError:
-            return None
-        fits = scan.number in asked and self._books.fits(scan.number, scan.time_monotonic_ns)
-        return scan.number if fits else None
 
     def _take_archive(self, part: int, data: bytes, now_ns: int) -> None:
         papers = self._recorder.papers

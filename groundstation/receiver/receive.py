@@ -201,7 +201,7 @@ class Receiver:
         """Answers to what was asked from here."""
         match frame.name:
             case "COMMAND_ACK":
-                f = frame.fields()
+                f: Mapping[str, Any] = frame.fields()
                 if f["target_system"] in (0, self.config.system_id):
                     out += self.commander.acknowledge(frame.system, f["command"], f["result"], now)
             case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:

@@ -6,7 +6,7 @@ recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rb
 
 import inspect
 import tempfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -180,18 +180,15 @@ def _kept(pane: rrb.Container | rrb.View, filled: Collection[str]) -> rrb.Contai
     """The pane with what has something to show; None where nothing of it has."""
     if not isinstance(pane, CONTAINERS):
         return pane if _shows(pane, filled) else None
-    at = [(i, kept) for i, part in enumerate(pane.contents) if (kept := _kept(part, filled)) is not None]
-    if not at:
+    parts = [(i, part) for i, inner in enumerate(pane.contents) if (part := _kept(inner, filled)) is not None]
+    if not parts:
         return None
-    rows, columns = (_shares(s, [i for i, _ in at]) for s in (pane.row_shares, pane.column_shares))
-    given = {"row_shares": rows, "column_shares": columns, "grid_columns": pane.grid_columns, "name": pane.name}
+    rows, columns = (s and [s[i] for i, _ in parts] for s in (pane.row_shares, pane.column_shares))
+    arguments = {"row_shares": rows, "column_shares": columns, "grid_columns": pane.grid_columns, "name": pane.name}
     kind = next(k for k in CONTAINERS if isinstance(pane, k))
-    taken = inspect.signature(kind.__init__).parameters
-    return kind(*(kept for _, kept in at), **{k: v for k, v in given.items() if k in taken and v is not None})
-
-
-def _shares(shares: Sequence[float] | None, kept: Sequence[int]) -> list[float] | None:
-    return None if shares is None else [shares[i] for i in kept]
+    accepted = inspect.signature(kind.__init__).parameters
+    used = {name: value for name, value in arguments.items() if name in accepted and value is not None}
+    return kind(*(part for _, part in parts), **used)
 
 
 def _shows(view: rrb.View, filled: Collection[str]) -> bool:

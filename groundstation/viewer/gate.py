@@ -96,9 +96,17 @@ class BoundedServer(socketserver.ThreadingTCPServer):
     allow_reuse_address = True
     request_queue_size = _BACKLOG
 
-    def __init__(self, address: tuple[str, int], handler: type[socketserver.BaseRequestHandler]) -> None:
+    def __init__(self, address: tuple[str, int], handler: type[socketserver.BaseRequestHandler], name: str) -> None:
         self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__(address, handler)
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name=name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: object) -> None:
         """Serve, or close where there are too many."""
@@ -135,22 +143,14 @@ def pump(one: socket.socket, other: socket.socket, idle_s: float = IDLE_S) -> No
             to[side].sendall(data)
 
 
-class ViewerGate:
+class ViewerGate(BoundedServer):
     """In front of rerun's own server of a live view, on loopback. backend: where that listens. Raises OSError."""
 
     def __init__(self, port: int, backend: tuple[str, int]) -> None:
         class GateHandler(_Passing):
             behind = backend
 
-        self._server = BoundedServer((LOOPBACK, port), GateHandler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-gate", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Let nobody in any more."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().__init__((LOOPBACK, port), GateHandler, "viewer-gate")
 
 
 class _Passing(socketserver.BaseRequestHandler):

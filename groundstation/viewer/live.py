@@ -8,7 +8,6 @@ back. Each start makes a recording id of its own, because a viewer shows an old 
 
 import queue
 import threading
-import time
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -147,12 +146,3 @@ class LiveView:
         while (job := self._queue.get()) is not None:
             job(scene)
             self.shown += 1
-
-    def drain(self, timeout_s: float) -> bool:
-        """Wait until everything queued so far was logged; False when that took longer."""
-        deadline = time.monotonic() + timeout_s
-        while not self._queue.empty():
-            if time.monotonic() > deadline:
-                return False
-            threading.Event().wait(0.005)
-        return True

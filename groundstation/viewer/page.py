@@ -8,7 +8,6 @@ sees them, and a Content-Security-Policy makes the browser refuse whatever were 
 import contextlib
 import re
 import socket
-import threading
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -75,7 +74,7 @@ def policy(data: Sequence[str]) -> str:
     )
 
 
-class PageServer:
+class PageServer(BoundedServer):
     """Serves the page, from the files of a rerun program that serves them at `files` (http://...), and its data from `behind`.
 
     data: other origins the page may take its data from. host: where to listen. key: token that every request has to show; beyond
@@ -97,14 +96,7 @@ class PageServer:
                 "X-DNS-Prefetch-Control": "off",
             }
 
-        self._server = BoundedServer((host, port), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-page", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().__init__((host, port), Handler, "viewer-page")
 
 
 class _Handler(BaseHTTPRequestHandler):
