@@ -36,8 +36,8 @@ class CombinedColumns:
 
     def make(self) -> dict[str, Array]:
         steps: tuple[Callable[[], None], ...] = (
-            *(self._air, self._rates, self._acceleration, self._attitude, self._flow, self._controls),
-            *(self._magnetic, self._gnss, self._direct),
+            *(self._air, self._rates_and_field, self._acceleration, self._attitude, self._flow, self._controls),
+            *(self._gnss, self._direct),
         )
         for step in steps:
             step()
@@ -65,8 +65,9 @@ class CombinedColumns:
         reference = site.sea_level_pressure if site else conversions.SEA_LEVEL_PRESSURE
         self.columns["altitude"] = conversions.pressure_altitude(static, reference)
 
-    def _rates(self) -> None:
+    def _rates_and_field(self) -> None:
         self.columns.update(zip("pqr", self._axes("gyro"), strict=True))
+        self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
 
     def _acceleration(self) -> None:
         axes = self._axes("accelerometer")
@@ -106,9 +107,6 @@ class CombinedColumns:
                 left, right = self._value(left_name), self._value(right_name)
                 for column, weights in ((elevator, item.mixing.elevator), (aileron, item.mixing.aileron)):
                     self.columns[column] = weights[0] * left + weights[1] * right
-
-    def _magnetic(self) -> None:
-        self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
 
     def _direct(self) -> None:
         """Columns of one channel each. A bit is as it was read: there is nothing between 0 and 1."""

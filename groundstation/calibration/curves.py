@@ -39,19 +39,6 @@ def extrapolated(curve: CalibrationCurve, reading: ArrayLike) -> NDArray[np.bool
     return np.asarray((x < curve.valid[0]) | (x > curve.valid[1]))
 
 
-def slope(curve: CalibrationCurve, reading: ArrayLike) -> Array:
-    x = np.ascontiguousarray(reading, float)
-    if curve.kind == "table":
-        grid, out = np.array(curve.inputs), np.array(curve.outputs)
-        i = np.clip(np.searchsorted(grid, x) - 1, 0, grid.size - 2)
-        return np.asarray((out[i + 1] - out[i]) / (grid[i + 1] - grid[i]))
-    terms = [k * c for k, c in enumerate(curve.coefficients)][1:] or [0.0]
-    total = np.zeros_like(x)
-    for c in reversed(terms):
-        total = total * (x - curve.centre) + c
-    return total
-
-
 def standard_deviation(curve: CalibrationCurve, reading: ArrayLike) -> Array:
     """One sigma of the calibration [output unit] at each reading: from the covariance of the fit, else the stated one.
 

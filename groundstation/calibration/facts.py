@@ -7,6 +7,7 @@ recording says takes precedence.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from daq.contract.channels import CHANNEL_BY_NAME
 from groundstation.calibration.conversions import Bmp390Compensation
@@ -94,8 +95,7 @@ class RecordedFacts:
         return float(text)
 
 
-@dataclass(frozen=True)
-class Reported:
+class Reported(NamedTuple):
     """Facts as a sender, or a recording of one, gave them, after the check of each. refused: name -> why it is not used."""
 
     facts: Mapping[str, str]

@@ -130,8 +130,9 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
     from groundstation.live.config import GroundConfigError
     from groundstation.live.console import spoken
 
-    wanted = out or _session_folder(settings)
     dated = out is None and settings.output.dated
+    base = settings.output.directory
+    wanted = out or (base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if dated else base)
     old = sorted([*wanted.glob("*.tlog"), *wanted.glob("*.journal")]) if replayed else []
     if old:
         raise GroundConfigError(f"{wanted} holds a session already ({old[0].name}); give another folder with --out")
@@ -184,11 +185,6 @@ def _hold(views: "SessionViews") -> None:
                 time.sleep(0.1)
     except KeyboardInterrupt:
         return
-
-
-def _session_folder(settings: "GroundConfig") -> Path:
-    base = settings.output.directory
-    return base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if settings.output.dated else base
 
 
 def _station(

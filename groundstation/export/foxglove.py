@@ -28,15 +28,9 @@ def write_foxglove(flight: Flight, path: Path) -> None:
     """Write the file; topics without values (no GPS, no attitude) are absent."""
     stamps = stamps_ns(flight)
     with whole(path) as new, open_flight_writer(flight, new, stamps) as add:
-        for topic, stamp, message in sorted(_messages(flight, stamps), key=lambda row: row[1]):
+        messages = [m for make in (_fixes, _poses, _events, _scalars) for m in make(flight, stamps)]
+        for topic, stamp, message in sorted(messages, key=lambda row: row[1]):
             add(topic, stamp, message)
-
-
-def _messages(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Any]]:
-    yield from _fixes(flight, stamps)
-    yield from _poses(flight, stamps)
-    yield from _events(flight, stamps)
-    yield from _scalars(flight, stamps)
 
 
 def _scalars(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Encoded]]:

@@ -124,7 +124,9 @@ class Console:
                     self._echo(f"aircraft {number}: {self._station.monitor(number).status_page()}")
             case ["live"]:
                 for number in systems:
-                    self._echo_identified(number)
+                    state = self._station.identifications.state(number)
+                    for line in ["nothing is identified yet"] if state is None else lines(state):
+                        self._echo(f"aircraft {number}: {line}")
             case ["ack"]:
                 for number in systems:
                     self._station.monitor(number).acknowledge()
@@ -154,11 +156,6 @@ class Console:
             case _:
                 return False
         return True
-
-    def _echo_identified(self, system: int) -> None:
-        state = self._station.identifications.state(system)
-        for line in ["nothing is identified yet"] if state is None else lines(state):
-            self._echo(f"aircraft {system}: {line}")
 
     def _send_manoeuvre(self, system: int, path: str) -> None:
         try:

@@ -1,7 +1,7 @@
 """The ground station: receiver, one monitor per aircraft, views, and the hand-over at the end of a flight."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
@@ -57,16 +57,14 @@ class Station:
     def monitor(self, system: int) -> AircraftMonitor:
         """The monitor of an aircraft, opened when it is first heard."""
         if system not in self.monitors:
+
+            def say(time: float, level: str, text: str) -> None:
+                self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
+
             view = None if self._make_view is None else self._make_view(system)
-            self.monitors[system] = AircraftMonitor(self.config, self.calibration, view, self._sayer(system), system)
+            self.monitors[system] = AircraftMonitor(self.config, self.calibration, view, say, system)
             self._echo(f"aircraft {system} heard")
         return self.monitors[system]
-
-    def _sayer(self, system: int) -> Callable[[float, str, str], None]:
-        def say(time: float, level: str, text: str) -> None:
-            self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
-
-        return say
 
     def _note(self, line: str) -> None:
         line = legible(line)
@@ -93,7 +91,9 @@ class Station:
                 monitor.silence(now)
         if now >= self._next_papers_ns:
             self._next_papers_ns = now + PAPERS_PERIOD_NS
-            self._adopt_calibrations()
+            for session, recorder in self.receiver.session_recorders().items():
+                with findings.guard(session.system, "what its recording says of itself"):
+                    self._adopt_papers(session, recorder.info())
             self._look_at_disk(now)
         return happened
 
@@ -136,13 +136,8 @@ class Station:
             self._space_told = True
             self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
 
-    def _adopt_calibrations(self) -> None:
-        """Once the recording's papers have come down, calibrate with what the aircraft carries."""
-        for session, recorder in self.receiver.session_recorders().items():
-            with self.receiver.findings.guard(session.system, "what its recording says of itself"):
-                self._adopt(session, recorder.info())
-
-    def _adopt(self, session: ev.Session, info: RecordingInfo) -> None:
+    def _adopt_papers(self, session: ev.Session, info: RecordingInfo) -> None:
+        """Once the papers of a recording have come down: its aircraft, and the calibration that it carries."""
         if info.aircraft and (named := f"{session.name}:{info.aircraft}") not in self._papers:
             self._papers.add(named)
             self.identifications.known(session, info, self.monitor(session.system))
@@ -152,7 +147,9 @@ class Station:
         if not (texts or info.details) or key in self._papers:
             return
         self._papers.add(key)
-        facts = self._sound_facts(session.system, info.details)
+        facts, refused = reported(info.details)
+        for name, why in refused.items():
+            self.receiver.findings.quarantine(session.system, f"fact {name}", why)
         try:
             chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
             self.monitor(session.system).use(chosen, facts)
@@ -160,13 +157,6 @@ class Station:
             self.receiver.findings.quarantine(session.system, "its calibration", str(error))
             self.monitor(session.system).use(self.calibration, facts)
         self.identifications.known(session, info, self.monitor(session.system))
-
-    def _sound_facts(self, system: int, values: Mapping[str, str]) -> Mapping[str, str]:
-        """Of the facts that a sender gives about its sensors those that can be; the others are quarantined."""
-        found = reported(values)
-        for name, why in found.refused.items():
-            self.receiver.findings.quarantine(system, f"fact {name}", why)
-        return found.facts
 
     def close(self) -> None:
         """Write recordings and close every file and port; what failed is told."""

@@ -161,7 +161,8 @@ class SessionAccounting:
         lost, missing, open_, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
         sent_known = 0
         first, last = span
-        blocks = self._known_blocks(first // BLOCK, last // BLOCK)
+        known = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
+        blocks = sorted(b for b in known if first // BLOCK <= b <= last // BLOCK)
         for block in blocks:
             low, high = max(first, block * BLOCK), min(last, block * BLOCK + BLOCK - 1)
             inside = _mask(low, high, block)
@@ -188,10 +189,6 @@ class SessionAccounting:
             missing.ranges(),
             len(self.backfilled),
         )
-
-    def _known_blocks(self, first: int, last: int) -> list[int]:
-        known = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
-        return sorted(b for b in known if first <= b <= last)
 
 
 def _between(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, int]]:

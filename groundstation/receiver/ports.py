@@ -102,11 +102,6 @@ class UdpListener(UdpPort):
         self._dropped_before = 0  # by the kernel, at sockets that are closed
 
     @property
-    def favoured(self) -> list[str]:
-        """Senders that have a socket of their own, the longest known first."""
-        return list(self._own)
-
-    @property
     def dropped(self) -> int:
         """Datagrams that the kernel has dropped because a socket's buffer was full; 0 where it does not say."""
         if self._socket.fileno() < 0:

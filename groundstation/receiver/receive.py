@@ -350,11 +350,6 @@ class Receiver:
             return known is not None and known.backfill is not None and known.backfill.agreed
 
     @property
-    def disk_busy(self) -> bool:
-        """Whether what was received is on its way to the disk."""
-        return self._disk.busy
-
-    @property
     def systems(self) -> list[int]:
         """Aircraft heard so far."""
         with self._lock:

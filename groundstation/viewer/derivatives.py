@@ -5,7 +5,7 @@ a scale only to the first data. Two bounds to each side make the band. The numbe
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -73,18 +73,13 @@ class DerivativeCurves:
         self._named = True
         for coefficient, terms in EQUATIONS.items():
             names = [f"{coefficient}_{t}" for t in terms]
-            labels = [x for n in names for x in _labels(n, sources.get(n, ""))]
+            headings = [f"{n} (0: {sources[n]})" if sources.get(n) else n for n in names]
+            labels = [label for heading in headings for label in (heading, BAND_LABEL, BAND_LABEL)]
             colors = [c for i in range(len(names)) for c in (e.PALETTE[i], _faded(e.PALETTE[i]), _faded(e.PALETTE[i]))]
             lines = rr.SeriesLines(
                 names=labels, colors=np.array(colors, np.uint32), widths=[THICK, THIN, THIN] * len(names)
             )
             self._stream.log(entity(coefficient), lines, static=True)
-
-
-def _labels(name: str, source: str) -> Iterable[str]:
-    yield f"{name}{f' (0: {source})' if source else ''}"
-    yield BAND_LABEL
-    yield BAND_LABEL
 
 
 def _shown(value: float, bound: float, belief: Belief) -> Sequence[float]:

@@ -34,7 +34,7 @@ def fly(rig: Rig, scans: int, seed: int = 1) -> None:
     for _ in range(scans):
         rig.fly(1, made)
         deadline = time.monotonic() + 30.0
-        while rig.ground.disk_busy:
+        while rig.ground._disk.busy:
             assert time.monotonic() < deadline
             time.sleep(0.0005)
 

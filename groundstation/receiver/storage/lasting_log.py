@@ -129,18 +129,15 @@ class Disk:
         held = [(os.dup(f.descriptor()), f.path) for f in files]
         if not held:
             return
-        last, self._round = self._round, self._submit(held)
+        if self._worker is None:
+            self._worker = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        last, self._round = self._round, self._worker.submit(self._sync, held)
         if last is not None:
             last.result()
 
     @property
     def busy(self) -> bool:
         return self._round is not None and not self._round.done()
-
-    def _submit(self, held: list[tuple[int, Path]]) -> "Future[None]":
-        if self._worker is None:
-            self._worker = ThreadPoolExecutor(1, thread_name_prefix="disk")
-        return self._worker.submit(self._sync, held)
 
     def _sync(self, held: list[tuple[int, Path]]) -> None:
         try:

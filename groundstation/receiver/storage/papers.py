@@ -5,6 +5,7 @@ answer in the aircraft's place. Bounds are several times what a logger sends: it
 and calibration files are some tens of kilobytes.
 """
 
+import re
 import zlib
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -98,6 +99,7 @@ def parse_papers(packed: bytes) -> Papers | None:
         return None
 
 
+_CALIBRATION_FILE = re.compile(re.escape(CALIBRATION_PREFIX) + r".*\.toml", re.DOTALL)
 _ATTACHMENTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[dict[Annotated[str, Field(min_length=1, max_length=255)], str], Field(max_length=MAX_ATTACHMENTS)],
     config=ConfigDict(strict=True),
@@ -114,13 +116,9 @@ def parse_archive(packed: bytes) -> dict[str, bytes] | None:
         return None
     try:
         found = {str(name): bytes.fromhex(digits) for name, digits in _ATTACHMENTS.validate_json(text).items()}
-        texts = [data for name, data in found.items() if _is_text(name)]
+        texts = [data for name, data in found.items() if name == CONFIG_ATTACHMENT or _CALIBRATION_FILE.fullmatch(name)]
         lines = [line for data in texts for line in data.decode("utf-8").split("\n")]
     except ValueError:
         return None
     sound = sum(map(len, texts)) <= MAX_TEXT_BYTES and max(map(len, lines), default=0) <= MAX_LINE_BYTES
     return found if sound else None
-
-
-def _is_text(name: str) -> bool:
-    return name == CONFIG_ATTACHMENT or (name.startswith(CALIBRATION_PREFIX) and name.endswith(".toml"))
