@@ -92,9 +92,9 @@ def _health_notes(table: ScanTable) -> list[str]:
             f"sensors not yet in order in the first {longest:.2f} s, not measured there: {', '.join(starting)}"
         )
     for group, ok in troubled.items():
-        later = int(np.sum(~ok[first[group] :])) if group not in never else 0
-        if later:
-            notes.append(f"sensor group {group} was not in order in {later} of {len(table)} scans: not measured there")
+        count = int(np.sum(~ok[first[group] :])) if group not in never else 0
+        if count:
+            notes.append(f"sensor group {group} was not in order in {count} of {len(table)} scans: not measured there")
     if never:
         notes.append(f"sensors never in order, their columns not measured: {', '.join(never)}")
     return notes
@@ -111,18 +111,18 @@ def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]
 
     What the files do not state is not in it; noise is apart (`noise`).
     """
-    out: dict[str, float] = {}
-    _put(out, "p_dynamic", _curve_sigma(calibration.get("pitot")))
+    sigmas: dict[str, float] = {}
+    _put(sigmas, "p_dynamic", _curve_sigma(calibration.get("pitot")))
     for direct in direct_columns(calibration):
-        _put(out, direct.column.name, _curve_sigma(direct.instrument))
-    _controls(calibration, out)
-    _air(calibration, columns, out)
-    _vanes(calibration, out)
-    _triads(calibration, columns, out)
+        _put(sigmas, direct.column.name, _curve_sigma(direct.instrument))
+    _controls(calibration, sigmas)
+    _air(calibration, columns, sigmas)
+    _vanes(calibration, sigmas)
+    _triads(calibration, columns, sigmas)
     item = calibration.get("attitude")
     if item and item.attitude and any(item.attitude.uncertainty):
-        out.update(zip(("phi", "theta", "psi"), item.attitude.uncertainty, strict=True))
-    return {name: sigma for name, sigma in out.items() if name in columns and np.isfinite(columns[name]).any()}
+        sigmas.update(zip(("phi", "theta", "psi"), item.attitude.uncertainty, strict=True))
+    return {name: sigma for name, sigma in sigmas.items() if name in columns and np.isfinite(columns[name]).any()}
 
 
 def _put(out: dict[str, float], column: str, sigma: float | None) -> None:

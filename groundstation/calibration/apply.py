@@ -50,8 +50,8 @@ class Calibrator:
         self.facts = RecordedFacts({**calibration.facts, **(facts or {})})
         nvm = self.facts.nvm("static")
         self._direct = direct_columns(calibration)
-        plain = (d.channel for d in self._direct if d.as_it_is)
-        self._as_they_are = frozenset(c.name for c in plain if c.raw_type != "bit")
+        channels = (d.channel for d in self._direct if d.as_it_is)
+        self._as_they_are = frozenset(c.name for c in channels if c.raw_type != "bit")
         # of a channel that a table merely names it is not known that it is smooth
         self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.as_it_is or d.channel.package)}
         self._static_chip = conversions.Bmp390Compensation.from_nvm(nvm) if nvm else None
@@ -67,9 +67,9 @@ class Calibrator:
         with np.errstate(all="ignore"):
             readings = self._readings(table)
             values = self._align(table, readings) if aligned else readings.values
-            made = CombinedColumns(self.calibration, table, values, aligned).make()
-        nothing = np.full(len(table), np.nan)
-        return {c.name: made.get(c.name, nothing) for c in COLUMNS}, readings
+            combined = CombinedColumns(self.calibration, table, values, aligned).make()
+        unmeasured = np.full(len(table), np.nan)
+        return {c.name: combined.get(c.name, unmeasured) for c in COLUMNS}, readings
 
     def check(self, table: ScanTable) -> None:
         """Raise CalibrationError for a channel that was recorded and of which its column cannot be made."""
@@ -80,25 +80,31 @@ class Calibrator:
     # -------------------------------------------------------------------------------------------- counts to values
 
     def _readings(self, table: ScanTable) -> Readings:
-        out = Readings({}, {}, {}, {}, {}, _clipped(table))
+        readings = Readings({}, {}, {}, {}, {}, _clipped(table))
         for item in self.calibration.instruments.values():
             if item.curve is not None and item.channel is not None:
-                self._read_curve(item, item.curve, item.channel, table, out)
+                self._read_curve(item, item.curve, item.channel, table, readings)
             if item.triad is not None:
-                self._read_triad(item, item.triad, table, out)
-        self._read_static(table, out)
-        self._read_gnss(table, out)
+                self._read_triad(item, item.triad, table, readings)
+        self._read_static(table, readings)
+        self._read_gnss(table, readings)
         for name in self._as_they_are:
             group = CHANNEL_BY_NAME[name].group
-            _add(out, name, self.physical(table, name), group, self.facts.delay(name, group) - self.facts.after(name))
+            _add(
+                readings,
+                name,
+                self.physical(table, name),
+                group,
+                self.facts.delay(name, group) - self.facts.after(name),
+            )
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
             name = f"quaternion_{axis}"
             delay = self.facts.delay("attitude", "attitude") + (attitude.delay if attitude else 0.0)
-            _add(out, name, self.physical(table, name), "attitude", delay)
+            _add(readings, name, self.physical(table, name), "attitude", delay)
             if self.facts.lag("attitude"):
-                out.lag[name] = self.facts.lag("attitude")
-        return out
+                readings.lag[name] = self.facts.lag("attitude")
+        return readings
 
     def _read_curve(
         self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, out: Readings
@@ -159,9 +165,9 @@ class Calibrator:
 
     def _read_gnss(self, table: ScanTable, out: Readings) -> None:
         """Position and velocity of fixes in three dimensions; other fixes measure nothing."""
-        good = table.raw["gnss_fix"] >= _FIX_3D
+        has_fix = table.raw["gnss_fix"] >= _FIX_3D
         for name in GNSS:
-            _add(out, name, np.where(good, self.physical(table, name), np.nan), "gnss", 0.0)
+            _add(out, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
 
     def sensor_supply(self, table: ScanTable) -> Array:
         """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
@@ -184,9 +190,11 @@ class Calibrator:
             else:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
-                at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
+                sampled_at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
                 smooth = name not in self._linear
-                values[name] = to_scan_time(reading, at, table.time, table.number, smooth=smooth, furthest=furthest)
+                values[name] = to_scan_time(
+                    reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
+                )
         return values
 
 
@@ -215,14 +223,14 @@ def _add(out: Readings, name: str, values: Array, group: str, delay: float) -> N
 
 def _clipped(table: ScanTable) -> dict[str, int]:
     """Samples at the ends of the raw range of the signed channels: the truth lay beyond."""
-    found = {}
+    counts = {}
     for name, values in table.raw.items():
         if CHANNEL_BY_NAME[name].raw_type == "i16" and CHANNEL_BY_NAME[name].group != "attitude":
             low, high = RAW_LIMITS["i16"]
             count = int(np.sum((values <= low) | (values >= high)))
             if count:
-                found[name] = count
-    return found
+                counts[name] = count
+    return counts
 
 
 def _continuous_quaternion(values: Mapping[str, Array]) -> dict[str, Array]:
@@ -258,11 +266,11 @@ def calibrate(
     table = scan_table(scans)
     if len(table) < 2:
         raise CalibrationError(f"{name}: only one scan in this recording; a flight needs at least two")
-    whole = completeness(table.number) >= COMPLETE
-    aligned = (whole or connectedness(table.time) >= COMPLETE) if align is None else align
+    complete = completeness(table.number) >= COMPLETE
+    aligned = (complete or connectedness(table.time) >= COMPLETE) if align is None else align
     calibrator = Calibrator(calibration, facts)
     calibrator.check(table)
-    columns, readings = calibrator.columns(bridged(table) if aligned and not whole else table, aligned=aligned)
+    columns, readings = calibrator.columns(bridged(table) if aligned and not complete else table, aligned=aligned)
     detail, notes = account(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset

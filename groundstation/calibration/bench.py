@@ -64,24 +64,24 @@ def fit_bench(
     Dated by the recording, or `today` where it carries no UTC. Raises CalibrationError with one sentence.
     """
     recording = read_recording(path)
-    chosen = base or embedded_calibration(recording)
+    calibration = base or embedded_calibration(recording)
     bench = BenchSource(recording=Path(path).name, sha256=_digest(recording), software=recording.info.software)
     table = scan_table(recording.scans())
-    when = _date(recording, today)
-    out = []
+    day = _date(recording, today)
+    bench_fits = []
     for fit in plan.fit:
-        template = chosen.get(fit.instrument)
+        template = calibration.get(fit.instrument)
         if template is None:
             raise CalibrationError(
-                f"{fit.instrument}: not in calibration set {chosen.name}; its file is refined by the bench"
+                f"{fit.instrument}: not in calibration set {calibration.name}; its file is refined by the bench"
             )
-        job = _InstrumentJob(table, fit, template, chosen, recording.info.details)
+        job = _InstrumentJob(table, fit, template, calibration, recording.info.details)
         fitted = job.run()
-        made = template.model_copy(
-            update={**fitted, "date": when, "method": fit.method or fit.procedure, "bench": bench}
+        instrument = template.model_copy(
+            update={**fitted, "date": day, "method": fit.method or fit.procedure, "bench": bench}
         )
-        out.append(BenchFit(made, _sentence(made, fit)))
-    return tuple(out)
+        bench_fits.append(BenchFit(instrument, _sentence(instrument, fit)))
+    return tuple(bench_fits)
 
 
 class _InstrumentJob:
@@ -129,9 +129,12 @@ class _InstrumentJob:
         shift = np.zeros(len(dwells))
         if template.supply_sensitivity is not None:
             volts = self.calibrator.sensor_supply(self.table)
-            over = template.supply_sensitivity
+            sensitivity = template.supply_sensitivity
             shift = np.array(
-                [over.per_volt * (self._mean(d, [volts], [0.0]).mean[0] - over.reference) for d in self.fit.dwell]
+                [
+                    sensitivity.per_volt * (self._mean(d, [volts], [0.0]).mean[0] - sensitivity.reference)
+                    for d in self.fit.dwell
+                ]
             )
         curve = curves.fit_polynomial(
             [d.mean[0] for d in dwells],
@@ -189,7 +192,7 @@ class _InstrumentJob:
         axes = [self.calibrator.physical(self.table, c) for c in self.template.channels]
         steps = [CHANNEL_BY_NAME[c].scale or 1.0 for c in self.template.channels]
         if self.fit.procedure == "sphere":
-            found, points = self._sphere(axes), None
+            triad, points = self._sphere(axes), None
         else:
             dwells = [self._mean(d, axes, steps) for d in self.fit.dwell]
             references = np.array([d.reference for d in self.fit.dwell], float)
@@ -202,7 +205,7 @@ class _InstrumentJob:
             if not self.fit.fit_temperature:
                 slope = np.array(old.bias_per_kelvin)
                 readings = readings - (np.outer(warmth, slope) if slope.any() else 0.0)
-            found = fit_vectors(
+            triad = fit_vectors(
                 readings,
                 references,
                 np.array([d.std for d in dwells]),
@@ -214,13 +217,13 @@ class _InstrumentJob:
                 reference=tuple(tuple(r) for r in references.tolist()),
                 samples=tuple(d.samples for d in dwells),
             )
-        return {"triad": self._updated(old, found), "points": points}
+        return {"triad": self._updated(old, triad), "points": points}
 
     def _sphere(self, axes: list[Array]) -> TriadFit:
-        inside = np.zeros(len(self.table), bool)
+        selected = np.zeros(len(self.table), bool)
         for dwell in self.fit.dwell:
-            inside |= self._rows(dwell)
-        readings = np.stack(axes, axis=1)[inside]
+            selected |= self._rows(dwell)
+        readings = np.stack(axes, axis=1)[selected]
         readings = readings[np.isfinite(readings).all(axis=1)]
         assert self.fit.field is not None, "checked by the plan"
         return fit_sphere(readings, self.fit.field, self.fit.reference_uncertainty)
@@ -278,29 +281,29 @@ def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet
     """The base set with the fitted files in place of its own."""
     from groundstation.calibration.schema import to_toml
 
-    made = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
-    return replace(base.with_texts(made), name=base.name)
+    texts = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
+    return replace(base.with_texts(texts), name=base.name)
 
 
 def _sentence(made: Instrument, fit: InstrumentFit) -> str:
-    said = f"{made.instrument}: {len(fit.dwell)} {'points' if made.triad is None else 'dwells'}"
+    start = f"{made.instrument}: {len(fit.dwell)} {'points' if made.triad is None else 'dwells'}"
     if made.curve is not None:
         curve = made.curve
         low, high = curve.valid
-        worst = float(np.max(curves.standard_deviation(curve, np.linspace(low, high, 21))))
+        largest = float(np.max(curves.standard_deviation(curve, np.linspace(low, high, 21))))
         return (
-            f"{said}, degree {fit.degree}, residual {curve.residual_rms:.3g} {curve.output_unit} rms, one sigma at most "
-            f"{worst:.3g} {curve.output_unit} from {low:.6g} to {high:.6g} {curve.input_unit}"
+            f"{start}, degree {fit.degree}, residual {curve.residual_rms:.3g} {curve.output_unit} rms, one sigma at most "
+            f"{largest:.3g} {curve.output_unit} from {low:.6g} to {high:.6g} {curve.input_unit}"
         )
     if made.triad is not None:
         bias, sigma = (", ".join(f"{v:.4g}" for v in values) for values in (made.triad.bias, made.triad.uncertainty))
         return (
-            f"{said}, residual {made.triad.residual_rms:.3g} {made.triad.output_unit} rms, bias {bias} (+- {sigma}), "
+            f"{start}, residual {made.triad.residual_rms:.3g} {made.triad.output_unit} rms, bias {bias} (+- {sigma}), "
             f"scale and misalignment +- {made.triad.matrix_uncertainty:.2g}"
         )
     if made.static is not None:
-        return f"{said}, offset {made.static.pressure_offset:.4g} Pa (+- {made.static.uncertainty:.3g})"
-    return said
+        return f"{start}, offset {made.static.pressure_offset:.4g} Pa (+- {made.static.uncertainty:.3g})"
+    return start
 
 
 def _digest(recording: Recording) -> str:

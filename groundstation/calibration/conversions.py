@@ -93,12 +93,12 @@ def at_cg(acceleration: Axes, rates: Axes, rate_derivatives: Axes | None, positi
     ax, ay, az = acceleration
     p, q, r = rates
     x, y, z = position
-    along = p * x + q * y + r * z
+    projection = p * x + q * y + r * z
     square = p * p + q * q + r * r
     # omega x (omega x r) = omega (omega . r) - r (omega . omega)
-    ax = ax - (p * along - x * square)
-    ay = ay - (q * along - y * square)
-    az = az - (r * along - z * square)
+    ax = ax - (p * projection - x * square)
+    ay = ay - (q * projection - y * square)
+    az = az - (r * projection - z * square)
     if rate_derivatives is not None:
         p_dot, q_dot, r_dot = rate_derivatives
         ax = ax - (q_dot * z - r_dot * y)

@@ -27,10 +27,10 @@ def evaluate(curve: CalibrationCurve, reading: ArrayLike) -> Array:
     if curve.kind == "table":
         return _interpolate(np.array(curve.inputs), np.array(curve.outputs), x)
     dx = x - curve.centre
-    out = np.full_like(dx, curve.coefficients[-1])
+    value = np.full_like(dx, curve.coefficients[-1])
     for c in reversed(curve.coefficients[:-1]):
-        out = out * dx + c
-    return np.where(np.isnan(x), np.nan, out)
+        value = value * dx + c
+    return np.where(np.isnan(x), np.nan, value)
 
 
 def extrapolated(curve: CalibrationCurve, reading: ArrayLike) -> NDArray[np.bool_]:
@@ -190,18 +190,18 @@ def fit_sphere(readings: Array, field: float, noise: float) -> TriadFit:
     upper = np.triu_indices(3)
     theta = np.concatenate([np.eye(3)[upper], bias / field])
     reading = readings / field
-    jacobian, left = _sphere_jacobian(theta, reading, upper)
+    jacobian, residual = _sphere_jacobian(theta, reading, upper)
     for _ in range(50):
-        step = np.linalg.lstsq(jacobian, -left, rcond=None)[0]
+        step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
         theta = theta + step
-        jacobian, left = _sphere_jacobian(theta, reading, upper)
+        jacobian, residual = _sphere_jacobian(theta, reading, upper)
         if float(np.max(np.abs(step))) < 1e-12:
             break
     freedom = len(readings) - theta.size
-    variance = max(float(left @ left) / freedom, (noise / field) ** 2)
+    variance = max(float(residual @ residual) / freedom, (noise / field) ** 2)
     std = np.sqrt(variance * np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     matrix, matrix_std = _symmetric(theta[:6], upper), _symmetric(std[:6], upper)
-    rms = float(np.sqrt(np.mean(left**2))) * field
+    rms = float(np.sqrt(np.mean(residual**2))) * field
     return TriadFit(matrix, theta[6:] * field, np.zeros(3), matrix_std, std[6:] * field, rms)
 
 

@@ -89,9 +89,9 @@ class RecordedFacts:
         text = self.values.get(key)
         if text is None:
             return None
-        why = _why_not(key, text)
-        if why:
-            raise CalibrationError(f"{why}; correct logger.toml")
+        reason = _why_not(key, text)
+        if reason:
+            raise CalibrationError(f"{reason}; correct logger.toml")
         return float(text)
 
 
@@ -104,8 +104,8 @@ class Reported(NamedTuple):
 
 def reported(values: Mapping[str, str]) -> Reported:
     """Each fact held against what it can be. A fact that this program does not use stays as it is; nothing raises."""
-    refused = {key: why for key, text in values.items() if (why := _why_not(key, text))}
-    return Reported({k: v for k, v in values.items() if k not in refused}, refused)
+    refused_facts = {key: reason for key, text in values.items() if (reason := _why_not(key, text))}
+    return Reported({k: v for k, v in values.items() if k not in refused_facts}, refused_facts)
 
 
 def _why_not(key: str, text: str) -> str:
@@ -129,8 +129,8 @@ def _why_no_coefficients(key: str, text: str) -> str:
         if coefficients and key.startswith("static."):
             Bmp390Compensation.from_nvm(coefficients)
     except (ValueError, CalibrationError) as error:
-        said = f": {error}" if isinstance(error, CalibrationError) else ""
-        return f"fact {key} = {text[:40]!r} holds no coefficients in hexadecimal{said}"
+        detail = f": {error}" if isinstance(error, CalibrationError) else ""
+        return f"fact {key} = {text[:40]!r} holds no coefficients in hexadecimal{detail}"
     return ""
 
 

@@ -47,14 +47,14 @@ def open_recording(path: str | Path, *, salvage: bool = False) -> tuple[Recordin
 
     Raises RecordingError when there is none or, unless `salvage`, when it is damaged.
     """
-    found = read_recordings(path)
-    taken = max(found, key=lambda r: len(r.numbers))
-    others = ", ".join(f"{r.info.session} ({len(r.numbers)} scans)" for r in found if r is not taken)
+    recordings = read_recordings(path)
+    largest = max(recordings, key=lambda r: len(r.numbers))
+    left_out = ", ".join(f"{r.info.session} ({len(r.numbers)} scans)" for r in recordings if r is not largest)
     notes = [
-        f"{len(found)} sessions in one file: {taken.info.session} ({len(taken.numbers)} scans) taken, {others} left out; "
-        f"'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"
+        f"{len(recordings)} sessions in one file: {largest.info.session} ({len(largest.numbers)} scans) taken, "
+        f"{left_out} left out; 'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"
     ]
-    return taken if salvage else sound(taken), notes if others else []
+    return largest if salvage else sound(largest), notes if left_out else []
 
 
 def calibrate_opened(
@@ -65,19 +65,19 @@ def calibrate_opened(
     salvage: bool = False,
 ) -> Flight:
     """The flight in a raw recording that has been opened; see `calibrate_recording`."""
-    chosen = _chosen(recording, calibration)
-    given = {**recording.info.details, **_zeroed(recording)}
-    facts = reported(given) if salvage else Reported(given, {})
+    calibration_set = _chosen(recording, calibration)
+    details = {**recording.info.details, **_zeroed(recording)}
+    facts = reported(details) if salvage else Reported(details, {})
     flight = calibrate(
         recording.scans(),
-        chosen,
+        calibration_set,
         name=recording.path.stem,
         facts=facts.facts,
         align=align,
         provenance=_provenance(recording),
     )
-    refused = [f"{why}: what the calibration set says is used in its place" for why in facts.refused.values()]
-    return flight.with_notes(*refused[:_TOLD], *_undescribed(recording), *_gaps(recording))
+    notes = [f"{reason}: what the calibration set says is used in its place" for reason in facts.refused.values()]
+    return flight.with_notes(*notes[:_TOLD], *_undescribed(recording), *_gaps(recording))
 
 
 def is_raw(file: Path) -> bool:
@@ -128,8 +128,8 @@ def _gaps(recording: Recording) -> list[str]:
 def _zeroed(recording: Recording) -> dict[str, str]:
     """The last zeroing of the pitot before flight, as a fact: it takes the sensor's turn-on offset out."""
     counts = [parse_pitot_zero(e.text) for e in recording.events]
-    known = [c for c in counts if c is not None]
-    return {"pitot.zero_count": f"{known[-1]!r}"} if known else {}
+    zero_counts = [c for c in counts if c is not None]
+    return {"pitot.zero_count": f"{zero_counts[-1]!r}"} if zero_counts else {}
 
 
 def embedded_calibration(recording: Recording) -> CalibrationSet:

@@ -290,8 +290,8 @@ def _parse(where: str, text: str) -> Instrument:
         first = error.errors()[0]
         key = ".".join(str(k) for k in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
-        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}{more}") from error
+        further = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}{further}") from error
 
 
 def to_toml(instrument: Instrument) -> str:

@@ -47,8 +47,8 @@ def written_lines(flight: "Flight", output: str) -> Iterator[str]:
         f"{len(flight.segments)} segment{'s' if len(flight.segments) > 1 else ''}, {measured} columns measured"
     )
     yield from (f"  note: {note}" for note in flight.notes)
-    for one in contradictions(flight):
-        yield f"  contradiction: {one.text}{f' (moves {one.moves})' if one.moves else ''}"
+    for contradiction in contradictions(flight):
+        yield f"  contradiction: {contradiction.text}{f' (moves {contradiction.moves})' if contradiction.moves else ''}"
 
 
 def written_content(flight: "Flight", output: str) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def written_content(flight: "Flight", output: str) -> dict[str, Any]:
         "columns": [c for c in flight.columns if flight.measured(c)],
         "notes": [note.text for note in flight.notes],
         "channels": flight.channels,
-        "contradictions": [one.to_json() for one in contradictions(flight)],
+        "contradictions": [contradiction.to_json() for contradiction in contradictions(flight)],
         "provenance": {
             "source": flight.provenance.source,
             "sha256": flight.provenance.sha256,
@@ -211,8 +211,8 @@ def import_(
 
         flight = with_aircraft(flight, aircraft)
         if output.suffix.lower() == ".csv":
-            said = f"a CSV cannot carry its aircraft: give --aircraft {aircraft} to each verb, or import to .mcap or .parquet"
-            flight = flight.with_notes(said)
+            note = f"a CSV cannot carry its aircraft: give --aircraft {aircraft} to each verb, or import to .mcap or .parquet"
+            flight = flight.with_notes(note)
     _write(flight, output, split, report)
 
 
@@ -235,8 +235,8 @@ def _advise(
     from groundstation.importers.run import import_data
 
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=True)
-    found = services.recipe(flight)
-    for line in found.lines():
+    advice = services.recipe(flight)
+    for line in advice.lines():
         click.echo(line)
     outputs = [o for path in data for o in servo_outputs(path)]
     for output in outputs:
@@ -245,12 +245,12 @@ def _advise(
         click.echo(
             "which surface each servo moves, with trim and travel, goes into a mapping: see the example maps in docs/import.md"
         )
-    stated = ({ending.lower(): value for ending, value in o.stated.items()} for o in outputs)
+    parameters = ({ending.lower(): value for ending, value in o.stated.items()} for o in outputs)
     servos = [
-        {"name": o.name, "low": o.low, "high": o.high, "usual": o.usual, **more}
-        for o, more in zip(outputs, stated, strict=True)
+        {"name": o.name, "low": o.low, "high": o.high, "usual": o.usual, **stated_parameters}
+        for o, stated_parameters in zip(outputs, parameters, strict=True)
     ]
-    write_json(report, {**found.to_json(), "servo_outputs": servos})
+    write_json(report, {**advice.to_json(), "servo_outputs": servos})
 
 
 @click.command()
@@ -282,9 +282,9 @@ def bench(
     from groundstation.calibration.recording import embedded_calibration
     from groundstation.calibration.schema import load_calibration
 
-    chosen = load_plan(plan)
+    bench_plan = load_plan(plan)
     base = load_calibration(calibration) if calibration else embedded_calibration(read_recording(raw))
-    fits = fit_bench(raw, chosen, base, today=day.date() if day else None)
+    fits = fit_bench(raw, bench_plan, base, today=day.date() if day else None)
     output.mkdir(parents=True, exist_ok=True)
     for name, text in fitted_set(base, fits).texts.items():
         write_text(output / name, text)

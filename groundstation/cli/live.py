@@ -102,24 +102,24 @@ def ground(
             interrupted = True
         finally:
             station.close()
-        handed = hand_over_sessions(station, folder, say)
-        whole = _conclude(station, handed, json_path, settings.identification.model, say)
+        handovers = hand_over_sessions(station, folder, say)
+        all_on_disk = _conclude(station, handovers, json_path, settings.identification.model, say)
         if with_estimate and services is not None:
-            _estimate(handed, settings, folder, say, services, show=views is not None)
+            _estimate(handovers, settings, folder, say, services, show=views is not None)
         if replay is not None and views is not None and duration is None and not interrupted:
             say("the replay is over; Ctrl-C ends the view")
             _hold(views)
-    return 130 if interrupted else 0 if whole else 1
+    return 130 if interrupted else 0 if all_on_disk else 1
 
 
 @contextmanager
 def _terminal_may_go() -> Iterator[None]:
     """A terminal that closes, or a connection to it that breaks, does not end a session: SIGTERM or a typed `quit` does."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGHUP, handler)
 
 
 @contextmanager
@@ -132,19 +132,23 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
 
     dated = out is None and settings.output.dated
     base = settings.output.directory
-    wanted = out or (base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if dated else base)
-    old = sorted([*wanted.glob("*.tlog"), *wanted.glob("*.journal")]) if replayed else []
+    folder_name = out or (base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if dated else base)
+    old = sorted([*folder_name.glob("*.tlog"), *folder_name.glob("*.journal")]) if replayed else []
     if old:
-        raise GroundConfigError(f"{wanted} holds a session already ({old[0].name}); give another folder with --out")
-    for folder in [wanted, *(wanted.with_name(f"{wanted.name}_{n}") for n in range(2, 100) if dated)]:
-        with ExitStack() as held:
+        raise GroundConfigError(
+            f"{folder_name} holds a session already ({old[0].name}); give another folder with --out"
+        )
+    for folder in [folder_name, *(folder_name.with_name(f"{folder_name.name}_{n}") for n in range(2, 100) if dated)]:
+        with ExitStack() as lock:
             try:
-                held.enter_context(folder_of_ones_own(folder, "ground"))
+                lock.enter_context(folder_of_ones_own(folder, "ground"))
             except FolderInUseError:
                 continue
-            yield folder, held.enter_context(spoken(folder))
+            yield folder, lock.enter_context(spoken(folder))
             return
-    raise GroundConfigError(f"{wanted}: another ground station writes there; give this one another folder with --out")
+    raise GroundConfigError(
+        f"{folder_name}: another ground station writes there; give this one another folder with --out"
+    )
 
 
 def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None, model: str, say: Say) -> bool:
@@ -159,21 +163,21 @@ def _conclude(station: "Station", handed: list["Handover"], json_path: Path | No
         for line in flight.lines():
             say(line)
         if alarmed(flight.flight.provenance.detail):
-            held = f" --model {model}" if model else ""
-            say(f"  the gap monitor gave alarms; next: sideslip gap {flight.manoeuvres_path or flight.path}{held}")
+            option = f" --model {model}" if model else ""
+            say(f"  the gap monitor gave alarms; next: sideslip gap {flight.manoeuvres_path or flight.path}{option}")
     summary = station.receiver.summary()
     summary["flight"] = str(handed[0].path) if handed else None
     summary["flights"] = [str(h.path) for h in handed]
     write_json(json_path, summary)
-    lost = sum(b - a + 1 for a, b in summary["scans_lost"])
+    lost_count = sum(b - a + 1 for a, b in summary["scans_lost"])
     say(
-        f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost} lost, "
+        f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost_count} lost, "
         f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused, {summary['scans_on_disk']} on disk"
     )
-    gone = summary["scans_not_on_disk"]
-    if gone:
-        say(f"{gone} scans came down and are not on the disk; fetch them from the aircraft, which recorded them")
-    return not gone
+    missing = summary["scans_not_on_disk"]
+    if missing:
+        say(f"{missing} scans came down and are not on the disk; fetch them from the aircraft, which recorded them")
+    return not missing
 
 
 def _hold(views: "SessionViews") -> None:
@@ -207,8 +211,8 @@ def _station(
     if replay is not None:
         quiet = settings.link.model_copy(update={"ports": (), "transmit": False, "backfill": "off"})
         # A recording does not come over a link: there is nothing to keep of it.
-        kept = folder if played is not None and played.suffix == ".tlog" else None
-        receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=kept)
+        folder_of_log = folder if played is not None and played.suffix == ".tlog" else None
+        receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=folder_of_log)
         return Station(settings, receiver, replay.clock, folder, make_view=make_view, echo=say, aircraft=source)
     system = SystemClock()
     receiver = Receiver.open(settings.link, system, folder=folder)
@@ -236,10 +240,10 @@ def _listen(
     """Until Ctrl-C, `quit` or the duration is over; after a landing, missing scans are fetched as long as allowed."""
     from groundstation.live.console import Console, Lines
 
-    begun = time.monotonic()
+    start_s = time.monotonic()
     fetching: dict[int, float] = {}
     console = Console(station, Lines.of_standard_input(), say)
-    while console.poll() and (duration is None or time.monotonic() - begun < duration):
+    while console.poll() and (duration is None or time.monotonic() - start_s < duration):
         station.step()
         if views is not None:
             views.tend()
@@ -249,10 +253,10 @@ def _listen(
                 station.receiver.set_backfill("all", system)
                 fetching[system] = time.monotonic()
                 say(f"aircraft {system} has landed: fetching what is missing")
-        for system, since in list(fetching.items()):
+        for system, since_s in list(fetching.items()):
             if station.receiver.backfill_agreed(system):
                 del fetching[system]
-            elif time.monotonic() - since > settings.handover.backfill_limit_s:
+            elif time.monotonic() - since_s > settings.handover.backfill_limit_s:
                 say(f"aircraft {system}: backfill not complete within the limit; the flight keeps its gaps")
                 del fetching[system]
         time.sleep(POLL_S)

@@ -23,11 +23,11 @@ def terminated_is_interrupt() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
+    previous = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
@@ -75,22 +75,22 @@ def view(
 
     if (other is None) != (align is None):
         raise click.UsageError("two flights in one view: sideslip view A B --align")
-    chosen: blueprint.Layout = "light" if layout == "light" else "full"
+    layout_name: blueprint.Layout = "light" if layout == "light" else "full"
     if save_blueprint is not None:
-        blueprint.save_blueprint(save_blueprint, chosen)
+        blueprint.save_blueprint(save_blueprint, layout_name)
         click.echo(f"layout: {save_blueprint}")
     with ExitStack() as scratch:
         target = rrd or Path(scratch.enter_context(tempfile.TemporaryDirectory())) / "view.rrd"
         if other is not None and align is not None:
-            shown, said = both_as_rrd(file, other, target, chosen, align, calibration)
-            click.echo(said)
+            path, summary = both_as_rrd(file, other, target, layout_name, align, calibration)
+            click.echo(summary)
         else:
-            shown = as_rrd(file, target, chosen, calibration)
+            path = as_rrd(file, target, layout_name, calibration)
         if rrd is not None:
-            click.echo(f"rerun recording: {shown}")
+            click.echo(f"rerun recording: {path}")
         if window == "none":
             return 0
-        opened = NativeWindow(shown) if window == "native" else WebPage(shown, web_port)
+        opened = NativeWindow(path) if window == "native" else WebPage(path, web_port)
         try:
             with terminated_is_interrupt():
                 if isinstance(opened, WebPage):

@@ -38,16 +38,16 @@ def _scalars(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, i
     groups: dict[str, list[str]] = {}
     for name in flight.columns:
         if flight.measured(name):
-            known = COLUMN_BY_NAME.get(name)
-            groups.setdefault(known.entity if known else "/others", []).append(name)
+            column = COLUMN_BY_NAME.get(name)
+            groups.setdefault(column.entity if column else "/others", []).append(name)
     for entity, names in groups.items():
         units = [COLUMN_BY_NAME[n].unit if n in COLUMN_BY_NAME else "" for n in names]
         joints = JointStates([f"{n} [{u}]" if u not in ("", "1") else n for n, u in zip(names, units, strict=True)])
         table = np.column_stack([flight[n] for n in names])
         for i in np.flatnonzero(np.isfinite(table).any(axis=1)):
             data = joints.encode(int(stamps[i]), table[i].tolist())
-            made = Encoded(data, SCHEMA, SCHEMA_ENCODING, DEFINITION, MESSAGE_ENCODING)
-            yield f"/scalars{entity}", int(stamps[i]), made
+            message = Encoded(data, SCHEMA, SCHEMA_ENCODING, DEFINITION, MESSAGE_ENCODING)
+            yield f"/scalars{entity}", int(stamps[i]), message
 
 
 def _fixes(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Any]]:
@@ -111,9 +111,9 @@ def local_position(flight: Flight) -> Array:
 
 def _held(values: Array) -> Array:
     """The last finite value before each sample; the first finite one before that."""
-    known = np.flatnonzero(np.isfinite(values))
-    at = np.maximum(np.searchsorted(known, np.arange(values.size), side="right") - 1, 0)
-    return values[known[at]]
+    finite = np.flatnonzero(np.isfinite(values))
+    index = np.maximum(np.searchsorted(finite, np.arange(values.size), side="right") - 1, 0)
+    return values[finite[index]]
 
 
 def quaternion_flu_to_enu(phi: Array, theta: Array, psi: Array) -> Array:

@@ -132,10 +132,10 @@ def write_matlab(table: ColumnTable, path: Path) -> list[str]:
     """
     from scipy.io import savemat
 
-    named = [c for c in table.columns if _MATLAB_NAME.fullmatch(c.name)]
-    struct: dict[str, Any] = {c.name: c.values.reshape(-1, 1) for c in named}
-    struct["units"] = {c.name: c.unit for c in named}
-    struct["meaning"] = {c.name: c.meaning for c in named}
+    columns = [c for c in table.columns if _MATLAB_NAME.fullmatch(c.name)]
+    struct: dict[str, Any] = {c.name: c.values.reshape(-1, 1) for c in columns}
+    struct["units"] = {c.name: c.unit for c in columns}
+    struct["meaning"] = {c.name: c.meaning for c in columns}
     struct["about"] = dict(table.about)
     with whole(path) as new:
         savemat(new, {"flight": struct}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")

@@ -90,8 +90,8 @@ def write_gpx(flight: Flight, path: Path) -> None:
     for part in np.unique(track.segment):
         points = ET.SubElement(body, "trkseg")
         for i in np.flatnonzero(track.segment == part):
-            at = {"lat": f"{track.latitude[i]:.9f}", "lon": f"{track.longitude[i]:.9f}"}
-            point = ET.SubElement(points, "trkpt", at)
+            position = {"lat": f"{track.latitude[i]:.9f}", "lon": f"{track.longitude[i]:.9f}"}
+            point = ET.SubElement(points, "trkpt", position)
             if np.isfinite(track.height[i]):
                 ET.SubElement(point, "ele").text = f"{track.height[i]:.3f}"
             if track.stamps is not None:
@@ -114,12 +114,12 @@ def write_kml(flight: Flight, path: Path) -> None:
         rows = zip(track.longitude, track.latitude, height, strict=True)
         ET.SubElement(line, "coordinates").text = " ".join(f"{a:.9f},{b:.9f},{h:.3f}" for a, b, h in rows)
     else:
-        moving = ET.SubElement(mark, f"{{{GX}}}Track")
-        ET.SubElement(moving, "altitudeMode").text = mode
+        moving_track = ET.SubElement(mark, f"{{{GX}}}Track")
+        ET.SubElement(moving_track, "altitudeMode").text = mode
         for stamp in track.stamps:
-            ET.SubElement(moving, "when").text = iso(stamp)
+            ET.SubElement(moving_track, "when").text = iso(stamp)
         for a, b, h in zip(track.longitude, track.latitude, height, strict=True):
-            ET.SubElement(moving, f"{{{GX}}}coord").text = f"{a:.9f} {b:.9f} {h:.3f}"
+            ET.SubElement(moving_track, f"{{{GX}}}coord").text = f"{a:.9f} {b:.9f} {h:.3f}"
     _write(root, path)
 
 

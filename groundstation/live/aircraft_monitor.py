@@ -93,7 +93,7 @@ class AircraftMonitor:
         self.samples += 1
         states = {group: status.state.words for group, status in scan.groups.items()}
         unusable = sum(not (s.state.usable or s.state.words in ("off", "stale")) for s in scan.groups.values())
-        ended = self._landing.update(scan.time, values)
+        landed = self._landing.update(scan.time, values)
         watched = {k: v for k, v in values.items() if k not in IN_FLIGHT_ONLY or self.phase is Phase.FLYING}
         if scan.groups:
             watched["sensors.unusable"] = float(unusable)
@@ -107,9 +107,9 @@ class AircraftMonitor:
             if scan.time >= self._next_status:
                 self._next_status = scan.time + STATUS_PERIOD_S
                 self._view.status(scan.time, self.status_page())
-        if ended:
+        if landed:
             self.note("INFO", "landed: the flight has ended")
-        return ended
+        return landed
 
     def _show_readouts(self, view: MonitorView, time: float) -> None:
         """The numbers of this moment, and what is in alarm."""
@@ -211,9 +211,9 @@ class AircraftMonitor:
             b = self._backfill
             lines.append(f"- in full here: {b.held} of {b.wanted} scans{', air and ground agree' if b.agreed else ''}")
         lines += [f"- disk here: {self._disk}"] if self._disk else []
-        held = self._alarms.in_force()
+        in_force = self._alarms.in_force()
         lines.append("")
-        lines += [f"- **{level}** {name} ({state.value})" for name, state, level in held] or ["no alarms"]
+        lines += [f"- **{level}** {name} ({state.value})" for name, state, level in in_force] or ["no alarms"]
         return "\n".join(lines)
 
 
@@ -221,10 +221,10 @@ def _sequencer_words(status: ev.SequencerStatus) -> str:
     """State, how long, increments and reason of the sequencer; numbers of a later release stay numbers."""
     state = _words(State, status.state)
     reason = _words(Reason, status.reason)
-    moved = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
-    return f"{state} for {status.elapsed_s:.1f} s, e a r {moved} deg" + (f" ({reason})" if reason else "")
+    increments = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
+    return f"{state} for {status.elapsed_s:.1f} s, e a r {increments} deg" + (f" ({reason})" if reason else "")
 
 
 def _words(kind: type[State] | type[Reason], number: int) -> str:
-    known: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
-    return f"{kind.__name__.lower()} {number}" if known is None else known.words
+    member: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
+    return f"{kind.__name__.lower()} {number}" if member is None else member.words

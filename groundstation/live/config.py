@@ -107,8 +107,8 @@ def load_ground_config(path: Path) -> GroundConfig:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise GroundConfigError(f"{path}: key {key}: {first['msg']}{more}; correct it or leave it out") from error
+        further = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise GroundConfigError(f"{path}: key {key}: {first['msg']}{further}; correct it or leave it out") from error
 
 
 def configured(
@@ -124,22 +124,22 @@ def configured(
     Raises GroundConfigError naming file and key, or the model where there is no such file.
     """
     if path is None:
-        found = GroundConfig(link=LinkConfig(ports=usual_ports()))
+        config = GroundConfig(link=LinkConfig(ports=usual_ports()))
     else:
-        found = load_ground_config(path)
+        config = load_ground_config(path)
     changes: dict[str, object] = {} if aircraft is None else {"aircraft": aircraft}
     changes |= {"watch": True} if watch or model is not None else {}
     changes |= {} if model is None else {"model": str(model)}
-    found = found.model_copy(update={"identification": found.identification.model_copy(update=changes)})
-    held = found.identification.model
-    if held and not Path(held).is_file():
+    config = config.model_copy(update={"identification": config.identification.model_copy(update=changes)})
+    model_file = config.identification.model
+    if model_file and not Path(model_file).is_file():
         raise GroundConfigError(
-            f"{held}: no such file; the model that the gap monitor is to hold against flight must be one"
+            f"{model_file}: no such file; the model that the gap monitor is to hold against flight must be one"
         )
     if layout is None:
-        return found
-    view = ViewConfig.model_validate({**found.view.model_dump(), "layout": layout})
-    return found.model_copy(update={"view": view})
+        return config
+    view = ViewConfig.model_validate({**config.view.model_dump(), "layout": layout})
+    return config.model_copy(update={"view": view})
 
 
 LISTENER = "udpin:14550"  # MAVLink's port of ground stations; loopback, so that nobody else on the network is believed

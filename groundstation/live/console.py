@@ -69,9 +69,9 @@ class Lines:
             data = b""
         if not data:
             self._descriptor = None
-        *whole, self._waiting = (self._waiting + data).split(b"\n")
+        *complete, self._waiting = (self._waiting + data).split(b"\n")
         self._waiting = self._waiting[-_LONGEST:]
-        return [line.decode("utf-8", "replace").strip() for line in whole]
+        return [line.decode("utf-8", "replace").strip() for line in complete]
 
 
 def _ours(descriptor: int) -> bool:
@@ -105,8 +105,8 @@ class Console:
             return True
         systems = self._station.receiver.systems
         if words[0].isdigit():
-            wanted = int(words.pop(0))
-            systems = [s for s in systems if s == wanted]
+            system = int(words.pop(0))
+            systems = [s for s in systems if s == system]
         if not systems:
             self._echo("no such aircraft has been heard")
         elif len(systems) > 1 and words[:1] not in (["status"], ["ack"], ["live"]):
@@ -239,8 +239,8 @@ def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
 def _descriptor() -> int | None:
     """Standard output of this process, where that is what `sys.stdout` writes to."""
     try:
-        found = int(sys.stdout.fileno())
+        descriptor = int(sys.stdout.fileno())
         sys.stdout.flush()
-        return found if found == 1 and os.fstat(found) else None
+        return descriptor if descriptor == 1 and os.fstat(descriptor) else None
     except (OSError, ValueError, AttributeError):
         return None

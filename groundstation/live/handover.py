@@ -38,18 +38,18 @@ class Handover:
 
     def lines(self) -> list[str]:
         seconds = self.flight.time[-1] - self.flight.time[0]
-        found = [f"flight {self.path}: {len(self.flight)} samples, {seconds:.1f} s, from {self.origin}"]
-        found += [f"  manoeuvre {m.start:7.1f} to {m.stop:7.1f} s  {m.title}" for m in self.manoeuvres]
-        found += [f"  {f.verdict}: {f.check}: {f.text}" for f in self.findings if f.verdict != "ok"]
-        return found
+        lines = [f"flight {self.path}: {len(self.flight)} samples, {seconds:.1f} s, from {self.origin}"]
+        lines += [f"  manoeuvre {m.start:7.1f} to {m.stop:7.1f} s  {m.title}" for m in self.manoeuvres]
+        lines += [f"  {f.verdict}: {f.check}: {f.text}" for f in self.findings if f.verdict != "ok"]
+        return lines
 
 
 def onboard_recording(directory: Path | None, session: str) -> Path | None:
     """The aircraft's own recording of a session, where a directory for it is configured and holds it."""
     if directory is None or not directory.is_dir():
         return None
-    found = sorted(p for p in directory.glob("*.mcap") if p.name.startswith(session))
-    return directory if found else None
+    recordings = sorted(p for p in directory.glob("*.mcap") if p.name.startswith(session))
+    return directory if recordings else None
 
 
 def hand_over(
@@ -72,8 +72,8 @@ def hand_over(
         except CalibrationError:
             # The aircraft's own calibration has not come down: the station's set stands in, and the flight says so.
             flight = calibrate_recording(recording, fallback_calibration, salvage=True)
-            said = f"calibrated with the station's set {fallback_calibration!r}: the aircraft's own is not in the recording"
-            flight = flight.with_notes(said)
+            note = f"calibrated with the station's set {fallback_calibration!r}: the aircraft's own is not in the recording"
+            flight = flight.with_notes(note)
     except (FlightError, CalibrationError, RecordingError, LinAlgError) as error:  # the last: times no aircraft has
         raise HandoverError(f"{recording}: no flight can be made of it: {error}") from error
     manoeuvres = find_manoeuvres(flight)
@@ -88,31 +88,31 @@ def hand_over(
     manoeuvres_path = folder / f"{name}_manoeuvres.mcap" if manoeuvres else None
     if manoeuvres_path is not None:
         write_flight(cut(flight, manoeuvres, manoeuvres_path.stem), manoeuvres_path)
-    handed = Handover(path, manoeuvres_path, flight, manoeuvres, findings, origin)
+    handover = Handover(path, manoeuvres_path, flight, manoeuvres, findings, origin)
     summary = {"flight": str(path), "origin": origin, "manoeuvres": listed, "quality": [f.to_json() for f in findings]}
     write_json(summary, folder / f"{name}.json")
-    return handed
+    return handover
 
 
 def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], None]) -> list[Handover]:
     """Hand over every session that holds a flight."""
     settings = station.config
-    handed = []
+    handovers = []
     if station.replayed is not None:
         identified = None if station.replayed_as is None else station.identifications.kept(station.replayed_as)
-        handed.append(
+        handovers.append(
             hand_over(station.replayed, folder, origin=f"replay of {station.replayed}", identified=identified)
         )
     sessions = [(s, r) for s, r in station.receiver.session_recorders().items() if r.path.is_file()]
     sessions.sort(key=lambda pair: pair[1].path.stat().st_size, reverse=True)
     for number, (session, recorder) in enumerate(sessions):
-        name = "flight" if number == 0 and not handed else f"flight_{session.name}"
+        name = "flight" if number == 0 and not handovers else f"flight_{session.name}"
         onboard = onboard_recording(settings.handover.onboard, recorder.info().session)
         source, origin = (
             (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
         )
         try:
-            handed.append(
+            handovers.append(
                 hand_over(
                     source,
                     folder,
@@ -131,4 +131,4 @@ def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], No
     if any(not r.path.is_file() for r in station.receiver.session_recorders().values() if r.has_scans):
         advice = f"sideslip ground CONFIG --replay {folder / 'telemetry.tlog'} --speed max --out ELSEWHERE"
         say(f"not everything received could be written as a recording; make room and play it again: {advice}")
-    return handed
+    return handovers

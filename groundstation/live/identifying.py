@@ -103,10 +103,10 @@ class LiveIdentifications:
         if run.live is not None:
             run.live.use(monitor.calibrator)
         elif info.aircraft:
-            carried = info.attachments.get(AIRCRAFT_ATTACHMENT)
-            if carried is None and run.given_up:
+            aircraft_file = info.attachments.get(AIRCRAFT_ATTACHMENT)
+            if aircraft_file is None and run.given_up:
                 return
-            self._begin(run, info.aircraft, None if carried is None else carried.decode("utf-8", "replace"))
+            self._begin(run, info.aircraft, None if aircraft_file is None else aircraft_file.decode("utf-8", "replace"))
 
     def _begin(self, run: _AircraftRun, name: str, text: str | None) -> None:
         assert self._source is not None
@@ -125,8 +125,10 @@ class LiveIdentifications:
             ManoeuvreDetector(*self._landing),
             watched=self._config.watch,
         )
-        held = f"; the gap monitor holds flight against {self._config.model}" if aircraft.modelled is not None else ""
-        run.monitor.note("INFO", f"live identification of {aircraft.name} begins{held}")
+        against = (
+            f"; the gap monitor holds flight against {self._config.model}" if aircraft.modelled is not None else ""
+        )
+        run.monitor.note("INFO", f"live identification of {aircraft.name} begins{against}")
 
     def step(self) -> None:
         """Work on what has come, and tell what is new."""
@@ -154,10 +156,10 @@ class LiveIdentifications:
     def _tell(self, run: _AircraftRun, state: LiveState) -> None:
         run.monitor.show_identification(state)
         self._forward.send(run.monitor.system, state)
-        known = state.estimates.derivatives
-        for name in (n for n in NAMES if n not in run.told and known[n].told):
+        derivatives = state.estimates.derivatives
+        for name in (n for n in NAMES if n not in run.told and derivatives[n].told):
             run.told.add(name)
-            run.monitor.note("INFO", f"live: {name} is told now: {number(known[name])}")
+            run.monitor.note("INFO", f"live: {name} is told now: {number(derivatives[name])}")
         if run.told and state.time >= run.line_at:
             run.line_at = state.time + self._config.lines_every_s
             run.monitor.note("INFO", short_line(state))
@@ -198,8 +200,8 @@ class LiveIdentifications:
         }
 
     def _watched(self, watch: LiveWatch) -> dict[str, Any]:
-        held = {"watched_model": self._config.model} if self._config.model else {}
-        return {"watched_s": watch.watched, **held, "alarms": [asdict(a) for a in watch.alarms]}
+        model = {"watched_model": self._config.model} if self._config.model else {}
+        return {"watched_s": watch.watched, **model, "alarms": [asdict(a) for a in watch.alarms]}
 
     def close(self) -> None:
         self._forward.close()

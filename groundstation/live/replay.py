@@ -114,9 +114,9 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
         if due is None or not 0 <= utc_ns - due <= LONGEST_SILENCE_NS:
             due = utc_ns  # a clock that was set, or a pause: nobody waits for it
         while utc_ns > due:
-            ahead = min(STEP_NS, utc_ns - due)
-            _wait(ahead / NS, speed)
-            due += ahead
+            step_ns = min(STEP_NS, utc_ns - due)
+            _wait(step_ns / NS, speed)
+            due += step_ns
             clock.move(due)
             station.step()
         port.feed(data)

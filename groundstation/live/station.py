@@ -85,16 +85,16 @@ class Station:
                 findings.quarantine_error(_system(event), f"a {type(event).__name__}", error)
         with findings.guard(NOBODY, "live identification"):
             self.identifications.step()
-        now = self._clock.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         for system, monitor in self.monitors.items():
             with findings.guard(system, "its silence"):
-                monitor.silence(now)
-        if now >= self._next_papers_ns:
-            self._next_papers_ns = now + PAPERS_PERIOD_NS
+                monitor.silence(now_ns)
+        if now_ns >= self._next_papers_ns:
+            self._next_papers_ns = now_ns + PAPERS_PERIOD_NS
             for session, recorder in self.receiver.session_recorders().items():
                 with findings.guard(session.system, "what its recording says of itself"):
                     self._adopt_papers(session, recorder.info())
-            self._look_at_disk(now)
+            self._look_at_disk(now_ns)
         return happened
 
     def _dispatch(self, event: ev.Event) -> None:
@@ -116,9 +116,9 @@ class Station:
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
-                over = "works again"
+                recovered = "works again"
                 self._note(
-                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or over}"
+                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or recovered}"
                 )
                 for monitor in self.monitors.values():
                     monitor.happened(event)
@@ -138,8 +138,8 @@ class Station:
 
     def _adopt_papers(self, session: ev.Session, info: RecordingInfo) -> None:
         """Once the papers of a recording have come down: its aircraft, and the calibration that it carries."""
-        if info.aircraft and (named := f"{session.name}:{info.aircraft}") not in self._papers:
-            self._papers.add(named)
+        if info.aircraft and (aircraft_key := f"{session.name}:{info.aircraft}") not in self._papers:
+            self._papers.add(aircraft_key)
             self.identifications.known(session, info, self.monitor(session.system))
         # that these are text was checked on arrival
         texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
@@ -147,12 +147,12 @@ class Station:
         if not (texts or info.details) or key in self._papers:
             return
         self._papers.add(key)
-        facts, refused = reported(info.details)
-        for name, why in refused.items():
-            self.receiver.findings.quarantine(session.system, f"fact {name}", why)
+        facts, refused_facts = reported(info.details)
+        for name, reason in refused_facts.items():
+            self.receiver.findings.quarantine(session.system, f"fact {name}", reason)
         try:
-            chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
-            self.monitor(session.system).use(chosen, facts)
+            calibration = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
+            self.monitor(session.system).use(calibration, facts)
         except CalibrationError as error:
             self.receiver.findings.quarantine(session.system, "its calibration", str(error))
             self.monitor(session.system).use(self.calibration, facts)

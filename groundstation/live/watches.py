@@ -94,17 +94,19 @@ class Alarms:
 
     def in_force(self) -> list[tuple[str, AlarmState, Level]]:
         """Names, states and levels of everything active or latched, active first."""
-        held = [w for w in self._watches if w.state is not AlarmState.CLEAR]
-        held.sort(key=lambda w: w.state is AlarmState.LATCHED)
-        return [(_name(w.limit), w.state, w.limit.level) for w in held]
+        watches = [w for w in self._watches if w.state is not AlarmState.CLEAR]
+        watches.sort(key=lambda w: w.state is AlarmState.LATCHED)
+        return [(_name(w.limit), w.state, w.limit.level) for w in watches]
 
 
 def _changed(watch: _Watch, time: float, value: float) -> AlarmChange | None:
     limit = watch.limit
-    beyond = (limit.low is not None and value < limit.low) or (limit.high is not None and value > limit.high)
+    outside_limits = (limit.low is not None and value < limit.low) or (limit.high is not None and value > limit.high)
     margin = limit.hysteresis
-    inside = (limit.low is None or value >= limit.low + margin) and (limit.high is None or value <= limit.high - margin)
-    if beyond:
+    within_margin = (limit.low is None or value >= limit.low + margin) and (
+        limit.high is None or value <= limit.high - margin
+    )
+    if outside_limits:
         if watch.beyond_since is None:
             watch.beyond_since = time
         if watch.state is not AlarmState.ACTIVE and time - watch.beyond_since >= limit.hold_s:
@@ -112,7 +114,7 @@ def _changed(watch: _Watch, time: float, value: float) -> AlarmChange | None:
             return _change(watch, time, f"{value:.4g}")
         return None
     watch.beyond_since = None
-    if watch.state is AlarmState.ACTIVE and inside:
+    if watch.state is AlarmState.ACTIVE and within_margin:
         watch.state = AlarmState.LATCHED
         return _change(watch, time, f"back to {value:.4g}")
     return None
@@ -163,10 +165,10 @@ class LandingWatch:
         speed = values.get("V", math.nan)
         rates = [abs(values[k]) for k in ("p", "q", "r") if math.isfinite(values.get(k, math.nan))]
         if self.phase is Phase.FLYING:
-            known = math.isfinite(speed) or bool(rates)
+            measured = math.isfinite(speed) or bool(rates)
             slow = not math.isfinite(speed) or speed < limits.still_speed
-            still = all(rate < limits.still_rate for rate in rates)
-            if self._held(time, known and slow and still, limits.still_s):
+            at_rest = all(rate < limits.still_rate for rate in rates)
+            if self._held(time, measured and slow and at_rest, limits.still_s):
                 self.phase, self._since = Phase.LANDED, None
                 return True
         elif self._held(time, math.isfinite(speed) and speed > limits.flying_speed, limits.flying_s):
@@ -204,9 +206,9 @@ class FreeSpace:
         self._seen.append((time_s, free_bytes))
         while time_s - self._seen[0][0] > SPAN_S:
             self._seen.popleft()
-        since, before = self._seen[0]
-        if time_s - since >= LEAST_S:
-            pace = (before - free_bytes) / (time_s - since)
+        start_s, start_bytes = self._seen[0]
+        if time_s - start_s >= LEAST_S:
+            pace = (start_bytes - free_bytes) / (time_s - start_s)
             self.minutes = free_bytes / pace / 60.0 if pace > 0 else math.inf
 
     @property
@@ -218,11 +220,11 @@ class FreeSpace:
     def words(self) -> str:
         if math.isnan(self.megabytes):
             return "unknown"
-        left = f", {self.minutes:.0f} min at the present rate" if math.isfinite(self.minutes) else ""
-        return f"{self.megabytes:.0f} MB free{left}"
+        duration = f", {self.minutes:.0f} min at the present rate" if math.isfinite(self.minutes) else ""
+        return f"{self.megabytes:.0f} MB free{duration}"
 
 
 def free_bytes(folder: Path) -> int:
     """Room for an ordinary user in the file system of a folder; OSError when it is gone."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
+    filesystem = os.statvfs(folder)
+    return filesystem.f_bavail * filesystem.f_frsize

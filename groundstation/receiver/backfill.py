@@ -59,20 +59,20 @@ class _Open:
 
 def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
     """Scan numbers as at most `limit` (first, mask) requests of up to 24 scans within 64."""
-    out: list[tuple[int, int]] = []
+    requests: list[tuple[int, int]] = []
     first, mask = -1, 0
     for number in numbers:
         if mask and (number - first >= SPAN or mask.bit_count() >= MAX_WANTED):
-            out.append((first, mask))
+            requests.append((first, mask))
             mask = 0
-            if len(out) >= limit:
-                return out
+            if len(requests) >= limit:
+                return requests
         if not mask:
             first = number
         mask |= 1 << (number - first)
     if mask:
-        out.append((first, mask))
-    return out
+        requests.append((first, mask))
+    return requests
 
 
 class BackfillClient:
@@ -107,29 +107,29 @@ class BackfillClient:
 
     def due(self, now_ns: int) -> list[Request]:
         """Messages to send now (name, fields without targets)."""
-        out = []
+        messages = []
         for key, request in self._open.items():
             if now_ns - request.asked_ns >= request.retry_ns:
                 request.asked_ns, request.flowing = now_ns, False
                 request.retry_ns = min(MAX_RETRY_NS, max(RETRY_NS, request.retry_ns * 2))
-                out.append(self._request(key, request.missing()))
+                messages.append(self._request(key, request.missing()))
         room = WINDOW - len(self._open)
-        if room > 0 and not out and now_ns >= self._look_ns:
+        if room > 0 and not messages and now_ns >= self._look_ns:
             for key in self._next_wanted(room, now_ns):
                 if key not in self._open:
                     self._open[key] = _Open(now_ns)
-                    out.append(self._request(key, _ALL_FRAGMENTS))
-            if not out:
+                    messages.append(self._request(key, _ALL_FRAGMENTS))
+            if not messages:
                 self._look_ns = now_ns + LOOK_NS
         summary_due = self._summary_ns is None or now_ns - self._summary_ns >= SUMMARY_NS
         if self.mode == "all" and not self.agreed and not self._open and summary_due:
             self._summary_ns, self._summary_asked = now_ns, True
-            out.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
-        return out
+            messages.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
+        return messages
 
     def _request(self, key: tuple[int, int], fragments: int) -> Request:
-        first, wanted = key
-        fields = {"first_number": first, "wanted": wanted, "fragments": fragments, "boot": self._boot}
+        first, mask = key
+        fields = {"first_number": first, "wanted": mask, "fragments": fragments, "boot": self._boot}
         return "BACKFILL_REQUEST", fields
 
     def _next_wanted(self, room: int, now_ns: int) -> list[tuple[int, int]]:
@@ -147,16 +147,16 @@ class BackfillClient:
 
     def _wanted_numbers(self, busy: set[int]) -> Iterable[int]:
         if self.mode == "lost":
-            gone = self.not_on_disk().ranges()
-            ranges = sorted([*self._books.accounting().missing, *gone])
+            not_on_disk = self.not_on_disk().ranges()
+            ranges = sorted([*self._books.accounting().missing, *not_on_disk])
             candidates: Iterable[int] = (n for a, b in ranges for n in range(a, b + 1))
         elif self._summary is None:
             return
         else:
             candidates = self._from_cursor(*self._summary[:2])
-        held = self._recorder.journal.complete
+        complete = self._recorder.journal.complete
         for n in candidates:
-            if n not in busy and n not in self.unavailable and n not in held:
+            if n not in busy and n not in self.unavailable and n not in complete:
                 yield n
 
     def not_on_disk(self) -> ScanMap:
@@ -166,19 +166,19 @@ class BackfillClient:
 
     def look_after(self) -> None:
         """Called now and then: where the disk has lost scans that were held in full, they are wanted again."""
-        held = self._recorder.journal.complete
-        if len(held) < len(self._books.backfilled):
-            self._books.backfilled = self._books.backfilled.both(held)
+        complete = self._recorder.journal.complete
+        if len(complete) < len(self._books.backfilled):
+            self._books.backfilled = self._books.backfilled.both(complete)
             self._cursor, self.agreed = None, False
 
     def _from_cursor(self, first: int, last: int) -> Iterable[int]:
         """Numbers from the first that is neither held nor given up; a long flight is not gone through again."""
-        held = self._recorder.journal.complete
-        at = first if self._cursor is None else max(first, self._cursor)
-        while at <= last and (at in held or at in self.unavailable):
-            at += 1
-        self._cursor = at
-        return range(at, last + 1)
+        complete = self._recorder.journal.complete
+        number = first if self._cursor is None else max(first, self._cursor)
+        while number <= last and (number in complete or number in self.unavailable):
+            number += 1
+        self._cursor = number
+        return range(number, last + 1)
 
     # ------------------------------------------------------------------------------------------ answers
 
@@ -224,9 +224,9 @@ class BackfillClient:
 
     def _finish(self, key: tuple[int, int], data: bytes, now_ns: int) -> None:
         del self._open[key]
-        first, wanted = key
-        if wanted:
-            self._take_scans({first + i for i in range(SPAN) if wanted >> i & 1}, data)
+        first, mask = key
+        if mask:
+            self._take_scans({first + i for i in range(SPAN) if mask >> i & 1}, data)
         elif first:
             self._take_archive(first, data, now_ns)
         elif not self._recorder.take_papers(data):
@@ -261,8 +261,8 @@ class BackfillClient:
         self._archive[part] = data
         if len(self._archive) * PAPERS_PART_BYTES < papers.archive_bytes:
             return
-        whole = b"".join(self._archive[i] for i in sorted(self._archive))
-        if hashlib.sha256(whole).hexdigest() != papers.archive_sha256 or not self._recorder.take_archive(whole):
+        archive = b"".join(self._archive[i] for i in sorted(self._archive))
+        if hashlib.sha256(archive).hexdigest() != papers.archive_sha256 or not self._recorder.take_archive(archive):
             self._archive.clear()  # some part was not the aircraft's, or the papers were not
             self._archive_tries += 1
             self._refuse(now_ns, True)
@@ -279,8 +279,8 @@ class BackfillClient:
         if not f["count"] or self._open:
             return
         journal = self._recorder.journal
-        held = journal.complete.count_within(summary[0], summary[1])
-        if held != f["count"]:
+        complete = journal.complete.count_within(summary[0], summary[1])
+        if complete != f["count"]:
             return
         if not self._final_papers:
             self._final_papers = True  # events may have been added since the papers came first
@@ -296,9 +296,9 @@ class BackfillClient:
         if self.mode == "off" or now_ns - self._progress_ns < PROGRESS_NS:
             return None
         self._progress_ns = now_ns
-        held = len(self._recorder.journal.complete)
-        wanted = self._summary[2] if self._summary else held + len(self._open)
-        return ev.BackfillProgress(self._books.session, held, wanted, self.agreed, now_ns)
+        complete = len(self._recorder.journal.complete)
+        total = self._summary[2] if self._summary else complete + len(self._open)
+        return ev.BackfillProgress(self._books.session, complete, total, self.agreed, now_ns)
 
 
 def unpack_scans(data: bytes) -> list[bytes]:
@@ -308,13 +308,13 @@ def unpack_scans(data: bytes) -> list[bytes]:
         rows = decompressor.decompress(data, _MAX_ANSWER)
     except zlib.error:
         return []
-    out: list[bytes] = []
-    at = 0
-    while at + _LENGTH.size <= len(rows):
-        (size,) = _LENGTH.unpack_from(rows, at)
-        at += _LENGTH.size
-        if at + size > len(rows) or size > _MAX_SCAN_BYTES:
-            return out
-        out.append(rows[at : at + size])
-        at += size
-    return out
+    scans: list[bytes] = []
+    offset = 0
+    while offset + _LENGTH.size <= len(rows):
+        (size,) = _LENGTH.unpack_from(rows, offset)
+        offset += _LENGTH.size
+        if offset + size > len(rows) or size > _MAX_SCAN_BYTES:
+            return scans
+        scans.append(rows[offset : offset + size])
+        offset += size
+    return scans

@@ -135,10 +135,10 @@ class ManoeuvreSender:
         self._next_ns = now_ns + _TURN_NS
         count = len(self._fragments)
         order = [(self._place + i) % count for i in range(count)]
-        chosen = [i for i in order if i in self._missing][:_AT_ONCE] or [count - 1]
-        self._place = (chosen[-1] + 1) % count
+        numbers = [i for i in order if i in self._missing][:_AT_ONCE] or [count - 1]
+        self._place = (numbers[-1] + 1) % count
         common = {"checksum": self._checksum, "fragments": count}
-        pieces = [(i, self._fragments[i]) for i in chosen]
+        pieces = [(i, self._fragments[i]) for i in numbers]
         return [
             ("MANOEUVRE_DATA", {**common, "fragment": i, "length": len(p), "data": p.ljust(wire.FRAGMENT_BYTES, b"\0")})
             for i, p in pieces

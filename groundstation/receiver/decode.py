@@ -106,7 +106,7 @@ class AircraftDecoder:
         part = self._part(frame, now_ns)
         if part is None:
             return
-        held: PendingScan = _new_tuple(PendingScan, (part, frame.component, now_ns, utc_ns))
+        pending: PendingScan = _new_tuple(PendingScan, (part, frame.component, now_ns, utc_ns))
         straggled = None if len(self.sessions) < 2 else self._straggled(part)
         if straggled is not None:
             straggled.see(part.number)  # counted, not shown
@@ -115,12 +115,12 @@ class AircraftDecoder:
             return
         books = self.books
         if books is None or books.line is None:
-            self._begin(held, books)
+            self._begin(pending, books)
         elif books.line.follows(part, now_ns):
-            self._believe(books, held)
+            self._believe(books, pending)
             self._findings.doubt(self.system, findings.NUMBERS, self._waiting.clear())
         elif not (books.line.is_older(part) and part.number in books.received):  # a copy that was long on its way
-            self._hold(books, held)
+            self._hold(books, pending)
 
     def _straggled(self, part: ScanPart) -> SessionAccounting | None:
         """The earlier session that a part of another boot is a late one of."""
@@ -185,11 +185,11 @@ class AircraftDecoder:
             parts = self._parts[part.number] = []
         elif any(p.msg_id == part.msg_id for p in parts):
             return
-        late = part.time_monotonic_ns < books.last_time_ns
+        is_late = part.time_monotonic_ns < books.last_time_ns
         parts.append(part)
         while len(self._parts) > _PARTS_KEPT:
-            _, forgotten = self._parts.popitem(last=False)
-            self.partial_scans += all(p.msg_id != SCAN_FAST_ID for p in forgotten)
+            _, old_parts = self._parts.popitem(last=False)
+            self.partial_scans += all(p.msg_id != SCAN_FAST_ID for p in old_parts)
         if part.msg_id == SCAN_FAST_ID:
             if not books.received.add(part.number):
                 return
@@ -198,7 +198,7 @@ class AircraftDecoder:
         elif all(p.msg_id != SCAN_FAST_ID for p in parts):
             return  # the slow part comes first; the scan is reported with its fast part
         else:
-            late = True
+            is_late = True
         if part.time_monotonic_ns > books.last_time_ns:
             books.last_time_ns = part.time_monotonic_ns
         relation = self.sync.best
@@ -207,7 +207,7 @@ class AircraftDecoder:
             latency = (now_ns + relation.offset_ns - part.time_monotonic_ns) / NS
             self.latency_s = latency
         scan = join_parts(parts)
-        fields = books.session, scan, now_ns, held.utc_ns, latency, late
+        fields = books.session, scan, now_ns, held.utc_ns, latency, is_late
         self._out.append(_new_tuple(ev.ScanReceived, fields))
 
     def _part(self, frame: MavlinkFrame, now_ns: int) -> ScanPart | None:
@@ -225,15 +225,15 @@ class AircraftDecoder:
 
     def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
         previous = self.sessions[-1].session if self.sessions else None
-        made = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
-        self.sessions.append(made)
+        session = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
+        self.sessions.append(session)
         if len(self.sessions) > _MAX_SESSIONS:
             self.sessions.pop(0)
         self._parts.clear()
         self.sync.reset()
         self.latency_s = None
-        self._out.append(ev.Restarted(made.session, previous, now_ns))
-        return made
+        self._out.append(ev.Restarted(session.session, previous, now_ns))
+        return session
 
     def _session(self, boot: int) -> SessionAccounting | None:
         """The session of a report that carries a boot id; None before a scan of it has come."""
@@ -300,11 +300,11 @@ class AircraftDecoder:
         """The session that a report of an unknown run speaks of: the first at once, a further one when it is repeated
         while no scan of the known one comes."""
         if self.books is not None:
-            since, count = self._claims.pop(boot, (now_ns, 0))
-            self._claims[boot] = (since, count + 1)
+            first_ns, count = self._claims.pop(boot, (now_ns, 0))
+            self._claims[boot] = (first_ns, count + 1)
             if len(self._claims) > _MAX_CLAIMS:
                 self._claims.popitem(last=False)
-            if count + 1 < _CLAIMS or now_ns - since < _CLAIM_NS:
+            if count + 1 < _CLAIMS or now_ns - first_ns < _CLAIM_NS:
                 return None
             del self._claims[boot]
             if not self._restarts.take(1, now_ns):
@@ -320,8 +320,8 @@ class AircraftDecoder:
         if f["last_number"] > books.reach(now_ns) or first > books.reach(now_ns):
             self._findings.doubt(self.system, findings.REPORTS)
         elif first % BLOCK == 0:
-            sent, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
-            books.take_map(first, f["last_number"], sent, absent)
+            sent_bits, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
+            books.take_map(first, f["last_number"], sent_bits, absent)
 
     def _scan_event(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         books = self._session(f["boot"])

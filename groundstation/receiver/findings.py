@@ -180,10 +180,10 @@ class Faults:
         """What has begun, changed or ended since the last call."""
         if self.present == self._reported:
             return []
-        ended = [ev.Trouble(what, None, now_ns) for what in self._reported if what not in self.present]
+        events = [ev.Trouble(what, None, now_ns) for what in self._reported if what not in self.present]
         new = [ev.Trouble(w, words, now_ns) for w, words in self.present.items() if self._reported.get(w) != words]
         self._reported = dict(self.present)
-        return ended + new
+        return events + new
 
 
 def legible(text: str) -> str:

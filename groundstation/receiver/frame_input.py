@@ -52,15 +52,15 @@ class FrameInput:
                 if not self._allowed(port, sender, len(data), now_ns):
                     self._refused_bytes += len(data)
                     continue
-                for found in self._decoder(sender, utc_ns).feed(data):
-                    self._log(found, utc_ns)
-                    if isinstance(found, MavlinkFrame):
-                        yield sender, found
+                for item in self._decoder(sender, utc_ns).feed(data):
+                    self._log(item, utc_ns)
+                    if isinstance(item, MavlinkFrame):
+                        yield sender, item
 
     def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
         """Whether there is time to look at what a sender has sent; a listener for datagrams asks that by itself."""
-        known = not isinstance(port, TcpServerPort) or sender in self._aircraft
-        return known or self._strangers[sender.port].take(size, now_ns)
+        unlimited = not isinstance(port, TcpServerPort) or sender in self._aircraft
+        return unlimited or self._strangers[sender.port].take(size, now_ns)
 
     def favour(self, sender: Sender) -> None:
         """An aircraft speaks from here: strangers shall not crowd it out."""
@@ -79,12 +79,12 @@ class FrameInput:
 
     def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
         try:
-            found = receive(port)
+            datagrams = receive(port)
         except OSError as error:
             self._faults.note(name, error)
             return []
         self._faults.clear(name)
-        return found
+        return datagrams
 
     def _decoder(self, sender: Sender, utc_ns: int) -> FrameDecoder:
         decoder = self._decoders.pop(sender, None)
@@ -105,8 +105,8 @@ class FrameInput:
 
     def _retire(self, sender: Sender, utc_ns: int) -> None:
         decoder = self._decoders.pop(sender)
-        for found in decoder.finish():
-            self._log(found, utc_ns)
+        for item in decoder.finish():
+            self._log(item, utc_ns)
         self._retired = [a + b for a, b in zip(self._retired, _counts(decoder), strict=True)]
 
     def totals(self) -> list[int]:

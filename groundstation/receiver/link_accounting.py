@@ -87,8 +87,8 @@ class SequenceTracker:
             m for m in self._missing if (m - self._next) & 255 >= 128
         }
         # After an outage of more than 256 frames the count has gone round; time tells how often.
-        expected = (now_ns - self._last_ns) / NS * self._rate
-        rounds = max(0, round((expected - step) / 256)) if expected > 256 else 0
+        frames_due = (now_ns - self._last_ns) / NS * self._rate
+        rounds = max(0, round((frames_due - step) / 256)) if frames_due > 256 else 0
         self.lost += step + 256 * rounds
 
 
@@ -127,11 +127,11 @@ class SessionAccounting:
         block, top = first // BLOCK, first + BLOCK - 1
         if settled < first or settled < self.settled.get(block, -1):
             return
-        known = min(settled, top)
-        mask = (1 << (known - first + 1)) - 1
+        last = min(settled, top)
+        mask = (1 << (last - first + 1)) - 1
         if block not in self.settled and len(self.settled) > 65536:
             return
-        self.settled[block] = known
+        self.settled[block] = last
         self.sent.set_word(block, self.sent.word(block) | sent & mask)
         self.absent.set_word(block, self.absent.word(block) | absent & mask)
 
@@ -158,31 +158,31 @@ class SessionAccounting:
         span = self._span()
         if span is None:
             return ev.Accounting(self.session, 0, -1, 0, 0)
-        lost, missing, open_, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
+        lost_map, missing, open_, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
         sent_known = 0
         first, last = span
-        known = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
-        blocks = sorted(b for b in known if first // BLOCK <= b <= last // BLOCK)
+        known_blocks = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
+        blocks = sorted(b for b in known_blocks if first // BLOCK <= b <= last // BLOCK)
         for block in blocks:
             low, high = max(first, block * BLOCK), min(last, block * BLOCK + BLOCK - 1)
-            inside = _mask(low, high, block)
-            settled = _mask(low, min(high, self.settled.get(block, -1)), block)
+            block_mask = _mask(low, high, block)
+            settled_mask = _mask(low, min(high, self.settled.get(block, -1)), block)
             received = self.received.word(block)
-            sent = (self.sent.word(block) & settled) | received
-            sent_known += (sent & inside).bit_count()
-            lost.set_word(block, sent & ~received & inside)
-            missing.set_word(block, lost.word(block) & ~self.backfilled.word(block))
-            gone = self.absent.word(block) & settled
-            absent.set_word(block, gone)
-            open_.set_word(block, inside & ~settled & ~received)
-            never += (inside & settled & ~sent & ~gone).bit_count()
+            sent_bits = (self.sent.word(block) & settled_mask) | received
+            sent_known += (sent_bits & block_mask).bit_count()
+            lost_map.set_word(block, sent_bits & ~received & block_mask)
+            missing.set_word(block, lost_map.word(block) & ~self.backfilled.word(block))
+            absent_bits = self.absent.word(block) & settled_mask
+            absent.set_word(block, absent_bits)
+            open_.set_word(block, block_mask & ~settled_mask & ~received)
+            never += (block_mask & settled_mask & ~sent_bits & ~absent_bits).bit_count()
         return ev.Accounting(
             self.session,
             first,
             last,
             len(self.received),
             sent_known,
-            lost.ranges(),
+            lost_map.ranges(),
             never,
             absent.ranges(),
             _joined([*open_.ranges(), *_between(blocks, first, last)]),
@@ -193,24 +193,24 @@ class SessionAccounting:
 
 def _between(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, int]]:
     """Ranges of numbers from `first` to `last` that are in none of the blocks (ascending)."""
-    at = first
+    start = first
     for block in blocks:
-        if at < block * BLOCK:
-            yield at, block * BLOCK - 1
-        at = (block + 1) * BLOCK
-    if at <= last:
-        yield at, last
+        if start < block * BLOCK:
+            yield start, block * BLOCK - 1
+        start = (block + 1) * BLOCK
+    if start <= last:
+        yield start, last
 
 
 def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Ranges in ascending order, those that touch made one."""
-    out: list[tuple[int, int]] = []
+    joined: list[tuple[int, int]] = []
     for low, high in sorted(ranges):
-        if out and out[-1][1] == low - 1:
-            out[-1] = (out[-1][0], high)
+        if joined and joined[-1][1] == low - 1:
+            joined[-1] = (joined[-1][0], high)
         else:
-            out.append((low, high))
-    return out
+            joined.append((low, high))
+    return joined
 
 
 def _mask(low: int, high: int, block: int) -> int:

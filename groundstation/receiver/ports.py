@@ -57,9 +57,9 @@ class LinkConfig(BaseModel):
     @field_validator("ports")
     @classmethod
     def _each_port_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        twice = [p for p in value if value.count(p) > 1]
-        if twice:
-            raise ValueError(f"port {twice[0]!r} is listed twice")
+        repeated = [p for p in value if value.count(p) > 1]
+        if repeated:
+            raise ValueError(f"port {repeated[0]!r} is listed twice")
         return value
 
 
@@ -110,32 +110,32 @@ class UdpListener(UdpPort):
 
     def receive(self, limit: int = TURN_BYTES) -> list[tuple[str, bytes]]:
         """Datagrams that have arrived, with a name of their sender; aircraft first, and of strangers what is allowed."""
-        out: list[tuple[str, bytes]] = []
-        now = self._clock.monotonic_ns()
-        for name, own in self._own.items():
-            for _, size in self._datagrams(own, limit):
-                self._keep(name, size, now, out)
+        datagrams: list[tuple[str, bytes]] = []
+        now_ns = self._clock.monotonic_ns()
+        for name, connection in self._own.items():
+            for _, size in self._datagrams(connection, limit):
+                self._keep(name, size, now_ns, datagrams)
         for address, size in self._datagrams(self._socket, limit):
             name = _name(address)
             self._remember(name, address)
-            self._keep(name, size, now, out)
-        return out
+            self._keep(name, size, now_ns, datagrams)
+        return datagrams
 
     def _keep(self, name: str, size: int, now_ns: int, out: list[tuple[str, bytes]]) -> None:
         """Take what is in the buffer, if its sender may send so much."""
         aircraft = self._aircraft.get(name)
         if aircraft is not None:
-            allowed = aircraft.allowance.take(size, now_ns)
+            accepted = aircraft.allowance.take(size, now_ns)
         else:
-            allowed = self._allowance(name).take(size, now_ns) and self._strangers.take(size, now_ns)
-        if allowed:
+            accepted = self._allowance(name).take(size, now_ns) and self._strangers.take(size, now_ns)
+        if accepted:
             out.append((name, bytes(self._buffer[:size])))
         else:
             self.refused_bytes += size
 
     def _datagrams(self, own: socket.socket, limit: int) -> Iterator[tuple[Address, int]]:
         """Sender and size of each datagram waiting, its bytes in the buffer; bounded, so that a turn has an end."""
-        taken = 0
+        total = 0
         for _ in range(TURN_DATAGRAMS):
             try:
                 size, address = own.recvfrom_into(self._buffer)
@@ -146,8 +146,8 @@ class UdpListener(UdpPort):
                     return
                 raise
             yield address, size
-            taken += size
-            if taken >= limit:
+            total += size
+            if total >= limit:
                 return
 
     def _remember(self, name: str, address: Address) -> None:
@@ -157,11 +157,11 @@ class UdpListener(UdpPort):
             self._addresses.pop(next(iter(self._addresses)))
 
     def _allowance(self, name: str) -> Allowance:
-        found = self._each.pop(name, None) or Allowance(STRANGER_AT_ONCE, STRANGER_PER_S)
-        self._each[name] = found  # the latest one last
+        allowance = self._each.pop(name, None) or Allowance(STRANGER_AT_ONCE, STRANGER_PER_S)
+        self._each[name] = allowance  # the latest one last
         if len(self._each) > _STRANGERS:
             self._each.pop(next(iter(self._each)))
-        return found
+        return allowance
 
     # ------------------------------------------------------------------------------------------ aircraft
 
@@ -176,24 +176,24 @@ class UdpListener(UdpPort):
                 self._own[name] = self._connected(address)
 
     def _connected(self, address: Address) -> socket.socket:
-        made = socket.socket(self._socket.family, socket.SOCK_DGRAM)
-        bound = (self._socket, *self._own.values(), made)
+        connection = socket.socket(self._socket.family, socket.SOCK_DGRAM)
+        bound = (self._socket, *self._own.values(), connection)
         try:
-            made.setblocking(False)
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            connection.setblocking(False)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
             # Only while the new socket is bound: otherwise another program of this user could take the port too.
             for shared in bound:
                 shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-            made.bind(self._socket.getsockname())
-            made.connect(address)
+            connection.bind(self._socket.getsockname())
+            connection.connect(address)
         except OSError:
-            made.close()
+            connection.close()
             raise
         finally:
             for shared in bound:
                 if shared.fileno() >= 0:
                     shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
-        return made
+        return connection
 
     def forget(self, name: str) -> None:
         """This sender is no aircraft's any more."""
@@ -202,17 +202,17 @@ class UdpListener(UdpPort):
             self._give_up(name)
 
     def _give_up(self, name: str) -> None:
-        own = self._own.pop(name)
-        self._dropped_before += _drops(own)
-        own.close()
+        connection = self._own.pop(name)
+        self._dropped_before += _drops(connection)
+        connection.close()
 
     # ------------------------------------------------------------------------------------------ sending
 
     def write(self, data: bytes) -> int:
         """Send one datagram to each aircraft; while there is none, to the latest few who have sent anything."""
         targets = [a.address for a in self._aircraft.values()] or list(self._addresses.values())[-MAX_PEERS:]
-        taken = [self._send(data, address) for address in targets]
-        return min(taken, default=len(data))
+        sizes = [self._send(data, address) for address in targets]
+        return min(sizes, default=len(data))
 
     def close(self) -> None:
         for name in list(self._own):

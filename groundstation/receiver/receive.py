@@ -114,19 +114,19 @@ class Receiver:
         with self._lock:
             if self._closed:
                 return []
-            out: list[ev.Event] = []
-            now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
-            for sender, frame in self._frame_input.frames(now, utc):
+            events: list[ev.Event] = []
+            now_ns, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
+            for sender, frame in self._frame_input.frames(now_ns, utc):
                 try:
-                    self._take_frame(frame, sender, now, utc, out)
+                    self._take_frame(frame, sender, now_ns, utc, events)
                 except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
                     self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
-            out += [*self.findings.reports(now, FindingKind.REFUSED), *self._contests(now)]
-            self._keep(out)
+            events += [*self.findings.reports(now_ns, FindingKind.REFUSED), *self._contests(now_ns)]
+            self._keep(events)
             with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
-                self._do_due(now, out)
-            out += self.findings.reports(now, FindingKind.DOUBTED, FindingKind.QUARANTINED)
-            return out + self.faults.changes(now)
+                self._do_due(now_ns, events)
+            events += self.findings.reports(now_ns, FindingKind.DOUBTED, FindingKind.QUARANTINED)
+            return events + self.faults.changes(now_ns)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -146,19 +146,19 @@ class Receiver:
                 if aircraft.port is port:
                     aircraft.meter.radio(fields)
             return
-        known = self._known(frame, sender)
-        if known is None or not self._believed(known, frame, sender, now):
+        aircraft_of_frame = self._known(frame, sender)
+        if aircraft_of_frame is None or not self._believed(aircraft_of_frame, frame, sender, now):
             return
-        known.port = port
-        out += known.decoder.take(frame, now, utc)
+        aircraft_of_frame.port = port
+        out += aircraft_of_frame.decoder.take(frame, now, utc)
         if frame.msg_id not in SCAN_IDS:
-            self._take_answer(known, frame, now, out)
+            self._take_answer(aircraft_of_frame, frame, now, out)
 
     def _known(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
-        known = self._aircraft.get(frame.system)
-        if known is not None:
-            return known
+        aircraft = self._aircraft.get(frame.system)
+        if aircraft is not None:
+            return aircraft
         if self.config.systems and frame.system not in self.config.systems:
             return None
         if _is_aircraft(frame):
@@ -168,22 +168,22 @@ class Receiver:
                 self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
                 return None
             sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            known = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.findings)
-            self._aircraft[frame.system] = known
-        return known
+            aircraft = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.findings)
+            self._aircraft[frame.system] = aircraft
+        return aircraft
 
     def _believed(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
-        own = frame.msg_id >= FIRST_OWN_ID
-        before = aircraft.senders.speaker(sender.port) if own else None
+        is_own_message = frame.msg_id >= FIRST_OWN_ID
+        speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
         if self._gate.signer is None:
-            if not aircraft.senders.allows(sender, frame.component, own, now):
+            if not aircraft.senders.allows(sender, frame.component, is_own_message, now):
                 return False
-        elif own:
+        elif is_own_message:
             aircraft.senders.speaks(sender, now)
-        if own and before != sender:
-            if before is not None:
-                self._frame_input.forget(before)
+        if is_own_message and speaker != sender:
+            if speaker is not None:
+                self._frame_input.forget(speaker)
             self._frame_input.favour(sender)
         return True
 
@@ -210,9 +210,11 @@ class Receiver:
                 if books is not None and f["boot"] == books.session.boot:
                     with self.faults.watch("backfill"):
                         if frame.name == "BACKFILL_DATA":
-                            before = aircraft.backfill.refused
+                            refused_count = aircraft.backfill.refused
                             aircraft.backfill.take_data(f, now)
-                            self.findings.doubt(frame.system, findings.PAPERS, aircraft.backfill.refused - before)
+                            self.findings.doubt(
+                                frame.system, findings.PAPERS, aircraft.backfill.refused - refused_count
+                            )
                             fetched = aircraft.backfill.take_fetched()
                             out += [ev.ScanFetched(books.session, data, now) for data in fetched]
                         else:
@@ -262,9 +264,9 @@ class Receiver:
         send, given_up = self.commander.due(now)
         out += given_up
         for system, fields in send:
-            known = self._aircraft.get(system)
-            if known is not None:
-                self._send(known, "COMMAND_LONG", fields)
+            target = self._aircraft.get(system)
+            if target is not None:
+                self._send(target, "COMMAND_LONG", fields)
         for aircraft in self._aircraft.values():
             out += aircraft.manoeuvre.given_up(now)
             self._serve(aircraft, now)
@@ -281,8 +283,8 @@ class Receiver:
             aircraft.next_map_ns = now + _MAP_NS
             # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
             quiet = now - aircraft.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
-            wanted = (b for b in books.open_blocks() if b < books.last // BLOCK or quiet)
-            for block in islice(wanted, _MAPS_AT_ONCE):
+            open_blocks = (b for b in books.open_blocks() if b < books.last // BLOCK or quiet)
+            for block in islice(open_blocks, _MAPS_AT_ONCE):
                 self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
         if aircraft.backfill is not None:
             for name, fields in aircraft.backfill.due(now):
@@ -300,12 +302,12 @@ class Receiver:
         if name in self.faults.present:
             return  # away, and said so
         with self.faults.watch(f"{name} (sending)"):
-            taken = port.write(frame)
-            while 0 < taken < len(frame):  # never leave half a frame in the stream
-                more = port.write(frame[taken:])
-                if not more:
+            size = port.write(frame)
+            while 0 < size < len(frame):  # never leave half a frame in the stream
+                piece = port.write(frame[size:])
+                if not piece:
                     break
-                taken += more
+                size += piece
 
     def _report(self, now: int, out: list[ev.Event]) -> None:
         for aircraft in self._aircraft.values():
@@ -326,13 +328,13 @@ class Receiver:
                 aircraft.sessions.look_after()
             if aircraft.backfill is not None:
                 aircraft.backfill.look_after()
-        for what, count in (
+        for kind, count in (
             (findings.BYTES, self._frame_input.refused_bytes),
             (findings.DATAGRAMS, self._frame_input.datagrams_dropped),
         ):
-            self.findings.doubt(findings.NOBODY, what, count - self.findings.total_doubted(what))
+            self.findings.doubt(findings.NOBODY, kind, count - self.findings.total_doubted(kind))
         with self.faults.watch(_DISK):
-            journals = (r.journal.file for kept in self._kept() for r in kept.recorders.values())
+            journals = (r.journal.file for sessions in self._kept() for r in sessions.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
 
     # ------------------------------------------------------------------------------------------ for the owner
@@ -346,8 +348,8 @@ class Receiver:
     def backfill_agreed(self, system: int) -> bool:
         """Whether air and ground agree by count and hash on all scans of the present session."""
         with self._lock:
-            known = self._aircraft.get(system)
-            return known is not None and known.backfill is not None and known.backfill.agreed
+            aircraft = self._aircraft.get(system)
+            return aircraft is not None and aircraft.backfill is not None and aircraft.backfill.agreed
 
     @property
     def systems(self) -> list[int]:
@@ -378,7 +380,7 @@ class Receiver:
 
     def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
         with self._lock:
-            return {s: r for kept in self._kept() for s, r in kept.recorders.items()}
+            return {s: r for sessions in self._kept() for s, r in sessions.recorders.items()}
 
     def _kept(self) -> list[Sessions]:
         return [a.sessions for a in self._aircraft.values() if a.sessions is not None]
@@ -389,36 +391,38 @@ class Receiver:
         One that cannot be written is named in `port_faults`; its journal keeps the scans.
         """
         with self._lock:
-            self._written = list(chain.from_iterable(kept.write() for kept in self._kept()))
+            self._written = list(chain.from_iterable(sessions.write() for sessions in self._kept()))
             return list(self._written)
 
     def summary(self) -> dict[str, Any]:
         """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
-            made = counters(self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written)
-            return made | self._unbelieved() | self._on_disk()
+            counts = counters(
+                self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written
+            )
+            return counts | self._unbelieved() | self._on_disk()
 
     def _on_disk(self) -> dict[str, Any]:
         """What the disk holds of what came down, for `ground --json`."""
         books = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
-        states = [(kept.state(b) if kept is not None else None) for kept, b in books]
-        known = [state for state in states if state is not None]
+        states = [(sessions.state(b) if sessions is not None else None) for sessions, b in books]
+        counts = [state for state in states if state is not None]
         return {
-            "scans_on_disk": sum(on_disk for on_disk, _ in known),
-            "scans_not_on_disk": sum(gone for _, gone in known),
+            "scans_on_disk": sum(on_disk for on_disk, _ in counts),
+            "scans_not_on_disk": sum(missing for _, missing in counts),
             "telemetry_bytes_refused": sum(log.refused for log in self._frame_input.logs),
         }
 
     def _unbelieved(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
-        waiting = sum(a.decoder.waiting for a in self._aircraft.values())
+        pending_parts = sum(a.decoder.waiting for a in self._aircraft.values())
         return {
             "bytes_refused": self._frame_input.refused_bytes,
             "datagrams_dropped": self._frame_input.datagrams_dropped,
             "frames_contested": sum(a.senders.contested for a in self._aircraft.values()),
             "second_senders": [row for system in self._aircraft for row in self.findings.second_senders(system)],
-            "scans_doubted": self.findings.total_doubted(findings.NUMBERS) + waiting,
+            "scans_doubted": self.findings.total_doubted(findings.NUMBERS) + pending_parts,
             "doubted": self.findings.doubted(),
             "quarantined": self.findings.quarantined(),
         }
@@ -432,8 +436,8 @@ class Receiver:
             self.write_recordings()
             self._closed = True
             self._gate.close()
-            for kept in self._kept():
-                kept.close()
+            for sessions in self._kept():
+                sessions.close()
             self._disk.close()
             for aircraft in self._aircraft.values():
                 aircraft.logs.close()
@@ -447,5 +451,5 @@ def _is_aircraft(frame: MavlinkFrame) -> bool:
     if frame.name != "HEARTBEAT":
         return False
     # The logger says truly that it is no autopilot, as do ground stations, cameras and radios: it is told by its type.
-    said = frame.fields()
-    return said["autopilot"] != _NO_AUTOPILOT or said["type"] == _FIXED_WING
+    heartbeat = frame.fields()
+    return heartbeat["autopilot"] != _NO_AUTOPILOT or heartbeat["type"] == _FIXED_WING

@@ -51,8 +51,8 @@ class TlogWriter:
         if isinstance(found, MavlinkFrame):
             self._put(stamp + found.raw)
             return
-        for at in range(0, len(found.raw), JUNK_CHUNK):
-            piece = found.raw[at : at + JUNK_CHUNK]
+        for offset in range(0, len(found.raw), JUNK_CHUNK):
+            piece = found.raw[offset : offset + JUNK_CHUNK]
             wrapped = self._wrapper.message(
                 "TUNNEL", payload_type=JUNK_PAYLOAD_TYPE, payload_length=len(piece), payload=piece
             )
@@ -86,20 +86,20 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
     """
     path = Path(path)
     data = read_bytes(path, "telemetry log", TlogError)
-    at, found = 0, 0
-    while (record := _RECORD.search(data, at)) is not None:
-        at = record.start()
-        (stamp,) = _STAMP.unpack_from(data, at)
-        frame = frame_at(data, at + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
+    offset, count = 0, 0
+    while (record := _RECORD.search(data, offset)) is not None:
+        offset = record.start()
+        (stamp,) = _STAMP.unpack_from(data, offset)
+        frame = frame_at(data, offset + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
         if frame is None:
-            at += 1
+            offset += 1
             continue
-        found += 1
-        at += 8 + len(frame.raw)
+        count += 1
+        offset += 8 + len(frame.raw)
         yield stamp * 1000, _unwrapped(frame)
     if not data:
         raise TlogError(f"{path}: the telemetry log is empty")
-    if not found:
+    if not count:
         raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
 
 
@@ -123,10 +123,10 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
     last: int | None = None
     for utc, data in read_tlog(path):
         first_utc, last_utc = first_utc or utc, utc
-        for found in decoder.feed(data):
-            if isinstance(found, MavlinkFrame) and found.msg_id in layouts():
-                known = aircraft.setdefault(found.system, AircraftDecoder(found.system))
-                for event in known.take(found, utc, utc):
+        for item in decoder.feed(data):
+            if isinstance(item, MavlinkFrame) and item.msg_id in layouts():
+                aircraft_decoder = aircraft.setdefault(item.system, AircraftDecoder(item.system))
+                for event in aircraft_decoder.take(item, utc, utc):
                     if isinstance(event, ScanReceived):
                         number = event.scan.number
                         first = number if first is None else min(first, number)

@@ -80,10 +80,12 @@ def blueprint(layout: Layout = "full", *, live: bool = True, identified: bool = 
         rrb.TimePanel(state="collapsed", timeline=e.TIMELINE, play_state=following),
     )
     if layout == "light":
-        left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
+        plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
         words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
         right = rrb.Vertical(events, words, row_shares=[1, 1.6]) if identified and live else events
-        return rrb.Blueprint(rrb.Horizontal(left, right, column_shares=[3, 2 if right is not events else 1]), *panels)
+        return rrb.Blueprint(
+            rrb.Horizontal(plots_left, right, column_shares=[3, 2 if right is not events else 1]), *panels
+        )
     chase = rrb.Spatial3DView(
         origin=e.ATTITUDE,
         name="Attitude",
@@ -97,7 +99,7 @@ def blueprint(layout: Layout = "full", *, live: bool = True, identified: bool = 
     map_view = rrb.MapView(origin="/map", name="Map")
     status = rrb.TextDocumentView(origin=e.STATUS, name="Status")
     health = rrb.StateTimelineView(origin=e.HEALTH, name="Sensor health")
-    left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"], plots["acceleration"])
+    plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"], plots["acceleration"])
     middle = rrb.Vertical(
         rrb.Tabs(chase, track, map_view, name="Where"),
         plots["attitude"],
@@ -106,7 +108,7 @@ def blueprint(layout: Layout = "full", *, live: bool = True, identified: bool = 
     )
     link = rrb.Tabs(plots["link"], plots["signal"])
     right = rrb.Vertical(health, link, rrb.Tabs(events, status), row_shares=[2.2, 1, 1.3])
-    flying = rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
+    flying = rrb.Horizontal(plots_left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
     if not identified:
         return rrb.Blueprint(flying, *panels)
     return rrb.Blueprint(rrb.Tabs(flying, _identification(live), active_tab=0), *panels)
@@ -137,9 +139,9 @@ def _identification(live: bool) -> rrb.Horizontal:
 def save_blueprint(path: Path, layout: Layout = "full") -> None:
     """Write the layout for live data as .rbl; OSError when the file cannot be written."""
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "layout.rbl"
-        fitted(blueprint(layout), live=True).save(e.APPLICATION, str(made))
-        write_bytes(path, made.read_bytes())
+        scratch = Path(folder) / "layout.rbl"
+        fitted(blueprint(layout), live=True).save(e.APPLICATION, str(scratch))
+        write_bytes(path, scratch.read_bytes())
 
 
 TOP = 0.10  # of the height: a line of read-outs from 720 lines of screen on
@@ -154,9 +156,9 @@ def fitted(page: rrb.Blueprint, *, live: bool, filled: Collection[str] | None = 
     """
     body = page.root_container if filled is None else _kept(page.root_container, filled)
     top = _top(live=live) if filled is None or e.READOUTS in filled else None
-    there = [(part, share) for part, share in ((top, TOP), (body, 1.0 - TOP)) if part is not None]
-    if there:
-        page.root_container = rrb.Vertical(*(p for p, _ in there), row_shares=[s for _, s in there])
+    rows = [(part, share) for part, share in ((top, TOP), (body, 1.0 - TOP)) if part is not None]
+    if rows:
+        page.root_container = rrb.Vertical(*(p for p, _ in rows), row_shares=[s for _, s in rows])
     return page
 
 
@@ -187,14 +189,14 @@ def _kept(pane: rrb.Container | rrb.View, filled: Collection[str]) -> rrb.Contai
     arguments = {"row_shares": rows, "column_shares": columns, "grid_columns": pane.grid_columns, "name": pane.name}
     kind = next(k for k in CONTAINERS if isinstance(pane, k))
     accepted = inspect.signature(kind.__init__).parameters
-    used = {name: value for name, value in arguments.items() if name in accepted and value is not None}
-    return kind(*(part for _, part in parts), **used)
+    chosen_arguments = {name: value for name, value in arguments.items() if name in accepted and value is not None}
+    return kind(*(part for _, part in parts), **chosen_arguments)
 
 
 def _shows(view: rrb.View, filled: Collection[str]) -> bool:
     """Whether any of the entities that a view asks for is filled."""
-    asked = [view.contents] if isinstance(view.contents, str) else list(view.contents)
-    for text in asked:
+    contents = [view.contents] if isinstance(view.contents, str) else list(view.contents)
+    for text in contents:
         entity = str(text).replace("$origin", str(view.origin)).lstrip("+ ")
         root = entity.removesuffix("/**")
         if any(f == root or (root != entity and f.startswith(f"{root}/")) for f in filled):

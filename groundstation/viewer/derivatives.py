@@ -39,9 +39,10 @@ class DerivativeCurves:
         self._name_once(state.aircraft.sources)
         self._stream.set_time(e.TIMELINE, duration=state.time)
         for coefficient, terms in EQUATIONS.items():
-            known = [state.estimates.derivatives[f"{coefficient}_{t}"] for t in terms]
+            derivatives = [state.estimates.derivatives[f"{coefficient}_{t}"] for t in terms]
             rows = [
-                _shown(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0))) for d in known
+                _shown(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0)))
+                for d in derivatives
             ]
             self._stream.log(entity(coefficient), rr.Scalars(np.ravel(rows)))
         text = rr.TextDocument(drawable(markdown(state)), media_type=rr.MediaType.MARKDOWN)
@@ -49,17 +50,17 @@ class DerivativeCurves:
 
     def kept(self, detail: Mapping[str, object]) -> None:
         """The history that a finished flight carries, if it does."""
-        found = history_of(detail)
-        if found is None:
+        history = history_of(detail)
+        if history is None:
             return
-        times, series = found
-        believed = _believed(detail)
+        times, series = history
+        beliefs = _believed(detail)
         self._name_once({})
         for coefficient, terms in EQUATIONS.items():
             names = [f"{coefficient}_{t}" for t in terms]
             empty = ([math.nan] * len(times),) * 2
             table = [
-                [_shown(v, s, believed.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
+                [_shown(v, s, beliefs.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
                 for n in names
             ]
             flat = np.array(table).transpose(1, 0, 2).reshape(len(times), -1)
@@ -95,12 +96,12 @@ def _faded(color: int) -> int:
 
 
 def _believed(detail: Mapping[str, object]) -> dict[str, Belief]:
-    kept = detail.get(DETAIL)
-    rows = kept.get(BELIEVED) if isinstance(kept, Mapping) else None
-    found = {}
+    identification = detail.get(DETAIL)
+    rows = identification.get(BELIEVED) if isinstance(identification, Mapping) else None
+    beliefs = {}
     for name, row in rows.items() if isinstance(rows, Mapping) else ():
         if isinstance(row, Mapping):
             value, std = row.get("value"), row.get("std")
             if isinstance(value, int | float) and isinstance(std, int | float):
-                found[str(name)] = Belief(float(value), float(std))
-    return found
+                beliefs[str(name)] = Belief(float(value), float(std))
+    return beliefs

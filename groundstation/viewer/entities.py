@@ -84,17 +84,17 @@ class SeriesGroup:
 
 def _group(entity: str, columns: Iterable[FlightColumn], suffix: str = "") -> SeriesGroup:
     rows = tuple(columns)
-    shown = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
-    labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, shown, strict=True))
-    scale, offset = np.array([s for _, s, _ in shown]), np.array([o for _, _, o in shown])
+    conversions = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
+    labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, conversions, strict=True))
+    scale, offset = np.array([s for _, s, _ in conversions]), np.array([o for _, _, o in conversions])
     return SeriesGroup(entity, tuple(c.name for c in rows), labels, scale, offset, _HUES.get(entity, 0))
 
 
 def series_groups(available: Iterable[str] | None = None) -> tuple[SeriesGroup, ...]:
     """Series groups in table order, of the columns that are available (all of the table by default)."""
-    wanted = {c.name for c in COLUMNS} if available is None else set(available)
-    entities = dict.fromkeys(c.entity for c in COLUMNS if c.name in wanted)
-    return tuple(_group(e, (c for c in COLUMNS if c.entity == e and c.name in wanted)) for e in entities)
+    names = {c.name for c in COLUMNS} if available is None else set(available)
+    entities = dict.fromkeys(c.entity for c in COLUMNS if c.name in names)
+    return tuple(_group(e, (c for c in COLUMNS if c.entity == e and c.name in names)) for e in entities)
 
 
 def model_groups(available: Iterable[str], whose: str = "model") -> tuple[SeriesGroup, ...]:

@@ -78,8 +78,8 @@ def refusal(
         return HTTPStatus.MISDIRECTED_REQUEST
     if origin != "null" and host_of(origin) not in (known if not token else {host_of(host)}):
         return HTTPStatus.FORBIDDEN
-    shown = [*tokens, *_cookies(headers.get("cookie", ""))]
-    if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in shown):
+    candidates = [*tokens, *_cookies(headers.get("cookie", ""))]
+    if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in candidates):
         return HTTPStatus.FORBIDDEN
     return None
 
@@ -129,18 +129,18 @@ class BoundedServer(socketserver.ThreadingTCPServer):
 
 def pump(one: socket.socket, other: socket.socket, idle_s: float = IDLE_S) -> None:
     """Pass bytes on in both directions until one side ends, or nothing comes for too long."""
-    to = {one: other, other: one}
-    for side in to:
+    destination = {one: other, other: one}
+    for side in destination:
         side.settimeout(HEAD_S)
     while True:
-        ready, _, _ = select.select(list(to), [], [], idle_s)
+        ready, _, _ = select.select(list(destination), [], [], idle_s)
         if not ready:
             return
         for side in ready:
             data = side.recv(_BLOCK)
             if not data:
                 return
-            to[side].sendall(data)
+            destination[side].sendall(data)
 
 
 class ViewerGate(BoundedServer):
@@ -165,10 +165,16 @@ class _Passing(socketserver.BaseRequestHandler):
             if head is None:
                 return
             if not head.startswith(_HTTP2):
-                why = refusal(_headers(head), HERE, "")
-                if why is not None:
-                    said = (f"HTTP/1.1 {why.value} {why.phrase}", "Content-Length: 0", "Connection: close", "", "")
-                    client.sendall("\r\n".join(said).encode())
+                status = refusal(_headers(head), HERE, "")
+                if status is not None:
+                    response = (
+                        f"HTTP/1.1 {status.value} {status.phrase}",
+                        "Content-Length: 0",
+                        "Connection: close",
+                        "",
+                        "",
+                    )
+                    client.sendall("\r\n".join(response).encode())
                     return
                 head = once(head)
             with socket.create_connection(self.behind, HEAD_S) as server:
@@ -180,8 +186,8 @@ def once(head: bytes) -> bytes:
     """The head of a request (with what follows it) that lets no second request follow on the same connection: only the first
     was looked at."""
     lines, body = head.partition(b"\r\n\r\n")[::2]
-    kept = [line for line in lines.split(b"\r\n") if not line.lower().startswith((b"connection:", b"upgrade:"))]
-    return b"\r\n".join([*kept, b"Connection: close"]) + b"\r\n\r\n" + body
+    headers = [line for line in lines.split(b"\r\n") if not line.lower().startswith((b"connection:", b"upgrade:"))]
+    return b"\r\n".join([*headers, b"Connection: close"]) + b"\r\n\r\n" + body
 
 
 def _head(client: socket.socket) -> bytes | None:
@@ -198,9 +204,9 @@ def _head(client: socket.socket) -> bytes | None:
 
 def _headers(head: bytes) -> dict[str, str]:
     """Headers by their names in small letters; of one that comes twice nothing is believed."""
-    found: dict[str, str] = {}
+    headers: dict[str, str] = {}
     for line in head.partition(b"\r\n\r\n")[0].decode("latin-1").split("\r\n")[1:]:
         name, _, value = line.partition(":")
         key = name.strip().lower()
-        found[key] = "," if key in found else value.strip()
-    return found
+        headers[key] = "," if key in headers else value.strip()
+    return headers

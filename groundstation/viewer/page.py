@@ -112,10 +112,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path, _, query = self.path.partition("?")
-        shown = tuple(urllib.parse.parse_qs(query).get(TOKEN, ()))
-        if not self._welcome(shown):
+        tokens = tuple(urllib.parse.parse_qs(query).get(TOKEN, ()))
+        if not self._welcome(tokens):
             return
-        if self.token and shown and path == "/":
+        if self.token and tokens and path == "/":
             self._remember(query)
             return
         if path != "/" and path not in FILES:
@@ -153,9 +153,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(413)
             return
         body = self.rfile.read(int(length))
-        kept = [f"{n}: {v}" for n, v in self.headers.items() if n.lower() not in _OWN_HEADERS]
+        headers = [f"{n}: {v}" for n, v in self.headers.items() if n.lower() not in _OWN_HEADERS]
         host = f"Host: {self.backend[0]}:{self.backend[1]}"
-        head = "\r\n".join([f"{self.command} {self.path} HTTP/1.1", host, *kept, "Connection: close"]) + "\r\n\r\n"
+        head = "\r\n".join([f"{self.command} {self.path} HTTP/1.1", host, *headers, "Connection: close"]) + "\r\n\r\n"
         with contextlib.suppress(OSError), socket.create_connection(self.backend, _ASK_S) as server:
             server.sendall(head.encode("latin-1") + body)
             pump(self.connection, server)
@@ -165,11 +165,11 @@ class _Handler(BaseHTTPRequestHandler):
         headers = {name.lower(): value for name, value in self.headers.items()}
         if len(self.headers.get_all("Host", [])) > 1:
             headers["host"] = ","
-        why = refusal(headers, self.names, self.token, tokens=shown)
-        if why is not None:
+        status = refusal(headers, self.names, self.token, tokens=shown)
+        if status is not None:
             self.close_connection = True
-            self.send_error(why.value)
-        return why is None
+            self.send_error(status.value)
+        return status is None
 
     def _remember(self, query: str) -> None:
         """The token out of the address into a cookie, which goes with every request of this page and no other site's."""

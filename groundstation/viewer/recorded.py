@@ -102,11 +102,11 @@ def _link(file: Path) -> list[tuple[float, LinkSample]]:
 def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
     """The status page: what this recording is, and how it went."""
     info = recording.info
-    how = f"{info.source}, received by radio" if info.role == "received" else info.source
+    source = f"{info.source}, received by radio" if info.role == "received" else info.source
     lines = [
         f"**{info.aircraft or 'aircraft'}**, session {info.session}",
         "",
-        f"- {len(recording.numbers)} scans, {flight.time[-1] - flight.time[0]:.1f} s, {how}",
+        f"- {len(recording.numbers)} scans, {flight.time[-1] - flight.time[0]:.1f} s, {source}",
         f"- software {info.software}",
     ]
     lines += [f"- {note}" for note in notes]
@@ -121,15 +121,15 @@ def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
 
 def _events(flight: Flight) -> list[TimedText]:
     """Event marks and manoeuvres that the flight carries; what is none (a flight may come from anybody) is left out."""
-    found = []
+    events = []
     for row in _listed(flight, "events", ("time", "origin", "text")):
-        found.append((float(row["time"]), f"event ({row['origin']}): {row['text']}", "INFO"))
+        events.append((float(row["time"]), f"event ({row['origin']}): {row['text']}", "INFO"))
     for row in _listed(flight, "manoeuvres", ("start", "title")):
-        found.append((float(row["start"]), f"manoeuvre: {row['title']}", "INFO"))
+        events.append((float(row["start"]), f"manoeuvre: {row['title']}", "INFO"))
     marks = marks_of(flight)
-    found += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
-    found += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
-    return sorted(found)
+    events += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
+    events += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
+    return sorted(events)
 
 
 def _listed(flight: Flight, key: str, fields: tuple[str, ...]) -> list[dict[str, Any]]:
@@ -194,7 +194,7 @@ def filled_entities(
     filled = {group.entity for group in (*e.series_groups(columns), *e.model_groups(columns))}
     fixed = [np.isfinite(flight[c]) for c in ("latitude", "longitude") if c in flight]
     tracked = len(fixed) == 2 and bool(np.any(fixed[0] & fixed[1]))
-    shown = {
+    has_content_of = {
         e.CHASED: {"phi", "theta", "psi"} <= set(columns),
         e.TRACK: tracked,
         e.MAP_TRACK: tracked,
@@ -203,7 +203,7 @@ def filled_entities(
         e.HEALTH: any(states.values()),
         e.STATUS: bool(status),
     }
-    filled |= {entity for entity, has_content in shown.items() if has_content}
+    filled |= {entity for entity, has_content in has_content_of.items() if has_content}
     for _, sample in link:
         filled |= {entity for entity, value in sample.by_entity().items() if math.isfinite(value)}
     history = history_of(flight.provenance.detail)

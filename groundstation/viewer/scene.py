@@ -130,9 +130,9 @@ class Scene:
     def _pose(self, angles: list[float]) -> None:
         """The aircraft on its track, and as seen by one who flies behind it: bank and pitch, the heading always ahead."""
         translation = self._track[-1][2:] if self._track else (0.0, 0.0, 0.0)
-        turned = rr.Quaternion(xyzw=quaternion_xyzw(*angles))
+        attitude = rr.Quaternion(xyzw=quaternion_xyzw(*angles))
         chased = rr.Quaternion(xyzw=quaternion_xyzw(angles[0], angles[1], 0.0))
-        self._stream.log(e.AIRCRAFT, rr.Transform3D(quaternion=turned, translation=translation))
+        self._stream.log(e.AIRCRAFT, rr.Transform3D(quaternion=attitude, translation=translation))
         self._stream.log(e.CHASED, rr.Transform3D(quaternion=chased))
 
     def _position(self, time: float, values: Mapping[str, float]) -> None:
@@ -239,12 +239,12 @@ class Scene:
         if not keep.size:
             return
         index = rr.TimeColumn(e.TIMELINE, duration=flight.time[keep])
-        turned = [quaternion_xyzw(*row) for row in angles[keep]]
+        attitudes = [quaternion_xyzw(*row) for row in angles[keep]]
         places = self._places(flight, keep)
-        pose = rr.Transform3D.columns(quaternion=turned, translation=places)
+        pose = rr.Transform3D.columns(quaternion=attitudes, translation=places)
         self._stream.send_columns(e.AIRCRAFT, indexes=[index], columns=pose)
-        ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
-        self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=ahead))
+        attitudes_ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
+        self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=attitudes_ahead))
 
     def _flight_readouts(self, flight: Flight) -> None:
         """The read-outs of a recorded flight, at most READOUTS_OF_A_FLIGHT of them: the viewer shows those at its cursor."""
@@ -252,14 +252,14 @@ class Scene:
         if not columns:
             return
         period = max(READOUT_PERIOD_S, float(flight.time[-1] - flight.time[0]) / READOUTS_OF_A_FLIGHT)
-        at = np.unique(np.searchsorted(flight.time, np.arange(flight.time[0], flight.time[-1], period)))
+        rows = np.unique(np.searchsorted(flight.time, np.arange(flight.time[0], flight.time[-1], period)))
         fresh, texts, begin = FreshValues(), [], 0
-        for i in at:
+        for i in rows:
             for row in range(begin, int(i) + 1):
                 fresh.update(float(flight.time[row]), {c: float(v[row]) for c, v in columns.items()})
             begin = int(i) + 1
             texts.append(drawable(readout_line(fresh.at(float(flight.time[i])))))
-        index = rr.TimeColumn(e.TIMELINE, duration=flight.time[at])
+        index = rr.TimeColumn(e.TIMELINE, duration=flight.time[rows])
         documents = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
         self._stream.send_columns(e.READOUTS, indexes=[index], columns=documents)
 
@@ -275,5 +275,5 @@ class Scene:
             return np.zeros((keep.size, 3))
         local = [self._local(flight["latitude"][i], flight["longitude"][i]) for i in fixes]
         table = np.column_stack([np.array(local), -np.nan_to_num(height[fixes])])
-        at, times = flight.time[keep], flight.time[fixes]
-        return np.column_stack([np.interp(at, times, table[:, i]) for i in range(3)])
+        sample_times, times = flight.time[keep], flight.time[fixes]
+        return np.column_stack([np.interp(sample_times, times, table[:, i]) for i in range(3)])

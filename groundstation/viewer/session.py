@@ -57,10 +57,10 @@ class SessionViews:
 
     def tend(self) -> None:
         """Called often: a page whose process has died is started anew. A window may be closed as one likes."""
-        now = time.monotonic()
-        if now < self._next_look:
+        now_s = time.monotonic()
+        if now_s < self._next_look:
             return
-        self._next_look = now + _RESTART_S
+        self._next_look = now_s + _RESTART_S
         for index, name in self._pages.items():
             page = self._shown[index]
             if isinstance(page, WebPage) and not page.open:
@@ -70,8 +70,8 @@ class SessionViews:
     def close(self) -> None:
         for view in self._views:
             view.close()
-        for shown in self._shown:
-            shown.close()
+        for window in self._shown:
+            window.close()
 
 
 def _free_from(port: int) -> int:

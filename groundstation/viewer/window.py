@@ -118,16 +118,20 @@ class WebPage(RerunProcess):
         command += ["--web-viewer-port", str(files_port), "--server-memory-limit", "512MB"]
         live = not isinstance(source, Path)
         backend = urllib.parse.urlsplit(str(source)).netloc if live else f"{hidden}:{data_port}"
-        shown = socket.gethostname() if host not in (LOOPBACK, "localhost") and host.startswith("0.") else host
-        asked = {"url": f"rerun+http://{shown}:{port}/proxy", "renderer": "webgl", "hide_welcome_screen": "1"}
-        query = urllib.parse.urlencode({TOKEN: token, **asked} if token else asked)
-        self.address = f"http://{shown}:{port}/"
+        public_host = socket.gethostname() if host not in (LOOPBACK, "localhost") and host.startswith("0.") else host
+        parameters = {
+            "url": f"rerun+http://{public_host}:{port}/proxy",
+            "renderer": "webgl",
+            "hide_welcome_screen": "1",
+        }
+        query = urllib.parse.urlencode({TOKEN: token, **parameters} if token else parameters)
+        self.address = f"http://{public_host}:{port}/"
         self.url = f"{self.address}?{query}"
         name, _, number = backend.rpartition(":")
         super().__init__(command if live else [*command, str(source)])
         try:
             files = f"http://{hidden}:{files_port}"
-            self._server = PageServer(port, files, (f"http://{shown}:{port}",), (name, int(number)), host, token)
+            self._server = PageServer(port, files, (f"http://{public_host}:{port}",), (name, int(number)), host, token)
         except OSError as error:
             super().close()
             raise ViewerError(f"web port {LOOPBACK}:{port} cannot be used ({error.strerror})") from error

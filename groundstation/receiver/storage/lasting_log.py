@@ -66,8 +66,8 @@ class LastingLog:
         """Whether the file is still the one under its name; else it is opened anew, with what it held where that can be
         read. Raises OSError while its place is gone."""
         try:
-            now, ours = self.path.stat(), os.fstat(self._file.fileno())
-            if (now.st_dev, now.st_ino) == (ours.st_dev, ours.st_ino):
+            current, ours = self.path.stat(), os.fstat(self._file.fileno())
+            if (current.st_dev, current.st_ino) == (ours.st_dev, ours.st_ino):
                 return True
         except FileNotFoundError:
             pass
@@ -85,8 +85,8 @@ class LastingLog:
         """What the old file held up to its last whole record; an old disk that is gone has nothing to give."""
         try:
             size = os.fstat(self._file.fileno()).st_size - self._written
-            for at in range(0, size, 1 << 20):
-                new.write(os.pread(self._file.fileno(), min(1 << 20, size - at), at))
+            for offset in range(0, size, 1 << 20):
+                new.write(os.pread(self._file.fileno(), min(1 << 20, size - offset), offset))
         except OSError:
             return
 
@@ -126,12 +126,12 @@ class Disk:
         if self.busy:
             return
         # Descriptors of its own: the files may be closed meanwhile.
-        held = [(os.dup(f.descriptor()), f.path) for f in files]
-        if not held:
+        descriptors = [(os.dup(f.descriptor()), f.path) for f in files]
+        if not descriptors:
             return
         if self._worker is None:
             self._worker = ThreadPoolExecutor(1, thread_name_prefix="disk")
-        last, self._round = self._round, self._worker.submit(self._sync, held)
+        last, self._round = self._round, self._worker.submit(self._sync, descriptors)
         if last is not None:
             last.result()
 

@@ -82,10 +82,10 @@ def inflate(data: bytes, limit: int) -> bytes | None:
     """`data` unpacked; None for bytes that are not packed, are torn, or hold more than `limit` bytes."""
     unpacker = zlib.decompressobj()
     try:
-        found = unpacker.decompress(data, limit + 1)
+        unpacked = unpacker.decompress(data, limit + 1)
     except zlib.error:
         return None
-    return found if unpacker.eof and len(found) <= limit else None
+    return unpacked if unpacker.eof and len(unpacked) <= limit else None
 
 
 def parse_papers(packed: bytes) -> Papers | None:
@@ -115,10 +115,12 @@ def parse_archive(packed: bytes) -> dict[str, bytes] | None:
     if text is None:
         return None
     try:
-        found = {str(name): bytes.fromhex(digits) for name, digits in _ATTACHMENTS.validate_json(text).items()}
-        texts = [data for name, data in found.items() if name == CONFIG_ATTACHMENT or _CALIBRATION_FILE.fullmatch(name)]
+        attachments = {str(name): bytes.fromhex(digits) for name, digits in _ATTACHMENTS.validate_json(text).items()}
+        texts = [
+            data for name, data in attachments.items() if name == CONFIG_ATTACHMENT or _CALIBRATION_FILE.fullmatch(name)
+        ]
         lines = [line for data in texts for line in data.decode("utf-8").split("\n")]
     except ValueError:
         return None
-    sound = sum(map(len, texts)) <= MAX_TEXT_BYTES and max(map(len, lines), default=0) <= MAX_LINE_BYTES
-    return found if sound else None
+    bounded = sum(map(len, texts)) <= MAX_TEXT_BYTES and max(map(len, lines), default=0) <= MAX_LINE_BYTES
+    return attachments if bounded else None

@@ -110,9 +110,9 @@ class SessionRecorder:
         self.papers: Papers | None = None
         archive = self.journal.last(RecordKind.ARCHIVE)
         self._attachments = None if archive is None else parse_archive(archive)
-        kept = self.journal.last(RecordKind.PAPERS)
-        if kept is not None:
-            self.take_papers(kept)
+        papers = self.journal.last(RecordKind.PAPERS)
+        if papers is not None:
+            self.take_papers(papers)
 
     def scan(self, event: ev.ScanReceived) -> None:
         """Keep a scan."""
@@ -160,10 +160,10 @@ class SessionRecorder:
 
     def take_archive(self, data: bytes) -> bool:
         """Keep the attachments of the recording; False when the bytes are none."""
-        found = parse_archive(data)
-        if found is None:
+        attachments = parse_archive(data)
+        if attachments is None:
             return False
-        self._attachments = found
+        self._attachments = attachments
         self.journal.add(RecordKind.ARCHIVE, data)
         return True
 
@@ -203,8 +203,8 @@ class SessionRecorder:
 
     def _write(self, path: Path) -> None:
         with path.open("wb") as stream:
-            known = utc_of(scan_entry(decode_scan(data), data) for data in self.journal.scans())
-            writer = ReceivedWriter(stream, self.info(), known)
+            log_time = utc_of(scan_entry(decode_scan(data), data) for data in self.journal.scans())
+            writer = ReceivedWriter(stream, self.info(), log_time)
             for data in self.journal.scans():
                 writer.write(scan_entry(decode_scan(data), data))
             for event in sorted(_decoded([*self._events, *self._notes]), key=lambda e: e.time_monotonic_ns):
@@ -218,10 +218,10 @@ class SessionRecorder:
 
 
 def _decoded(events: Iterable[bytes]) -> list[EventMessage]:
-    out = []
+    messages = []
     for data in events:
         try:
-            out.append(decode_event(data))
+            messages.append(decode_event(data))
         except MessageError:
             continue
-    return out
+    return messages

@@ -79,9 +79,9 @@ class SessionLog:
         """Called now and then: write what waits for the disk; go on in a new file where the old one is gone, with what it
         had where that can be read. `received` and `complete` then say what is there. Raises OSError while there is no disk."""
         if not self.file.look_after():
-            waiting = self.file.take_waiting()
+            unwritten = self.file.take_waiting()
             self._take_stock()
-            for record in waiting:
+            for record in unwritten:
                 if record != _MAGIC:
                     self.file.append(record)
                     kind, number, *_ = _HEAD.unpack_from(record)
@@ -139,23 +139,23 @@ class SessionLog:
             size = os.fstat(file.fileno()).st_size
             if file.read(len(_MAGIC)) != _MAGIC:
                 return
-            at = len(_MAGIC)
-            while at + _HEAD.size <= size:
-                record = _record_at(file, at, size)
+            offset = len(_MAGIC)
+            while offset + _HEAD.size <= size:
+                record = _record_at(file, offset, size)
                 if record is None:
-                    at += 1
+                    offset += 1
                     continue
                 yield record
-                at = record.end
+                offset = record.end
 
     def scans(self, *, complete_only: bool = False) -> Iterator[bytes]:
         """Encoded scans in order of number, the complete form where there is one."""
         numbers, places = array("Q"), array("Q")
         for record in self._records():
-            wanted = record.kind is RecordKind.COMPLETE or (
+            is_scan = record.kind is RecordKind.COMPLETE or (
                 record.kind is RecordKind.RECEIVED and not complete_only and record.number not in self.complete
             )
-            if wanted:
+            if is_scan:
                 numbers.append(record.number)
                 places.append(record.at)
         order = np.argsort(np.frombuffer(numbers, np.uint64), kind="stable")
@@ -163,9 +163,9 @@ class SessionLog:
             size = os.fstat(file.fileno()).st_size
             for i, index in enumerate(order):
                 replaced = i + 1 < len(order) and numbers[order[i + 1]] == numbers[index]
-                found = None if replaced else _record_at(file, places[index], size)
-                if found is not None:
-                    yield found.data
+                scan_record = None if replaced else _record_at(file, places[index], size)
+                if scan_record is not None:
+                    yield scan_record.data
 
     def others(self, kind: RecordKind) -> Iterator[bytes]:
         """The other records of a kind, in order."""
