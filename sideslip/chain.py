@@ -84,7 +84,7 @@ def fly_scenario(
             recordings[-1],
             ground_folder,
             origin="telemetry and backfill" if agreed else "telemetry",
-            identified=None if session is None else station.identifications.kept(session),
+            identified=None if session is None else station.identifications.result(session),
         )
         ground, lines = handed.path, handed.lines()
         summary["flight"] = str(ground)

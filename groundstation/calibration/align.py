@@ -74,7 +74,7 @@ def to_scan_time(
     a run than half its sample interval.
     """
     finite = np.isfinite(values) & np.isfinite(sampled_at)
-    if _seldom(finite, wanted, number, furthest):
+    if _too_sparse(finite, wanted, number, furthest):
         return np.where(finite, values, np.nan)
     aligned_values = np.full_like(values, np.nan)
     row_runs, spacing = runs(number, finite)
@@ -87,7 +87,7 @@ def to_scan_time(
     return aligned_values
 
 
-def _seldom(finite: Mask, time: Array, number: NDArray[np.int64], furthest: float) -> bool:
+def _too_sparse(finite: Mask, time: Array, number: NDArray[np.int64], furthest: float) -> bool:
     """Whether a channel is read so seldom that nothing can be said of what lies between."""
     if np.sum(finite) < 2:
         return False

@@ -90,7 +90,7 @@ class Calibrator:
         self._read_gnss(table, readings)
         for name in self._as_they_are:
             group = CHANNEL_BY_NAME[name].group
-            _add(
+            _put_reading(
                 readings,
                 name,
                 self.physical(table, name),
@@ -101,7 +101,7 @@ class Calibrator:
         for axis in "wxyz":
             name = f"quaternion_{axis}"
             delay = self.facts.delay("attitude", "attitude") + (attitude.delay if attitude else 0.0)
-            _add(readings, name, self.physical(table, name), "attitude", delay)
+            _put_reading(readings, name, self.physical(table, name), "attitude", delay)
             if self.facts.lag("attitude"):
                 readings.lag[name] = self.facts.lag("attitude")
         return readings
@@ -125,7 +125,7 @@ class Calibrator:
         group = CHANNEL_BY_NAME[channel].group
         # a channel read later within its group shows a later instant: less delay
         delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
-        _add(out, item.instrument, value, group, delay)
+        _put_reading(out, item.instrument, value, group, delay)
 
     def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, out: Readings) -> None:
         x, y, z = (self.physical(table, c) for c in item.channels)
@@ -141,9 +141,9 @@ class Calibrator:
             out.extrapolated[item.instrument] = outside
         delay = item.delay + self.facts.delay(item.instrument, group)
         lag = self.facts.lag(item.instrument)
-        warmth = held(table.time, self.physical(table, "imu_temperature"))
+        warmth = hold_recent(table.time, self.physical(table, "imu_temperature"))
         for axis, value in zip("xyz", conversions.apply_triad(triad, reading, warmth), strict=True):
-            _add(out, f"{item.instrument}_{axis}", value, group, delay)
+            _put_reading(out, f"{item.instrument}_{axis}", value, group, delay)
             if lag:
                 out.lag[f"{item.instrument}_{axis}"] = lag
 
@@ -155,8 +155,8 @@ class Calibrator:
             table.raw["static_pressure"], table.raw["static_temperature"]
         )
         delay = item.delay + self.facts.delay("static", "static")
-        _add(out, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
-        _add(out, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
+        _put_reading(out, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
+        _put_reading(out, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
 
     def physical(self, table: ScanTable, channel: str) -> Array:
         """A raw channel (N,) at data-sheet scale of its range, as counts where the data sheet leaves the scale open."""
@@ -167,7 +167,7 @@ class Calibrator:
         """Position and velocity of fixes in three dimensions; other fixes measure nothing."""
         has_fix = table.raw["gnss_fix"] >= _FIX_3D
         for name in GNSS:
-            _add(out, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
+            _put_reading(out, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
 
     def sensor_supply(self, table: ScanTable) -> Array:
         """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
@@ -176,7 +176,7 @@ class Calibrator:
             raise CalibrationError(
                 f"{self.calibration.name}: an instrument is corrected by the sensor supply, but the set has no sensor_supply.toml"
             )
-        return held(table.time, curves.evaluate(item.curve, self.physical(table, item.channel)))
+        return hold_recent(table.time, curves.evaluate(item.curve, self.physical(table, item.channel)))
 
     # ---------------------------------------------------------------------------------------------- one time base
 
@@ -198,7 +198,7 @@ class Calibrator:
         return values
 
 
-def held(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
+def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
     """A slowly changing auxiliary quantity, held from its last reading for at most `longest` seconds."""
     if not np.isnan(values).any():
         return values
@@ -217,7 +217,7 @@ def known_offset(table: ScanTable, group: str) -> Array:
     return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
 
 
-def _add(out: Readings, name: str, values: Array, group: str, delay: float) -> None:
+def _put_reading(out: Readings, name: str, values: Array, group: str, delay: float) -> None:
     out.values[name], out.group[name], out.delay[name] = values, group, delay
 
 

@@ -38,7 +38,7 @@ _QUANTISATION = 1 / np.sqrt(12)  # of one count, one sigma, when the noise does 
 
 
 @dataclass(frozen=True)
-class Dwelt:
+class DwellMean:
     """Mean reading of a dwell, one sigma of the mean, and the number of scans: (axes,) each."""
 
     mean: Array
@@ -256,7 +256,7 @@ class _InstrumentJob:
             )
         return self.table.part(rows)
 
-    def _mean(self, dwell: Dwell, axes: Iterable[Array], steps: Iterable[float]) -> Dwelt:
+    def _mean(self, dwell: Dwell, axes: Iterable[Array], steps: Iterable[float]) -> DwellMean:
         rows = self._rows(dwell)
         means, stds, fewest = [], [], len(self.table)
         for axis, step in zip(axes, steps, strict=True):
@@ -274,7 +274,9 @@ class _InstrumentJob:
             fewest = min(fewest, values.size)
         warmth = self.calibrator.physical(self.table, "imu_temperature")[rows]
         warmth = warmth[np.isfinite(warmth)]
-        return Dwelt(np.array(means), np.array(stds), fewest, float(np.mean(warmth)) if warmth.size else float("nan"))
+        return DwellMean(
+            np.array(means), np.array(stds), fewest, float(np.mean(warmth)) if warmth.size else float("nan")
+        )
 
 
 def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet:

@@ -65,8 +65,8 @@ def calibrate_opened(
     salvage: bool = False,
 ) -> Flight:
     """The flight in a raw recording that has been opened; see `calibrate_recording`."""
-    calibration_set = _chosen(recording, calibration)
-    details = {**recording.info.details, **_zeroed(recording)}
+    calibration_set = _calibration_set(recording, calibration)
+    details = {**recording.info.details, **_pitot_zero(recording)}
     facts = reported(details) if salvage else Reported(details, {})
     flight = calibrate(
         recording.scans(),
@@ -125,7 +125,7 @@ def _gaps(recording: Recording) -> list[str]:
     return notes
 
 
-def _zeroed(recording: Recording) -> dict[str, str]:
+def _pitot_zero(recording: Recording) -> dict[str, str]:
     """The last zeroing of the pitot before flight, as a fact: it takes the sensor's turn-on offset out."""
     counts = [parse_pitot_zero(e.text) for e in recording.events]
     zero_counts = [c for c in counts if c is not None]
@@ -152,7 +152,7 @@ def embedded_calibration(recording: Recording) -> CalibrationSet:
         ) from error
 
 
-def _chosen(recording: Recording, calibration: CalibrationSet | str | Path | None) -> CalibrationSet:
+def _calibration_set(recording: Recording, calibration: CalibrationSet | str | Path | None) -> CalibrationSet:
     if calibration is None:
         return embedded_calibration(recording)
     return calibration if isinstance(calibration, CalibrationSet) else load_calibration(calibration)

@@ -27,7 +27,7 @@ def write_json(report: Path | None, content: Any) -> None:
         outputs.write_json(content, report)
 
 
-def _say(flight: "Flight", output: Path, report: Path | None) -> None:
+def _print_flight(flight: "Flight", output: Path, report: Path | None) -> None:
     for line in written_lines(flight, str(output)):
         click.echo(line)
     write_json(report, written_content(flight, str(output)))
@@ -79,7 +79,7 @@ def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> 
 
     if not split or len(flight.segments) < 2:
         write_flight(flight, output)
-        _say(flight, output, report)
+        _print_flight(flight, output, report)
         return
     for number, rows in enumerate(flight.segments, start=1):
         target = output.with_stem(f"{output.stem}_{number}")
@@ -88,7 +88,7 @@ def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> 
             continue
         part = flight.part(rows, f"{flight.name}_{number}")
         write_flight(part, target)
-        _say(part, target, report and report.with_stem(f"{report.stem}_{number}"))
+        _print_flight(part, target, report and report.with_stem(f"{report.stem}_{number}"))
 
 
 _OUTPUT_HELP = "Flight to write: .mcap, .csv or .parquet."

@@ -81,7 +81,7 @@ def ground(
 
     settings = configured(config, layout, aircraft, watched, model)
     with (
-        _terminal_may_go(),
+        _ignore_hangup(),
         _session(settings, out, replay is not None) as (folder, say),
         _views(settings, window, say) as views,
     ):
@@ -108,12 +108,12 @@ def ground(
             _estimate(handovers, settings, folder, say, services, show=views is not None)
         if replay is not None and views is not None and duration is None and not interrupted:
             say("the replay is over; Ctrl-C ends the view")
-            _hold(views)
+            _keep_open(views)
     return 130 if interrupted else 0 if all_on_disk else 1
 
 
 @contextmanager
-def _terminal_may_go() -> Iterator[None]:
+def _ignore_hangup() -> Iterator[None]:
     """A terminal that closes, or a connection to it that breaks, does not end a session: SIGTERM or a typed `quit` does."""
     handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -180,7 +180,7 @@ def _conclude(station: "Station", handed: list["Handover"], json_path: Path | No
     return not missing
 
 
-def _hold(views: "SessionViews") -> None:
+def _keep_open(views: "SessionViews") -> None:
     """Keep the views until somebody has seen enough."""
     try:
         with terminated_is_interrupt():

@@ -101,15 +101,15 @@ def local_position(flight: Flight) -> Array:
     """(N, 3) east, north, up of the first fix [m], held between fixes; zeros where the flight has no position."""
     if not (flight.measured("latitude") and flight.measured("longitude")):
         return np.zeros((len(flight), 3))
-    latitude, longitude = np.radians(_held(flight["latitude"])), np.radians(_held(flight["longitude"]))
+    latitude, longitude = np.radians(_hold_last(flight["latitude"])), np.radians(_hold_last(flight["longitude"]))
     height = height_above_sea(flight)
-    up = _held(height) if np.isfinite(height).any() else np.zeros(len(flight))
+    up = _hold_last(height) if np.isfinite(height).any() else np.zeros(len(flight))
     east = (longitude - longitude[0]) * np.cos(latitude[0]) * _EARTH_RADIUS_M
     north = (latitude - latitude[0]) * _EARTH_RADIUS_M
     return np.column_stack([east, north, up - up[0]])
 
 
-def _held(values: Array) -> Array:
+def _hold_last(values: Array) -> Array:
     """The last finite value before each sample; the first finite one before that."""
     finite = np.flatnonzero(np.isfinite(values))
     index = np.maximum(np.searchsorted(finite, np.arange(values.size), side="right") - 1, 0)

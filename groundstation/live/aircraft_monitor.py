@@ -48,7 +48,7 @@ class AircraftMonitor:
         system: int = 1,
     ) -> None:
         self.system = system
-        self._own = self._calibration = calibration
+        self._station_calibration = self._calibration = calibration
         self.calibrator = Calibrator(calibration)  # of scans, at present
         self._view = view
         self._say = say
@@ -78,7 +78,7 @@ class AircraftMonitor:
         """Clear latched alarms."""
         self._announce(self._alarms.acknowledge(self.time))
 
-    def use(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
+    def use_calibration(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
         """Calibrate with what the aircraft itself carries, from now on."""
         self.calibrator = Calibrator(calibration, facts)
         self._calibration = calibration
@@ -123,10 +123,10 @@ class AircraftMonitor:
         try:
             return self.calibrator.sample(scan)
         except CalibrationError as error:
-            if self._calibration is self._own:
+            if self._calibration is self._station_calibration:
                 raise
             self.note("WARN", f"the aircraft's calibration is not usable: {error}; the station's own is used")
-            self.use(self._own, {})
+            self.use_calibration(self._station_calibration, {})
             return self.calibrator.sample(scan)
 
     def silence(self, now_ns: int) -> None:
@@ -143,7 +143,7 @@ class AircraftMonitor:
         self._disk = space.words
         self._announce(self._alarms.update(self.time, space.values))
 
-    def happened(self, event: ev.Event) -> None:
+    def take_event(self, event: ev.Event) -> None:
         """Everything that is not a scan."""
         match event:
             case ev.StatusText(severity=severity, text=text):

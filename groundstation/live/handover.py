@@ -63,7 +63,7 @@ def hand_over(
 ) -> Handover:
     """Calibrate a raw recording and write `<name>.mcap`, its manoeuvres and a summary into `folder`.
 
-    identified: what was identified live (`LiveIdentifications.kept`), kept in the flight's provenance.
+    identified: what was identified live (`LiveIdentifications.result`), kept in the flight's provenance.
     Raises HandoverError when the recording holds no usable flight.
     """
     try:
@@ -99,7 +99,7 @@ def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], No
     settings = station.config
     handovers = []
     if station.replayed is not None:
-        identified = None if station.replayed_as is None else station.identifications.kept(station.replayed_as)
+        identified = None if station.replayed_as is None else station.identifications.result(station.replayed_as)
         handovers.append(
             hand_over(station.replayed, folder, origin=f"replay of {station.replayed}", identified=identified)
         )
@@ -119,7 +119,7 @@ def hand_over_sessions(station: "Station", folder: Path, say: Callable[[str], No
                     origin=origin,
                     fallback_calibration=settings.calibration.directory,
                     name=name,
-                    identified=station.identifications.kept(session),
+                    identified=station.identifications.result(session),
                 )
             )
         except HandoverError as error:

@@ -35,21 +35,21 @@ UNNAMED = (
 
 @dataclass
 class _AircraftRun:
-    """One run of one aircraft's logger. told: derivatives that have been announced."""
+    """One run of one aircraft's logger. announced: derivatives that have been."""
 
     monitor: AircraftMonitor
     alignment: ScanAlignment = field(default_factory=ScanAlignment)
     live: LiveIdentification | None = None
-    told: set[str] = field(default_factory=set)
+    announced: set[str] = field(default_factory=set)
     first: float = math.nan
-    line_at: float = -math.inf
-    waiting_told: bool = False
+    next_line_s: float = -math.inf
+    unnamed_reported: bool = False
     given_up: bool = False
-    watch_told: bool = False
+    watch_reported: bool = False
 
 
 class LiveIdentifications:
-    """Call `scan` and `fetched` with what comes, `step` often.
+    """Call `take_scan` and `take_fetched` with what comes, `step` often.
 
     landing: from which speed on the aircraft flies. source: reads aircraft files; None where live identification is off.
     say: for what concerns no aircraft.
@@ -70,18 +70,18 @@ class LiveIdentifications:
         if self._source is not None and config.aircraft:
             self._source(config.aircraft, None, config.model)  # a mistake is said at the start, not in the air
 
-    def scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
+    def take_scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
         if self._source is None:
             return
         run = self._run(session, monitor)
         if math.isnan(run.first):
             run.first = scan.time
         run.alignment.add(scan)
-        if run.live is None and not (run.waiting_told or run.given_up) and scan.time - run.first > UNNAMED_S:
-            run.waiting_told = True
+        if run.live is None and not (run.unnamed_reported or run.given_up) and scan.time - run.first > UNNAMED_S:
+            run.unnamed_reported = True
             monitor.note("INFO", UNNAMED)
 
-    def fetched(self, session: Session, data: bytes, monitor: AircraftMonitor) -> None:
+    def take_fetched(self, session: Session, data: bytes, monitor: AircraftMonitor) -> None:
         """A scan in the aircraft's own bytes, by backfill."""
         if self._source is not None:
             self._run(session, monitor).alignment.add(data)
@@ -95,7 +95,7 @@ class LiveIdentifications:
                 self._begin(run, self._config.aircraft, None)
         return run
 
-    def known(self, session: Session, info: RecordingInfo, monitor: AircraftMonitor) -> None:
+    def begin(self, session: Session, info: RecordingInfo, monitor: AircraftMonitor) -> None:
         """The recording has told what it is: its aircraft, and its calibration, which the monitor uses already."""
         if self._source is None:
             return
@@ -136,32 +136,32 @@ class LiveIdentifications:
             if run.live is None:
                 continue
             state = run.live.step()
-            self._tell_alarms(run, finish=False)
+            self._report_alarms(run, finish=False)
             if state is not None:
-                self._tell(run, state)
+                self._report_state(run, state)
             elif run.live.trouble and not run.given_up:
                 run.given_up = True
                 run.monitor.note("WARN", run.live.trouble)
 
-    def _tell_alarms(self, run: _AircraftRun, *, finish: bool) -> None:
+    def _report_alarms(self, run: _AircraftRun, *, finish: bool) -> None:
         watch = None if run.live is None else run.live.watch
         if watch is None:
             return
         for alarm in watch.step(finish=finish):
             run.monitor.note("WARN", f"gap monitor: {alarm.text}")
-        if watch.trouble and not run.watch_told:
-            run.watch_told = True
+        if watch.trouble and not run.watch_reported:
+            run.watch_reported = True
             run.monitor.note("WARN", watch.trouble)
 
-    def _tell(self, run: _AircraftRun, state: LiveState) -> None:
+    def _report_state(self, run: _AircraftRun, state: LiveState) -> None:
         run.monitor.show_identification(state)
         self._forward.send(run.monitor.system, state)
         derivatives = state.estimates.derivatives
-        for name in (n for n in NAMES if n not in run.told and derivatives[n].told):
-            run.told.add(name)
+        for name in (n for n in NAMES if n not in run.announced and derivatives[n].told):
+            run.announced.add(name)
             run.monitor.note("INFO", f"live: {name} is told now: {number(derivatives[name])}")
-        if run.told and state.time >= run.line_at:
-            run.line_at = state.time + self._config.lines_every_s
+        if run.announced and state.time >= run.next_line_s:
+            run.next_line_s = state.time + self._config.lines_every_s
             run.monitor.note("INFO", short_line(state))
 
     def state(self, system: int) -> LiveState | None:
@@ -174,9 +174,9 @@ class LiveIdentifications:
         for run in self._runs.values():
             if run.live is not None:
                 run.live.finish()
-                self._tell_alarms(run, finish=True)
+                self._report_alarms(run, finish=True)
 
-    def kept(self, session: Session) -> Mapping[str, Any] | None:
+    def result(self, session: Session) -> Mapping[str, Any] | None:
         """What goes into the finished flight, after `finish`. None where nothing was identified."""
         run = self._runs.get(session)
         if run is None or run.live is None:

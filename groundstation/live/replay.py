@@ -135,18 +135,18 @@ def _replay_recording(station: "Station", path: Path, speed: float | None) -> No
     recording = read_recording(path, salvage=True)
     monitor = station.monitor(SYSTEM)
     try:
-        monitor.use(embedded_calibration(recording), reported(recording.info.details).facts)
+        monitor.use_calibration(embedded_calibration(recording), reported(recording.info.details).facts)
     except CalibrationError:
-        monitor.use(station.calibration, reported(recording.info.details).facts)
+        monitor.use_calibration(station.calibration, reported(recording.info.details).facts)
     session = Session(SYSTEM, 0, 0)
-    station.identifications.known(session, recording.info, monitor)
+    station.identifications.begin(session, recording.info, monitor)
     last: float | None = None
     for scan in recording.scans():
         if last is not None:
             _wait(min(scan.time - last, 1.0), speed)
         last = scan.time
         monitor.scan(scan)
-        station.identifications.scan(session, scan, monitor)
+        station.identifications.take_scan(session, scan, monitor)
         station.identifications.step()
     station.replayed = path
     station.replayed_as = session

@@ -49,7 +49,7 @@ class Station:
         self.replayed_as: ev.Session | None = None
         self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
         self.space = FreeSpace()
-        self._space_told = False
+        self._space_reported = False
         self._papers: set[str] = set()
         self._next_papers_ns = 0
         self._log = RotatingLog(folder / "events.log")
@@ -103,16 +103,16 @@ class Station:
                 monitor = self.monitor(session.system)
                 if monitor.scan(event.scan, late=event.late, received_ns=event.received_ns):
                     self.landed.append(session.system)
-                self.identifications.scan(session, event.scan, monitor)
+                self.identifications.take_scan(session, event.scan, monitor)
             case ev.ScanFetched(session=session, data=data):
-                self.identifications.fetched(session, data, self.monitor(session.system))
+                self.identifications.take_fetched(session, data, self.monitor(session.system))
             case ev.ReceptionFinding(system=system) if system not in self.monitors:
                 if event.kind is not ev.FindingKind.REFUSED:
                     source = f"aircraft {system}" if system else "ground station"
                     self._note(f"{'':10}    {source}  WARN {event.text}")
             case ev.StatusText() | ev.CommandResult() | ev.ManoeuvreSent() | ev.ReceptionFinding():
                 if event.system in self.monitors:
-                    self.monitors[event.system].happened(event)
+                    self.monitors[event.system].take_event(event)
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
@@ -121,9 +121,9 @@ class Station:
                     f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or recovered}"
                 )
                 for monitor in self.monitors.values():
-                    monitor.happened(event)
+                    monitor.take_event(event)
             case _:
-                self.monitor(event.session.system).happened(event)
+                self.monitor(event.session.system).take_event(event)
 
     def _look_at_disk(self, now_ns: int) -> None:
         """Room on this computer's disk: an alarm of every aircraft, and a line while there is none."""
@@ -132,15 +132,15 @@ class Station:
         for system, monitor in self.monitors.items():
             with self.receiver.findings.guard(system, "the disk"):
                 monitor.disk(self.space)
-        if not (self._space_told or math.isnan(self.space.megabytes)):
-            self._space_told = True
+        if not (self._space_reported or math.isnan(self.space.megabytes)):
+            self._space_reported = True
             self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
 
     def _adopt_papers(self, session: ev.Session, info: RecordingInfo) -> None:
         """Once the papers of a recording have come down: its aircraft, and the calibration that it carries."""
         if info.aircraft and (aircraft_key := f"{session.name}:{info.aircraft}") not in self._papers:
             self._papers.add(aircraft_key)
-            self.identifications.known(session, info, self.monitor(session.system))
+            self.identifications.begin(session, info, self.monitor(session.system))
         # that these are text was checked on arrival
         texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
         key = f"{session.name}:{len(texts)}:{len(info.details)}"
@@ -152,11 +152,11 @@ class Station:
             self.receiver.findings.quarantine(session.system, f"fact {name}", reason)
         try:
             calibration = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
-            self.monitor(session.system).use(calibration, facts)
+            self.monitor(session.system).use_calibration(calibration, facts)
         except CalibrationError as error:
             self.receiver.findings.quarantine(session.system, "its calibration", str(error))
-            self.monitor(session.system).use(self.calibration, facts)
-        self.identifications.known(session, info, self.monitor(session.system))
+            self.monitor(session.system).use_calibration(self.calibration, facts)
+        self.identifications.begin(session, info, self.monitor(session.system))
 
     def close(self) -> None:
         """Write recordings and close every file and port; what failed is told."""

@@ -168,14 +168,14 @@ class LandingWatch:
             measured = math.isfinite(speed) or bool(rates)
             slow = not math.isfinite(speed) or speed < limits.still_speed
             at_rest = all(rate < limits.still_rate for rate in rates)
-            if self._held(time, measured and slow and at_rest, limits.still_s):
+            if self._lasted(time, measured and slow and at_rest, limits.still_s):
                 self.phase, self._since = Phase.LANDED, None
                 return True
-        elif self._held(time, math.isfinite(speed) and speed > limits.flying_speed, limits.flying_s):
+        elif self._lasted(time, math.isfinite(speed) and speed > limits.flying_speed, limits.flying_s):
             self.phase, self._since = Phase.FLYING, None
         return False
 
-    def _held(self, time: float, true_now: bool, for_s: float) -> bool:
+    def _lasted(self, time: float, true_now: bool, for_s: float) -> bool:
         if not true_now:
             self._since = None
             return False
@@ -196,17 +196,17 @@ class FreeSpace:
     """Call `update` now and then; read what is free. `megabytes` is NaN and `minutes` too while nothing is known."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, int]] = deque()
+        self._samples: deque[tuple[float, int]] = deque()
         self.megabytes = math.nan
         self.minutes = math.nan
 
     def update(self, time_s: float, free_bytes: int) -> None:
         """What is free at a time [s] of any steady clock. minutes: inf where nothing is being used up."""
         self.megabytes = free_bytes / 1e6
-        self._seen.append((time_s, free_bytes))
-        while time_s - self._seen[0][0] > SPAN_S:
-            self._seen.popleft()
-        start_s, start_bytes = self._seen[0]
+        self._samples.append((time_s, free_bytes))
+        while time_s - self._samples[0][0] > SPAN_S:
+            self._samples.popleft()
+        start_s, start_bytes = self._samples[0]
         if time_s - start_s >= LEAST_S:
             pace = (start_bytes - free_bytes) / (time_s - start_s)
             self.minutes = free_bytes / pace / 60.0 if pace > 0 else math.inf

@@ -76,15 +76,15 @@ def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
 
 
 class BackfillClient:
-    def __init__(self, recorder: SessionRecorder, books: SessionAccounting, mode: Mode = "off") -> None:
+    def __init__(self, recorder: SessionRecorder, accounting: SessionAccounting, mode: Mode = "off") -> None:
         self.mode = mode
         self.agreed = False
         self.unavailable = ScanMap()
         self._fetched: list[bytes] = []
         self.refused = 0  # papers and archives that were none
         self._recorder = recorder
-        self._books = books
-        self._boot = books.session.boot
+        self._accounting = accounting
+        self._boot = accounting.session.boot
         self._open: dict[tuple[int, int], _Open] = {}
         self._archive: dict[int, bytes] = {}  # parts by number, as many as the papers say there are
         self._summary: tuple[int, int, int, bytes] | None = None  # first, last, count, hash
@@ -97,11 +97,11 @@ class BackfillClient:
         self._cursor: int | None = None  # every scan before it is held, or cannot be had
         self._final_papers = False
         for number in recorder.journal.received:  # by this ground station before it was started again
-            books.see(number)
-            books.received.add(number)
+            accounting.see(number)
+            accounting.received.add(number)
         for number in recorder.journal.complete:
-            books.see(number)
-            books.backfilled.add(number)
+            accounting.see(number)
+            accounting.backfilled.add(number)
 
     # ------------------------------------------------------------------------------------------ asking
 
@@ -148,7 +148,7 @@ class BackfillClient:
     def _wanted_numbers(self, busy: set[int]) -> Iterable[int]:
         if self.mode == "lost":
             not_on_disk = self.not_on_disk().ranges()
-            ranges = sorted([*self._books.accounting().missing, *not_on_disk])
+            ranges = sorted([*self._accounting.totals().missing, *not_on_disk])
             candidates: Iterable[int] = (n for a, b in ranges for n in range(a, b + 1))
         elif self._summary is None:
             return
@@ -162,13 +162,13 @@ class BackfillClient:
     def not_on_disk(self) -> ScanMap:
         """Scans that came down and that the disk has lost or never took: the aircraft may still have them."""
         journal = self._recorder.journal
-        return self._books.received.minus(journal.received).minus(journal.complete)
+        return self._accounting.received.minus(journal.received).minus(journal.complete)
 
     def look_after(self) -> None:
         """Called now and then: where the disk has lost scans that were held in full, they are wanted again."""
         complete = self._recorder.journal.complete
-        if len(complete) < len(self._books.backfilled):
-            self._books.backfilled = self._books.backfilled.both(complete)
+        if len(complete) < len(self._accounting.backfilled):
+            self._accounting.backfilled = self._accounting.backfilled.both(complete)
             self._cursor, self.agreed = None, False
 
     def _from_cursor(self, first: int, last: int) -> Iterable[int]:
@@ -244,12 +244,12 @@ class BackfillClient:
             except ScanDecodeError:
                 continue
             # only one that was asked for, and that can have been made when it says
-            if scan.number in asked and self._books.fits(scan.number, scan.time_monotonic_ns):
+            if scan.number in asked and self._accounting.fits(scan.number, scan.time_monotonic_ns):
                 self._recorder.complete(encoded)
                 self._fetched.append(encoded)
                 asked.discard(scan.number)
-                self._books.see(scan.number)
-                self._books.backfilled.add(scan.number)
+                self._accounting.see(scan.number)
+                self._accounting.backfilled.add(scan.number)
         # What the aircraft left out of a sound answer it does not have (any more).
         for number in asked:
             self.unavailable.add(number)
@@ -298,7 +298,7 @@ class BackfillClient:
         self._progress_ns = now_ns
         complete = len(self._recorder.journal.complete)
         total = self._summary[2] if self._summary else complete + len(self._open)
-        return ev.BackfillProgress(self._books.session, complete, total, self.agreed, now_ns)
+        return ev.BackfillProgress(self._accounting.session, complete, total, self.agreed, now_ns)
 
 
 def unpack_scans(data: bytes) -> list[bytes]:

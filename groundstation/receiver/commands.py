@@ -221,7 +221,7 @@ class LogFetcher:
             return [("LOG_REQUEST_LIST", {"start": 0, "end": 65535})]
         return []
 
-    def take(self, name: str, f: Mapping[str, Any], now_ns: int) -> None:
+    def take_answer(self, name: str, f: Mapping[str, Any], now_ns: int) -> None:
         if name == "LOG_ENTRY":
             if f["num_logs"] and f["id"]:
                 self.entries[f["id"]] = LogEntry(f["id"], f["size"], f["time_utc"])

@@ -2,7 +2,7 @@
 
 Nobody but the aircraft knows which run of its logger a scan belongs to, and without a key anybody can send one. A scan that
 does not go on from the last one is held back. If more follow it, and none goes on from the last one any more, the aircraft
-really is there: its logger has started anew, or this computer's clock stood still. Else what was held is not believed.
+really is there: its logger has started anew, or this computer's clock stood still. Else what was held back is not believed.
 """
 
 from collections import deque
@@ -27,8 +27,8 @@ USUAL_HZ = 100.0
 NUMBERS_AT_ONCE = 24
 PROVEN_SCANS, PROVEN_NS = 4, NS
 """So many scans of a new run, over so long, and none of the old: at the lowest downlink rate, 2 Hz, two would have come."""
-_LINES = 8
-_PARTS = 256
+_MAX_CANDIDATES = 8
+_MAX_PARTS = 256
 
 
 class ScanRun:
@@ -95,10 +95,10 @@ class PendingScan(NamedTuple):
 
 @dataclass
 class _Candidate:
-    line: ScanRun
+    run: ScanRun
     since_ns: int
     lost: int  # frames counted as lost when it began: the jump to it is no loss
-    parts: deque[PendingScan] = field(default_factory=lambda: deque(maxlen=_PARTS))
+    parts: deque[PendingScan] = field(default_factory=lambda: deque(maxlen=_MAX_PARTS))
     scans: int = 0
 
 
@@ -110,7 +110,7 @@ class ConfirmedRun:
     lost: int
 
 
-class Waiting:
+class UnconfirmedRuns:
     """Parts that follow nothing known, by run, a bounded number of them."""
 
     def __init__(self) -> None:
@@ -120,22 +120,22 @@ class Waiting:
     def count(self) -> int:
         return sum(len(c.parts) for c in self._candidates)
 
-    def hold(self, held: PendingScan, lost: int) -> tuple[ConfirmedRun | None, int]:
+    def hold(self, pending: PendingScan, lost: int) -> tuple[ConfirmedRun | None, int]:
         """Keep a part. Returns the run it proves, if it does, and how many other parts had to be given up for it."""
         given_up = 0
-        now_ns = held.now_ns
-        candidate = next((c for c in self._candidates if c.line.follows(held.part, now_ns)), None)
+        now_ns = pending.now_ns
+        candidate = next((c for c in self._candidates if c.run.follows(pending.part, now_ns)), None)
         if candidate is None:
-            if len(self._candidates) >= _LINES:
+            if len(self._candidates) >= _MAX_CANDIDATES:
                 weakest = min(self._candidates, key=lambda c: c.scans)
                 self._candidates.remove(weakest)
                 given_up = len(weakest.parts)
-            candidate = _Candidate(ScanRun(held.part, now_ns), now_ns, lost)
+            candidate = _Candidate(ScanRun(pending.part, now_ns), now_ns, lost)
             self._candidates.append(candidate)
-        given_up += len(candidate.parts) == _PARTS
-        candidate.line.advance(held.part, now_ns)
-        candidate.parts.append(held)
-        candidate.scans += held.part.msg_id == SCAN_FAST_ID
+        given_up += len(candidate.parts) == _MAX_PARTS
+        candidate.run.advance(pending.part, now_ns)
+        candidate.parts.append(pending)
+        candidate.scans += pending.part.msg_id == SCAN_FAST_ID
         if candidate.scans < PROVEN_SCANS or now_ns - candidate.since_ns < PROVEN_NS:
             return None, given_up
         self._candidates.remove(candidate)

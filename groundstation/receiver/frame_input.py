@@ -60,7 +60,7 @@ class FrameInput:
     def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
         """Whether there is time to look at what a sender has sent; a listener for datagrams asks that by itself."""
         unlimited = not isinstance(port, TcpServerPort) or sender in self._aircraft
-        return unlimited or self._strangers[sender.port].take(size, now_ns)
+        return unlimited or self._strangers[sender.port].spend(size, now_ns)
 
     def favour(self, sender: Sender) -> None:
         """An aircraft speaks from here: strangers shall not crowd it out."""

@@ -1,4 +1,4 @@
-"""Exact books of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
+"""Exact accounting of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
 
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class SequenceTracker:
         self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
         self._rate = 0.0
 
-    def take(self, frame: MavlinkFrame, now_ns: int) -> bool:
+    def count_frame(self, frame: MavlinkFrame, now_ns: int) -> bool:
         """Count a frame; False for a duplicate of a recent one."""
         sequence = frame.sequence
         digest = hash(frame.raw)
@@ -69,7 +69,7 @@ class SequenceTracker:
         self.lost = self._settled + self.lost - lost_at_jump
         self._missing.clear()
 
-    def forget(self) -> None:
+    def expect_any(self) -> None:
         """Whatever number comes next is no gap."""
         self._next = None
 
@@ -105,7 +105,7 @@ class SessionAccounting:
         self.first: int | None = None
         self.last = -1
         self.last_time_ns = 0
-        self.line: ScanRun | None = None  # None before a scan has come down
+        self.run: ScanRun | None = None  # None before a scan has come down
         self.statistics: ev.AircraftStatistics | None = None
 
     def see(self, number: int) -> None:
@@ -117,11 +117,11 @@ class SessionAccounting:
 
     def reach(self, now_ns: int) -> int:
         """The highest number that the aircraft can have given by now."""
-        return _LAST if self.line is None else max(self.last, self.line.reach(now_ns))
+        return _LAST if self.run is None else max(self.last, self.run.reach(now_ns))
 
     def fits(self, number: int, time_ns: int) -> bool:
         """Whether a scan of that number can have been made at that time, as far as is known."""
-        return self.line is None or self.line.fits(number, time_ns)
+        return self.run is None or self.run.fits(number, time_ns)
 
     def take_map(self, first: int, settled: int, sent: int, absent: int) -> None:
         block, top = first // BLOCK, first + BLOCK - 1
@@ -153,7 +153,7 @@ class SessionAccounting:
             first, last = min(first, self.statistics.first_number), max(last, self.statistics.last_number)
         return first, last
 
-    def accounting(self) -> ev.Accounting:
+    def totals(self) -> ev.Accounting:
         """Where all scans went. Work and memory go by what has come, not by how far apart the numbers are."""
         span = self._span()
         if span is None:

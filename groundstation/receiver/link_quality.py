@@ -25,8 +25,8 @@ class RateMeter:
 
     def report(self, now_ns: int) -> ev.LinkStatistics | None:
         """Link statistics since the last report; None before the aircraft has sent a scan."""
-        books = self._decoder.books
-        if books is None:
+        accounting = self._decoder.accounting
+        if accounting is None:
             return None
         tracker = self._decoder.tracker
         received, lost = tracker.received - self._last[0], tracker.lost - self._last[1]
@@ -36,7 +36,7 @@ class RateMeter:
         scans, self._decoder.scans_since_report = self._decoder.scans_since_report, 0
         relation = self._decoder.sync.best
         return ev.LinkStatistics(
-            books.session,
+            accounting.session,
             now_ns,
             loss=max(0, lost) / max(1, received + max(0, lost)),
             frames_received=tracker.received,
@@ -67,7 +67,7 @@ def _sik_dbm(value: int) -> float | None:
 
 
 def counters(
-    books: Sequence[ev.Accounting],
+    accounting: Sequence[ev.Accounting],
     totals: Sequence[int],
     trackers: Sequence[SequenceTracker],
     rejected: int,
@@ -77,21 +77,21 @@ def counters(
 
     totals: bytes received, frames, damaged frames, bytes discarded, of all decoders.
     """
-    main = max(books, key=lambda a: a.received, default=None)
+    main = max(accounting, key=lambda a: a.received, default=None)
     return {
         "frames_received": totals[1],
         "frames_damaged": totals[2],
         "frames_lost": sum(t.lost for t in trackers),
         "duplicates": sum(t.duplicates for t in trackers),
-        "scans_received": sum(a.received for a in books),
+        "scans_received": sum(a.received for a in accounting),
         "scans_lost": [] if main is None else [list(r) for r in main.lost],
         "scans_missing": [] if main is None else [list(r) for r in main.missing],
         "bytes_received": totals[0],
         "bytes_discarded": totals[3],
         "unsigned_rejected": rejected,
-        "backfilled": sum(a.backfilled for a in books),
+        "backfilled": sum(a.backfilled for a in accounting),
         "flight": str(written[0]) if written else None,
-        "sessions": [_session(a) for a in books],
+        "sessions": [_session(a) for a in accounting],
     }
 
 

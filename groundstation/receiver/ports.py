@@ -93,11 +93,11 @@ class UdpListener(UdpPort):
         super().__init__(local=local)
         self._clock = clock
         self._buffer = bytearray(READ_BYTES)
-        self._own: dict[str, socket.socket] = {}  # sender's name -> socket connected to it
+        self._connections: dict[str, socket.socket] = {}  # sender's name -> socket connected to it
         self._aircraft: dict[str, _UdpAircraft] = {}
         self._addresses: dict[str, Address] = {}  # of senders heard lately
         self._strangers = Allowance(STRANGERS_AT_ONCE, STRANGERS_PER_S)
-        self._each: dict[str, Allowance] = {}
+        self._stranger_allowances: dict[str, Allowance] = {}
         self.refused_bytes = 0
         self._dropped_before = 0  # by the kernel, at sockets that are closed
 
@@ -106,13 +106,13 @@ class UdpListener(UdpPort):
         """Datagrams that the kernel has dropped because a socket's buffer was full; 0 where it does not say."""
         if self._socket.fileno() < 0:
             return self._dropped_before
-        return self._dropped_before + sum(_drops(s) for s in (self._socket, *self._own.values()))
+        return self._dropped_before + sum(_drops(s) for s in (self._socket, *self._connections.values()))
 
     def receive(self, limit: int = TURN_BYTES) -> list[tuple[str, bytes]]:
         """Datagrams that have arrived, with a name of their sender; aircraft first, and of strangers what is allowed."""
         datagrams: list[tuple[str, bytes]] = []
         now_ns = self._clock.monotonic_ns()
-        for name, connection in self._own.items():
+        for name, connection in self._connections.items():
             for _, size in self._datagrams(connection, limit):
                 self._keep(name, size, now_ns, datagrams)
         for address, size in self._datagrams(self._socket, limit):
@@ -125,9 +125,9 @@ class UdpListener(UdpPort):
         """Take what is in the buffer, if its sender may send so much."""
         aircraft = self._aircraft.get(name)
         if aircraft is not None:
-            accepted = aircraft.allowance.take(size, now_ns)
+            accepted = aircraft.allowance.spend(size, now_ns)
         else:
-            accepted = self._allowance(name).take(size, now_ns) and self._strangers.take(size, now_ns)
+            accepted = self._stranger_allowance(name).spend(size, now_ns) and self._strangers.spend(size, now_ns)
         if accepted:
             out.append((name, bytes(self._buffer[:size])))
         else:
@@ -156,11 +156,11 @@ class UdpListener(UdpPort):
         if len(self._addresses) > _STRANGERS:
             self._addresses.pop(next(iter(self._addresses)))
 
-    def _allowance(self, name: str) -> Allowance:
-        allowance = self._each.pop(name, None) or Allowance(STRANGER_AT_ONCE, STRANGER_PER_S)
-        self._each[name] = allowance  # the latest one last
-        if len(self._each) > _STRANGERS:
-            self._each.pop(next(iter(self._each)))
+    def _stranger_allowance(self, name: str) -> Allowance:
+        allowance = self._stranger_allowances.pop(name, None) or Allowance(STRANGER_AT_ONCE, STRANGER_PER_S)
+        self._stranger_allowances[name] = allowance  # the latest one last
+        if len(self._stranger_allowances) > _STRANGERS:
+            self._stranger_allowances.pop(next(iter(self._stranger_allowances)))
         return allowance
 
     # ------------------------------------------------------------------------------------------ aircraft
@@ -171,13 +171,13 @@ class UdpListener(UdpPort):
         if name in self._aircraft or address is None or len(self._aircraft) >= _STRANGERS:
             return
         self._aircraft[name] = _UdpAircraft(address, Allowance(AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S))
-        if len(self._own) < OWN_SOCKETS:  # nobody loses one to a later one: that would be a way to crowd it out
+        if len(self._connections) < OWN_SOCKETS:  # nobody loses one to a later one: that would be a way to crowd it out
             with contextlib.suppress(OSError):  # a system that cannot do it: all share one buffer, as on any UDP port
-                self._own[name] = self._connected(address)
+                self._connections[name] = self._connected(address)
 
     def _connected(self, address: Address) -> socket.socket:
         connection = socket.socket(self._socket.family, socket.SOCK_DGRAM)
-        bound = (self._socket, *self._own.values(), connection)
+        bound = (self._socket, *self._connections.values(), connection)
         try:
             connection.setblocking(False)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
@@ -198,11 +198,11 @@ class UdpListener(UdpPort):
     def forget(self, name: str) -> None:
         """This sender is no aircraft's any more."""
         self._aircraft.pop(name, None)
-        if name in self._own:
+        if name in self._connections:
             self._give_up(name)
 
     def _give_up(self, name: str) -> None:
-        connection = self._own.pop(name)
+        connection = self._connections.pop(name)
         self._dropped_before += _drops(connection)
         connection.close()
 
@@ -215,7 +215,7 @@ class UdpListener(UdpPort):
         return min(sizes, default=len(data))
 
     def close(self) -> None:
-        for name in list(self._own):
+        for name in list(self._connections):
             self._give_up(name)
         self._dropped_before = self.dropped
         super().close()

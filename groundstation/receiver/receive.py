@@ -1,7 +1,7 @@
 """The receiver: bytes of all ports in, events out, nothing lost in between.
 
 `poll` never waits; call it often (a serial port's buffer holds under a second). Each port and sender has a decoder of
-its own, each aircraft its own books. Every byte goes to the telemetry log, every scan to the session's recorder.
+its own, each aircraft its own accounting. Every byte goes to the telemetry log, every scan to the session's recorder.
 All methods may be called from any thread.
 """
 
@@ -40,7 +40,7 @@ _MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _DISK = "disk"
-_KEPT = (ev.ScanReceived, ev.EventMarked)
+_RECORDED = (ev.ScanReceived, ev.EventMarked)
 _FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
 
 
@@ -122,9 +122,9 @@ class Receiver:
                 except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
                     self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
             events += [*self.findings.reports(now_ns, FindingKind.REFUSED), *self._contests(now_ns)]
-            self._keep(events)
+            self._record(events)
             with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
-                self._do_due(now_ns, events)
+                self._send_due(now_ns, events)
             events += self.findings.reports(now_ns, FindingKind.DOUBTED, FindingKind.QUARANTINED)
             return events + self.faults.changes(now_ns)
 
@@ -134,7 +134,7 @@ class Receiver:
         with self._lock:
             return dict(self.faults.present)
 
-    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
+    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now: int, utc: int, events: list[ev.Event]) -> None:
         if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
@@ -146,15 +146,15 @@ class Receiver:
                 if aircraft.port is port:
                     aircraft.meter.radio(fields)
             return
-        aircraft_of_frame = self._known(frame, sender)
-        if aircraft_of_frame is None or not self._believed(aircraft_of_frame, frame, sender, now):
+        aircraft_of_frame = self._aircraft_of(frame, sender)
+        if aircraft_of_frame is None or not self._may_speak(aircraft_of_frame, frame, sender, now):
             return
         aircraft_of_frame.port = port
-        out += aircraft_of_frame.decoder.take(frame, now, utc)
+        events += aircraft_of_frame.decoder.decode_frame(frame, now, utc)
         if frame.msg_id not in SCAN_IDS:
-            self._take_answer(aircraft_of_frame, frame, now, out)
+            self._take_answer(aircraft_of_frame, frame, now, events)
 
-    def _known(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
+    def _aircraft_of(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
         aircraft = self._aircraft.get(frame.system)
         if aircraft is not None:
@@ -172,7 +172,7 @@ class Receiver:
             self._aircraft[frame.system] = aircraft
         return aircraft
 
-    def _believed(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
+    def _may_speak(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
         is_own_message = frame.msg_id >= FIRST_OWN_ID
         speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
@@ -192,22 +192,22 @@ class Receiver:
         reports = self.findings.reports(now, FindingKind.CONTESTED)
         for report in reports:
             aircraft = self._aircraft[report.system]
-            books = aircraft.decoder.books
-            if report.first and aircraft.sessions is not None and books is not None:
-                aircraft.sessions.note(books.session, report.text)
+            accounting = aircraft.decoder.accounting
+            if report.first and aircraft.sessions is not None and accounting is not None:
+                aircraft.sessions.note(accounting.session, report.text)
         return reports
 
-    def _take_answer(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now: int, out: list[ev.Event]) -> None:
+    def _take_answer(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now: int, events: list[ev.Event]) -> None:
         """Answers to what was asked from here."""
         match frame.name:
             case "COMMAND_ACK":
                 f: Mapping[str, Any] = frame.fields()
                 if f["target_system"] in (0, self.config.system_id):
-                    out += self.commander.acknowledge(frame.system, f["command"], f["result"], now)
+                    events += self.commander.acknowledge(frame.system, f["command"], f["result"], now)
             case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
                 f = frame.fields()
-                books = aircraft.decoder.books
-                if books is not None and f["boot"] == books.session.boot:
+                accounting = aircraft.decoder.accounting
+                if accounting is not None and f["boot"] == accounting.session.boot:
                     with self.faults.watch("backfill"):
                         if frame.name == "BACKFILL_DATA":
                             refused_count = aircraft.backfill.refused
@@ -216,22 +216,22 @@ class Receiver:
                                 frame.system, findings.PAPERS, aircraft.backfill.refused - refused_count
                             )
                             fetched = aircraft.backfill.take_fetched()
-                            out += [ev.ScanFetched(books.session, data, now) for data in fetched]
+                            events += [ev.ScanFetched(accounting.session, data, now) for data in fetched]
                         else:
                             aircraft.backfill.take_summary(f)
             case "MANOEUVRE_STATUS":
-                out += aircraft.manoeuvre.take_status(frame.fields(), now)
+                events += aircraft.manoeuvre.take_status(frame.fields(), now)
             case "LOG_ENTRY" | "LOG_DATA":
                 with self.faults.watch("download"):
-                    aircraft.logs.take(frame.name, frame.fields(), now)
+                    aircraft.logs.take_answer(frame.name, frame.fields(), now)
 
-    def _keep(self, out: list[ev.Event]) -> None:
+    def _record(self, events: list[ev.Event]) -> None:
         """Hand events to the recorders of their sessions."""
-        for event in out:
+        for event in events:
             if isinstance(event, ev.Restarted):
                 with self.findings.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
-                    self._begin(event.session)
-            elif isinstance(event, _KEPT):
+                    self._begin_session(event.session)
+            elif isinstance(event, _RECORDED):
                 try:
                     sessions = self._aircraft[event.session.system].sessions
                     if sessions is not None and not sessions.keep(event):
@@ -241,18 +241,18 @@ class Receiver:
                         event.session.system, f"a {type(event).__name__} in the recording", error
                     )
 
-    def _begin(self, session: ev.Session) -> None:
+    def _begin_session(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
-        books = next((b for b in aircraft.decoder.sessions if b.session == session), None)
-        if aircraft.sessions is not None and books is not None:
-            aircraft.backfill = BackfillClient(aircraft.sessions.recorder(session), books, self.config.backfill)
+        accounting = next((b for b in aircraft.decoder.sessions if b.session == session), None)
+        if aircraft.sessions is not None and accounting is not None:
+            aircraft.backfill = BackfillClient(aircraft.sessions.recorder(session), accounting, self.config.backfill)
 
     # ------------------------------------------------------------------------------------------ sending
 
-    def _do_due(self, now: int, out: list[ev.Event]) -> None:
+    def _send_due(self, now: int, events: list[ev.Event]) -> None:
         if now >= self._next_report_ns:
             self._next_report_ns = now + _REPORT_NS
-            self._report(now, out)
+            self._report(now, events)
         self._gate.keep_state(now)
         if not self.config.transmit:
             return
@@ -262,18 +262,18 @@ class Receiver:
             for port in self._ports.values():
                 self._write(port, beat)
         send, given_up = self.commander.due(now)
-        out += given_up
+        events += given_up
         for system, fields in send:
             target = self._aircraft.get(system)
             if target is not None:
                 self._send(target, "COMMAND_LONG", fields)
         for aircraft in self._aircraft.values():
-            out += aircraft.manoeuvre.given_up(now)
-            self._serve(aircraft, now)
+            events += aircraft.manoeuvre.given_up(now)
+            self._serve_aircraft(aircraft, now)
 
-    def _serve(self, aircraft: _TrackedAircraft, now: int) -> None:
-        books = aircraft.decoder.books
-        if books is None:
+    def _serve_aircraft(self, aircraft: _TrackedAircraft, now: int) -> None:
+        accounting = aircraft.decoder.accounting
+        if accounting is None:
             return
         if now >= aircraft.next_sync_ns:
             aircraft.syncs += 1
@@ -283,9 +283,11 @@ class Receiver:
             aircraft.next_map_ns = now + _MAP_NS
             # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
             quiet = now - aircraft.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
-            open_blocks = (b for b in books.open_blocks() if b < books.last // BLOCK or quiet)
+            open_blocks = (b for b in accounting.open_blocks() if b < accounting.last // BLOCK or quiet)
             for block in islice(open_blocks, _MAPS_AT_ONCE):
-                self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
+                self._send(
+                    aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": accounting.session.boot}
+                )
         if aircraft.backfill is not None:
             for name, fields in aircraft.backfill.due(now):
                 self._send(aircraft, name, fields)
@@ -309,17 +311,17 @@ class Receiver:
                     break
                 size += piece
 
-    def _report(self, now: int, out: list[ev.Event]) -> None:
+    def _report(self, now: int, events: list[ev.Event]) -> None:
         for aircraft in self._aircraft.values():
             report = aircraft.meter.report(now)
             if report is None:
                 continue
-            out.append(report)
+            events.append(report)
             if aircraft.sessions is not None:
                 aircraft.sessions.keep(report)
             progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
             if progress is not None:
-                out.append(progress)
+                events.append(progress)
         self._frame_input.flush()
         for (
             aircraft
@@ -334,7 +336,7 @@ class Receiver:
         ):
             self.findings.doubt(findings.NOBODY, kind, count - self.findings.total_doubted(kind))
         with self.faults.watch(_DISK):
-            journals = (r.journal.file for sessions in self._kept() for r in sessions.recorders.values())
+            journals = (r.journal.file for sessions in self._session_stores() for r in sessions.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
 
     # ------------------------------------------------------------------------------------------ for the owner
@@ -376,13 +378,13 @@ class Receiver:
 
     def accounting(self) -> list[ev.Accounting]:
         with self._lock:
-            return [b.accounting() for a in self._aircraft.values() for b in a.decoder.sessions]
+            return [b.totals() for a in self._aircraft.values() for b in a.decoder.sessions]
 
     def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
         with self._lock:
-            return {s: r for sessions in self._kept() for s, r in sessions.recorders.items()}
+            return {s: r for sessions in self._session_stores() for s, r in sessions.recorders.items()}
 
-    def _kept(self) -> list[Sessions]:
+    def _session_stores(self) -> list[Sessions]:
         return [a.sessions for a in self._aircraft.values() if a.sessions is not None]
 
     def write_recordings(self) -> list[Path]:
@@ -391,7 +393,7 @@ class Receiver:
         One that cannot be written is named in `port_faults`; its journal keeps the scans.
         """
         with self._lock:
-            self._written = list(chain.from_iterable(sessions.write() for sessions in self._kept()))
+            self._written = list(chain.from_iterable(sessions.write() for sessions in self._session_stores()))
             return list(self._written)
 
     def summary(self) -> dict[str, Any]:
@@ -401,12 +403,12 @@ class Receiver:
             counts = counters(
                 self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written
             )
-            return counts | self._unbelieved() | self._on_disk()
+            return counts | self._unused_counts() | self._disk_counts()
 
-    def _on_disk(self) -> dict[str, Any]:
+    def _disk_counts(self) -> dict[str, Any]:
         """What the disk holds of what came down, for `ground --json`."""
-        books = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
-        states = [(sessions.state(b) if sessions is not None else None) for sessions, b in books]
+        pairs = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
+        states = [(sessions.state(b) if sessions is not None else None) for sessions, b in pairs]
         counts = [state for state in states if state is not None]
         return {
             "scans_on_disk": sum(on_disk for on_disk, _ in counts),
@@ -414,9 +416,9 @@ class Receiver:
             "telemetry_bytes_refused": sum(log.refused for log in self._frame_input.logs),
         }
 
-    def _unbelieved(self) -> dict[str, Any]:
+    def _unused_counts(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
-        pending_parts = sum(a.decoder.waiting for a in self._aircraft.values())
+        pending_parts = sum(a.decoder.pending_parts for a in self._aircraft.values())
         return {
             "bytes_refused": self._frame_input.refused_bytes,
             "datagrams_dropped": self._frame_input.datagrams_dropped,
@@ -436,7 +438,7 @@ class Receiver:
             self.write_recordings()
             self._closed = True
             self._gate.close()
-            for sessions in self._kept():
+            for sessions in self._session_stores():
                 sessions.close()
             self._disk.close()
             for aircraft in self._aircraft.values():

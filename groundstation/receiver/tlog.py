@@ -126,15 +126,15 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
         for item in decoder.feed(data):
             if isinstance(item, MavlinkFrame) and item.msg_id in layouts():
                 aircraft_decoder = aircraft.setdefault(item.system, AircraftDecoder(item.system))
-                for event in aircraft_decoder.take(item, utc, utc):
+                for event in aircraft_decoder.decode_frame(item, utc, utc):
                     if isinstance(event, ScanReceived):
                         number = event.scan.number
                         first = number if first is None else min(first, number)
                         last = number if last is None else max(last, number)
                         for name in event.scan.values:
                             samples[name] = samples.get(name, 0) + 1
-    books = [b for a in aircraft.values() for b in a.sessions]
-    scans = sum(len(b.received) for b in books)
+    accounting = [b for a in aircraft.values() for b in a.sessions]
+    scans = sum(len(b.received) for b in accounting)
     duration = (last_utc - first_utc) * 1e-9
     return {
         "file": str(path),
@@ -152,5 +152,5 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
         "software": "",
         "frames": decoder.counts.frames,
         "frames_damaged": decoder.counts.damaged,
-        "sessions": len(books),
+        "sessions": len(accounting),
     }

@@ -50,7 +50,9 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     shift, text = result
     time = second.time + shift
     columns = {
-        f"{n}{BESIDE}": _onto(first.time, time, v, second) for n, v in second.columns.items() if not n.endswith(BESIDE)
+        f"{n}{BESIDE}": _resampled(first.time, time, v, second)
+        for n, v in second.columns.items()
+        if not n.endswith(BESIDE)
     }
     if not any(np.isfinite(v).any() for v in columns.values()):
         raise ViewerError(f"{second.name}, moved by {shift:+.2f} s, has no time in common with {first.name}")
@@ -61,7 +63,7 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     return PairedFlight(pair, shift, f"{second.name} is moved by {shift:+.2f} s onto {first.name}: {text}")
 
 
-def _onto(base: Array, time: Array, values: Array, flight: Flight) -> Array:
+def _resampled(base: Array, time: Array, values: Array, flight: Flight) -> Array:
     """Values of the second at times of the first; NaN outside it and in its gaps."""
     finite = np.isfinite(values)
     if finite.sum() < 2:
@@ -85,12 +87,12 @@ def _by_input(first: Flight, second: Flight) -> tuple[float, str] | None:
 
 def _by_event(first: Flight, second: Flight) -> tuple[float, str] | None:
     theirs: dict[str, float] = {}
-    for time, text in _said(second):
+    for time, text in _events_of(second):
         theirs.setdefault(text, time)
-    return next(((time - theirs[text], f"by '{text}'") for time, text in _said(first) if text in theirs), None)
+    return next(((time - theirs[text], f"by '{text}'") for time, text in _events_of(first) if text in theirs), None)
 
 
-def _said(flight: Flight) -> list[tuple[float, str]]:
+def _events_of(flight: Flight) -> list[tuple[float, str]]:
     marks = marks_of(flight)
     events = [(m.time, m.text) for m in (*marks.events, *marks.messages)] + [
         (m.start, f"mode {m.name}") for m in marks.modes
@@ -110,7 +112,7 @@ def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:
     cross = np.zeros(2 * size)
     power_a = power_b = np.zeros(2 * size)
     for name in names:
-        x, y = _even(first, name, a), _even(second, name, b)
+        x, y = _normalised(first, name, a), _normalised(second, name, b)
         cross = cross + _products(x, y, size)
         power_a = power_a + _products(x**2, np.ones_like(y), size)
         power_b = power_b + _products(np.ones_like(x), y**2, size)
@@ -129,7 +131,7 @@ def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:
     return float(a[0] - b[0] + lag / RATE), f"{', '.join(names)} correlate by {correlation[peak]:.2f}"
 
 
-def _even(flight: Flight, name: str, time: Array) -> Array:
+def _normalised(flight: Flight, name: str, time: Array) -> Array:
     """A column at an even rate, about its median, in units of its spread over both."""
     finite = np.isfinite(flight[name])
     values = np.interp(time, flight.time[finite], flight[name][finite])

@@ -154,7 +154,7 @@ def fitted(page: rrb.Blueprint, *, live: bool, filled: Collection[str] | None = 
     filled: entities with something to show, all of them where None is given; a pane without any is taken out, and so is a
     container that has no pane left.
     """
-    body = page.root_container if filled is None else _kept(page.root_container, filled)
+    body = page.root_container if filled is None else _without_empty(page.root_container, filled)
     top = _top(live=live) if filled is None or e.READOUTS in filled else None
     rows = [(part, share) for part, share in ((top, TOP), (body, 1.0 - TOP)) if part is not None]
     if rows:
@@ -178,11 +178,11 @@ def _bare(view: rrb.View) -> rrb.View:
     return view
 
 
-def _kept(pane: rrb.Container | rrb.View, filled: Collection[str]) -> rrb.Container | rrb.View | None:
+def _without_empty(pane: rrb.Container | rrb.View, filled: Collection[str]) -> rrb.Container | rrb.View | None:
     """The pane with what has something to show; None where nothing of it has."""
     if not isinstance(pane, CONTAINERS):
         return pane if _shows(pane, filled) else None
-    parts = [(i, part) for i, inner in enumerate(pane.contents) if (part := _kept(inner, filled)) is not None]
+    parts = [(i, part) for i, inner in enumerate(pane.contents) if (part := _without_empty(inner, filled)) is not None]
     if not parts:
         return None
     rows, columns = (s and [s[i] for i, _ in parts] for s in (pane.row_shares, pane.column_shares))

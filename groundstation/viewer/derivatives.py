@@ -41,26 +41,26 @@ class DerivativeCurves:
         for coefficient, terms in EQUATIONS.items():
             derivatives = [state.estimates.derivatives[f"{coefficient}_{t}"] for t in terms]
             rows = [
-                _shown(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0)))
+                _band(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0)))
                 for d in derivatives
             ]
             self._stream.log(entity(coefficient), rr.Scalars(np.ravel(rows)))
         text = rr.TextDocument(drawable(markdown(state)), media_type=rr.MediaType.MARKDOWN)
         self._stream.log(e.IDENTIFIED, text)
 
-    def kept(self, detail: Mapping[str, object]) -> None:
+    def show_history(self, detail: Mapping[str, object]) -> None:
         """The history that a finished flight carries, if it does."""
         history = history_of(detail)
         if history is None:
             return
         times, series = history
-        beliefs = _believed(detail)
+        beliefs = _beliefs_of(detail)
         self._name_once({})
         for coefficient, terms in EQUATIONS.items():
             names = [f"{coefficient}_{t}" for t in terms]
             empty = ([math.nan] * len(times),) * 2
             table = [
-                [_shown(v, s, beliefs.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
+                [_band(v, s, beliefs.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
                 for n in names
             ]
             flat = np.array(table).transpose(1, 0, 2).reshape(len(times), -1)
@@ -83,7 +83,7 @@ class DerivativeCurves:
             self._stream.log(entity(coefficient), lines, static=True)
 
 
-def _shown(value: float, bound: float, belief: Belief) -> Sequence[float]:
+def _band(value: float, bound: float, belief: Belief) -> Sequence[float]:
     """Estimate and the edges of its band, in standard deviations of the belief."""
     if not (math.isfinite(value) and belief.std > 0.0):
         return (math.nan,) * 3
@@ -95,7 +95,7 @@ def _faded(color: int) -> int:
     return (color & 0xFFFFFF00) | 0x80
 
 
-def _believed(detail: Mapping[str, object]) -> dict[str, Belief]:
+def _beliefs_of(detail: Mapping[str, object]) -> dict[str, Belief]:
     identification = detail.get(DETAIL)
     rows = identification.get(BELIEVED) if isinstance(identification, Mapping) else None
     beliefs = {}

@@ -147,13 +147,13 @@ class ViewerGate(BoundedServer):
     """In front of rerun's own server of a live view, on loopback. backend: where that listens. Raises OSError."""
 
     def __init__(self, port: int, backend: tuple[str, int]) -> None:
-        class GateHandler(_Passing):
+        class GateHandler(_GateConnection):
             behind = backend
 
         super().__init__((LOOPBACK, port), GateHandler, "viewer-gate")
 
 
-class _Passing(socketserver.BaseRequestHandler):
+class _GateConnection(socketserver.BaseRequestHandler):
     """One connection: its first request decides."""
 
     behind = ("", 0)
@@ -176,13 +176,13 @@ class _Passing(socketserver.BaseRequestHandler):
                     )
                     client.sendall("\r\n".join(response).encode())
                     return
-                head = once(head)
+                head = single_request(head)
             with socket.create_connection(self.behind, HEAD_S) as server:
                 server.sendall(head)
                 pump(client, server)
 
 
-def once(head: bytes) -> bytes:
+def single_request(head: bytes) -> bytes:
     """The head of a request (with what follows it) that lets no second request follow on the same connection: only the first
     was looked at."""
     lines, body = head.partition(b"\r\n\r\n")[::2]

@@ -52,7 +52,7 @@ _KEEP_TO_THIS_COMPUTER = """<script>
     </script>"""
 
 
-def kept_home(page: str) -> str:
+def confined_page(page: str) -> str:
     """rerun's page with its links to other hosts taken out, and its requests to them made to fail."""
     return _FOREIGN_LINK.sub("", page).replace("<head>", f"<head>\n    {_KEEP_TO_THIS_COMPUTER}", 1)
 
@@ -125,7 +125,7 @@ class _Handler(BaseHTTPRequestHandler):
             with DIRECT.open(self.source + path, timeout=_ASK_S) as answer:
                 head = {name: answer.headers[name] for name in _PASSED_ON if answer.headers[name]}
                 if path == "/":
-                    page = kept_home(answer.read().decode("utf-8")).encode()
+                    page = confined_page(answer.read().decode("utf-8")).encode()
                     self._send(head | {"Content-Length": str(len(page)), "rerun-final-length": str(len(page))})
                     self.wfile.write(page)
                     return

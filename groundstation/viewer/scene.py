@@ -212,7 +212,7 @@ class Scene:
                 self._columns(group.entity, flight.time[keep], group.shown(table[keep]))
         self._flight_pose(flight)
         self._flight_readouts(flight)
-        self._derivatives.kept(flight.provenance.detail)
+        self._derivatives.show_history(flight.provenance.detail)
         for note in flight.notes:
             self.event(float(flight.time[0]), note.text, "WARN")
 

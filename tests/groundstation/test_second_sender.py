@@ -209,7 +209,7 @@ def test_many_aircraft_on_one_port_are_all_heard_and_answered() -> None:
         for speaker in speakers:
             speaker.close()
         assert len(f.scans()) == OWN_SOCKETS * 20
-        assert len(f.port._own) == OWN_SOCKETS
+        assert len(f.port._connections) == OWN_SOCKETS
         assert all(answered)
 
 

@@ -20,8 +20,8 @@ class Sessions:
         self._folder = folder
         self._faults = faults
         self._open: dict[ev.Session, SessionRecorder] = {}
-        self._put_away: list[Path] = []
-        self._of_those_put_away: dict[ev.Session, tuple[int, int]] = {}
+        self._closed_paths: list[Path] = []
+        self._closed_states: dict[ev.Session, tuple[int, int]] = {}
 
     @property
     def recorders(self) -> Mapping[ev.Session, SessionRecorder]:
@@ -33,8 +33,8 @@ class Sessions:
         if session not in self._open:
             if len(self._open) >= _MAX_OPEN:
                 recorder = self._open.pop(next(iter(self._open)))
-                self._of_those_put_away[recorder.session] = (recorder.journal.on_disk, 0)
-                self._put_away += self._written(recorder)
+                self._closed_states[recorder.session] = (recorder.journal.on_disk, 0)
+                self._closed_paths += self._written(recorder)
                 self._close(recorder)
             self._open[session] = SessionRecorder(self._folder, session)
         return self._open[session]
@@ -60,12 +60,12 @@ class Sessions:
             with self._faults.watch(RECORDING):
                 recorder.journal.look_after()
 
-    def state(self, books: SessionAccounting) -> tuple[int, int] | None:
+    def state(self, accounting: SessionAccounting) -> tuple[int, int] | None:
         """Scans of a session that are on the disk, and that came down and are not; None for a session put away."""
-        recorder = self._open.get(books.session)
+        recorder = self._open.get(accounting.session)
         if recorder is None:
-            return self._of_those_put_away.get(books.session)
-        return recorder.state(books.received)
+            return self._closed_states.get(accounting.session)
+        return recorder.state(accounting.received)
 
     def note(self, session: ev.Session, text: str) -> None:
         """Put an event of the reception itself into a session's recording."""
@@ -74,7 +74,7 @@ class Sessions:
 
     def write(self) -> Iterator[Path]:
         """Write all recordings as they are now; their paths, of those put away before too."""
-        yield from self._put_away
+        yield from self._closed_paths
         for recorder in self._open.values():
             yield from self._written(recorder)
 
