@@ -14,6 +14,7 @@ from groundstation.calibration import conversions
 from groundstation.calibration.align import derivative
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import CalibrationError, CalibrationSet, Instrument, MountingAngles, Vector
+from groundstation.flight.atmosphere import SEA_LEVEL_PRESSURE, density
 
 Array = NDArray[np.float64]
 
@@ -59,10 +60,10 @@ class CombinedColumns:
             static = static - site.position_error * true_impact
             impact = true_impact
         self.columns["p_dynamic"], self.columns["p_static"], self.columns["temperature"] = impact, static, temperature
-        self.columns["rho"] = conversions.density(static, temperature)
+        self.columns["rho"] = density(static, temperature)
         self.columns["V"] = conversions.true_airspeed(impact, static, temperature)
         self.columns["V_cas"] = conversions.calibrated_airspeed(impact)
-        reference = site.sea_level_pressure if site else conversions.SEA_LEVEL_PRESSURE
+        reference = site.sea_level_pressure if site else SEA_LEVEL_PRESSURE
         self.columns["altitude"] = conversions.pressure_altitude(static, reference)
 
     def _rates_and_field(self) -> None:

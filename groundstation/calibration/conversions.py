@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from daq.contract import bmp390
 from groundstation.calibration.schema import CalibrationError, MountingAngles, Triad, Vane, Vector
+from groundstation.flight.atmosphere import GAS_CONSTANT, SEA_LEVEL_PRESSURE
 
 Array = NDArray[np.float64]
 
-GAS_CONSTANT = 287.05287  # J/(kg K), ICAO Doc 7488/3
 GAMMA = 1.4
 GRAVITY = 9.80665
-SEA_LEVEL_PRESSURE = 101325.0
 SEA_LEVEL_TEMPERATURE = 288.15
 LAPSE_RATE = 0.0065  # K/m
 ZERO_CELSIUS = bmp390.ZERO_CELSIUS
@@ -34,11 +33,6 @@ class Bmp390Compensation(bmp390.Bmp390Trimming):
             return super().from_nvm(nvm)
         except ValueError as error:
             raise CalibrationError(f"{error}; read the chip again or give nvm in static.toml") from error
-
-
-def density(static_pressure: Array, temperature: Array) -> Array:
-    """Density of dry air [kg/m3]."""
-    return static_pressure / (GAS_CONSTANT * temperature)
 
 
 def pressure_altitude(static_pressure: Array, sea_level_pressure: float = SEA_LEVEL_PRESSURE) -> Array:

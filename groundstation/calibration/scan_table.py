@@ -47,16 +47,12 @@ class ScanTable:
         return int(self.time.size)
 
     def part(self, rows: slice | NDArray[np.bool_]) -> "ScanTable":
-        return ScanTable(
-            self.number[rows],
-            self.time[rows],
-            MappingProxyType({k: v[rows] for k, v in self.raw.items()}),
-            MappingProxyType({k: v[rows] for k, v in self.offset.items()}),
-            MappingProxyType({k: v[rows] for k, v in self.usable.items()}),
-            self.notes,
-            self.utc_offset,
-            self.bridged,
-        )
+
+        def part_of(columns: Mapping[str, Any]) -> Mapping[str, Any]:
+            return MappingProxyType({name: values[rows] for name, values in columns.items()})
+
+        raw, offset, usable = (part_of(columns) for columns in (self.raw, self.offset, self.usable))
+        return replace(self, number=self.number[rows], time=self.time[rows], raw=raw, offset=offset, usable=usable)
 
 
 def bridged(table: ScanTable) -> ScanTable:

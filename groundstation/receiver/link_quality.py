@@ -1,6 +1,5 @@
 """What the receiver reports of its links: quality between two reports, and the counters of `ground --json`."""
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,8 @@ class RateMeter:
         self._decoder = decoder
         self._last = (0, 0)
         self._last_ns: int | None = None
-        self._radio: deque[Mapping[str, int]] = deque(maxlen=1)
-
-    def radio(self, fields: Mapping[str, Any]) -> None:
-        self._radio.append(dict(fields))
+        self.radio: Mapping[str, Any] = {}
+        """Fields of the radio's own latest report."""
 
     def report(self, now_ns: int) -> ev.LinkStatistics | None:
         """Link statistics since the last report; None before the aircraft has sent a scan."""
@@ -49,9 +46,9 @@ class RateMeter:
         )
 
     def _radio_values(self) -> dict[str, Any]:
-        if not self._radio:
+        if not self.radio:
             return {}
-        f = self._radio[0]
+        f = self.radio
         return {
             "rssi_dbm": _sik_dbm(f["rssi"]),
             "remote_rssi_dbm": _sik_dbm(f["remrssi"]),

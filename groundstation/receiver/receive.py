@@ -7,6 +7,7 @@ All methods may be called from any thread.
 
 import threading
 from collections.abc import Mapping
+from contextlib import ExitStack, closing
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -97,15 +98,11 @@ class Receiver:
     @classmethod
     def open(cls, config: LinkConfig, clock: GroundClock, *, folder: Path | None = None) -> "Receiver":
         """A receiver on the ports of its configuration; PortError or SigningError when one cannot be had."""
-        ports: dict[str, BytePort] = {}
-        try:
-            for text in config.ports:
-                ports[text] = open_port(text, clock)
-            return cls(config, ports, clock, folder=folder)
-        except Exception:
-            for port in ports.values():
-                port.close()
-            raise
+        with ExitStack() as opened:
+            ports = {text: opened.enter_context(closing(open_port(text, clock))) for text in config.ports}
+            receiver = cls(config, ports, clock, folder=folder)
+            opened.pop_all()
+        return receiver
 
     # ------------------------------------------------------------------------------------------ receiving
 
@@ -144,7 +141,7 @@ class Receiver:
             fields = frame.fields()
             for aircraft in self._aircraft.values():
                 if aircraft.port is port:
-                    aircraft.meter.radio(fields)
+                    aircraft.meter.radio = fields
             return
         aircraft_of_frame = self._aircraft_of(frame, sender)
         if aircraft_of_frame is None or not self._may_speak(aircraft_of_frame, frame, sender, now):

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from daq.identification.airframe import EQUATIONS, Belief
 from groundstation.identification.history import BELIEVED, DETAIL, history_of
@@ -17,6 +18,8 @@ from groundstation.identification.words import markdown
 from groundstation.viewer import entities as e
 from groundstation.viewer.entities import drawable
 
+Array = NDArray[np.float64]
+
 BAND = 2.0  # bounds to each side: 95 %
 BAND_LABEL = " "  # of its edges: in the colour of their derivative, and the legend is long enough
 THIN, THICK = 0.6, 2.0  # widths of lines, in points
@@ -24,6 +27,13 @@ THIN, THICK = 0.6, 2.0  # widths of lines, in points
 
 def entity(coefficient: str) -> str:
     return f"{e.IDENTIFICATION}/{coefficient}"
+
+
+def send_scalars(stream: rr.RecordingStream, entity: str, time: Array, table: Array) -> None:
+    """Log scalars of a whole flight at once. time: (N,) [s]; table: (N, series)."""
+    index = rr.TimeColumn(e.TIMELINE, duration=time)
+    columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(time))
+    stream.send_columns(entity, indexes=[index], columns=columns)
 
 
 class DerivativeCurves:
@@ -64,9 +74,7 @@ class DerivativeCurves:
                 for n in names
             ]
             flat = np.array(table).transpose(1, 0, 2).reshape(len(times), -1)
-            index = rr.TimeColumn(e.TIMELINE, duration=np.array(times))
-            columns = rr.Scalars.columns(scalars=flat.ravel()).partition([flat.shape[1]] * len(times))
-            self._stream.send_columns(entity(coefficient), indexes=[index], columns=columns)
+            send_scalars(self._stream, entity(coefficient), np.array(times), flat)
 
     def _name_once(self, sources: Mapping[str, str]) -> None:
         if self._named:

@@ -17,7 +17,7 @@ from groundstation.flight import Flight
 from groundstation.identification.session import LiveState
 from groundstation.live.readouts import READOUTS, FreshValues, readout_line
 from groundstation.viewer import entities as e
-from groundstation.viewer.derivatives import DerivativeCurves
+from groundstation.viewer.derivatives import DerivativeCurves, send_scalars
 from groundstation.viewer.entities import airframe_mesh, drawable
 
 EARTH_RADIUS = 6_371_000.0
@@ -39,6 +39,12 @@ def quaternion_xyzw(phi: float, theta: float, psi: float) -> tuple[float, float,
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+def _lane(colors: Mapping[str, int]) -> rr.StateConfiguration:
+    """States in words, each with its colour."""
+    names = list(colors)
+    return rr.StateConfiguration(values=names, labels=names, colors=np.array(list(colors.values()), np.uint32))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,17 +105,9 @@ class Scene:
             show_labels=False,
         )
         rec.log(f"{e.CHASED}/axes", axes, static=True)
-        names = list(e.STATE_COLORS)
-        lane = rr.StateConfiguration(
-            values=names, labels=names, colors=np.array(list(e.STATE_COLORS.values()), np.uint32)
-        )
-        levels = list(e.ALARM_COLORS)
-        lamp = rr.StateConfiguration(
-            values=levels, labels=levels, colors=np.array(list(e.ALARM_COLORS.values()), np.uint32)
-        )
-        rec.log(e.ALARM, lamp, static=True)
+        rec.log(e.ALARM, _lane(e.ALARM_COLORS), static=True)
         for sensor in e.HEALTH_TITLES:
-            rec.log(e.health_entity(sensor), lane, static=True)
+            rec.log(e.health_entity(sensor), _lane(e.STATE_COLORS), static=True)
         for entity, label, color in e.LINK_SERIES:
             rec.log(entity, rr.SeriesLines(names=[label], colors=np.array([color], np.uint32)), static=True)
 
@@ -209,18 +207,12 @@ class Scene:
             )
             keep = np.isfinite(table).any(axis=1)
             if present and keep.any():
-                self._columns(group.entity, flight.time[keep], group.shown(table[keep]))
+                send_scalars(self._stream, group.entity, flight.time[keep], group.shown(table[keep]))
         self._flight_pose(flight)
         self._flight_readouts(flight)
         self._derivatives.show_history(flight.provenance.detail)
         for note in flight.notes:
             self.event(float(flight.time[0]), note.text, "WARN")
-
-    def _columns(self, entity: str, time: NDArray[np.float64], table: NDArray[np.float64]) -> None:
-        index = rr.TimeColumn(e.TIMELINE, duration=time)
-        width = table.shape[1]
-        scalars = rr.Scalars.columns(scalars=table.ravel())
-        self._stream.send_columns(entity, indexes=[index], columns=scalars.partition([width] * len(time)))
 
     def _flight_pose(self, flight: Flight) -> None:
         position: Mapping[str, NDArray[np.float64]] = {

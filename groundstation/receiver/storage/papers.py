@@ -62,17 +62,8 @@ class Papers(BaseModel):
         return session
 
     def info(self, attachments: Mapping[str, bytes]) -> RecordingInfo:
-        return RecordingInfo(
-            session=self.session,
-            source=self.source,
-            aircraft=self.aircraft,
-            role="received",
-            scan_rate_hz=self.scan_rate_hz,
-            started_utc_ns=self.started_utc_ns,
-            software=self.software,
-            details=dict(self.details),
-            attachments=attachments,
-        )
+        identity = self.model_dump(exclude={"events", "archive_bytes", "archive_sha256"})
+        return RecordingInfo(**identity, role="received", attachments=attachments)
 
     def marks(self) -> list[EventMessage]:
         return [EventMessage(*row) for row in self.events]

@@ -6,7 +6,7 @@ asked. Complete scans (backfilled) are written in the aircraft's own bytes. The 
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import IO, Any
 
@@ -36,20 +36,8 @@ MAX_NOTES = 100
 
 _LINK_FIELDS = (
     "time_monotonic_s",
-    "loss",
-    "frames_received",
-    "frames_lost",
-    "scan_rate_hz",
-    "latency_s",
-    "round_trip_s",
-    "clock_offset_s",
-    "rssi_dbm",
-    "remote_rssi_dbm",
-    "noise_dbm",
-    "remote_noise_dbm",
-    "txbuf_percent",
+    *(f.name for f in fields(ev.LinkStatistics) if f.name not in ("session", "received_ns")),
 )
-
 _LINK_ALWAYS = ("time_monotonic_s", "loss", "scan_rate_hz")
 
 

@@ -3,6 +3,7 @@ import pytest
 
 from groundstation.calibration import conversions
 from groundstation.calibration.schema import CalibrationError
+from groundstation.flight import atmosphere
 
 NVM = bytes.fromhex("b66c0f4af66a1c0f170601564b465b03fa6f0f06f5")
 
@@ -15,7 +16,7 @@ def test_standard_atmosphere_table() -> None:
         (5000.0, 54019.9, 0.736116, 255.650),
     ):
         assert conversions.pressure_altitude(np.array([pressure]))[0] == pytest.approx(height, abs=0.1)
-        assert conversions.density(np.array([pressure]), np.array([temperature]))[0] == pytest.approx(density, rel=1e-5)
+        assert atmosphere.density(np.array([pressure]), np.array([temperature]))[0] == pytest.approx(density, rel=1e-5)
 
 
 def test_calibrated_airspeed_of_a_published_impact_pressure() -> None:
@@ -26,7 +27,7 @@ def test_calibrated_airspeed_of_a_published_impact_pressure() -> None:
 
 def test_low_speed_limit_is_bernoulli() -> None:
     pressure, warmth = np.array([100_000.0]), np.array([290.0])
-    rho = conversions.density(pressure, warmth)
+    rho = atmosphere.density(pressure, warmth)
     for q in (1.0, 130.0, 400.0):
         bernoulli = np.sqrt(2 * q / rho)
         assert conversions.true_airspeed(np.array([q]), pressure, warmth)[0] == pytest.approx(bernoulli[0], rel=1.5e-3)
