@@ -74,7 +74,7 @@ def test_scans_that_come_while_the_disk_is_full_are_in_the_recording_when_it_has
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 40)
     (recorder,) = rig.ground.session_recorders().values()
-    full = recorder.journal._file._file = Full(recorder.journal._file._file, 100)  # type: ignore[assignment]
+    full = recorder.journal.file._file = Full(recorder.journal.file._file, 100)  # type: ignore[assignment]
     fly(rig, 60, seed=2)
     here = rig.ground.summary()
     assert here["scans_not_on_disk"] > 10
@@ -92,7 +92,7 @@ def test_sums_of_a_disk_that_stays_full_say_what_is_on_it(tmp_path: Path) -> Non
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 40)
     (recorder,) = rig.ground.session_recorders().values()
-    recorder.journal._file._file = Full(recorder.journal._file._file, 0)  # type: ignore[assignment]
+    recorder.journal.file._file = Full(recorder.journal.file._file, 0)  # type: ignore[assignment]
     fly(rig, 60, seed=2)
     rig.close()
     summary = rig.ground.summary()
