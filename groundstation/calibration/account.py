@@ -23,12 +23,12 @@ def account(
     columns: Mapping[str, Array],
     readings: Readings,
     aligned: bool,
-    asked: bool | None,
+    align_option: bool | None,
 ) -> tuple[dict[str, Any], list[str]]:
     """What the provenance carries about this calibration, and what a person should know of it."""
     notes = []
     part = completeness(table.number)
-    if not aligned and asked is None:
+    if not aligned and align_option is None:
         notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
     if aligned and part < COMPLETE:
         notes.append(
@@ -125,9 +125,9 @@ def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]
     return {name: sigma for name, sigma in sigmas.items() if name in columns and np.isfinite(columns[name]).any()}
 
 
-def _put(out: dict[str, float], column: str, sigma: float | None) -> None:
+def _put(sigmas: dict[str, float], column: str, sigma: float | None) -> None:
     if sigma:
-        out[column] = sigma
+        sigmas[column] = sigma
 
 
 def _curve_sigma(item: Instrument | None) -> float | None:
@@ -138,7 +138,7 @@ def _curve_sigma(item: Instrument | None) -> float | None:
     return float(np.sqrt(np.mean(curves.standard_deviation(item.curve, grid) ** 2)))
 
 
-def _controls(calibration: CalibrationSet, out: dict[str, float]) -> None:
+def _controls(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
     item = calibration.get("mixing")
     if item is None or item.mixing is None:
         return
@@ -147,37 +147,39 @@ def _controls(calibration: CalibrationSet, out: dict[str, float]) -> None:
         left, right = _curve_sigma(calibration.get(left_name)), _curve_sigma(calibration.get(right_name))
         if left is not None and right is not None:
             for axis, (a, b) in weights.items():
-                _put(out, f"{prefix}_{axis}", float(np.hypot(a * left, b * right)))
+                _put(sigmas, f"{prefix}_{axis}", float(np.hypot(a * left, b * right)))
 
 
-def _air(calibration: CalibrationSet, columns: Mapping[str, Array], out: dict[str, float]) -> None:
+def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
     item = calibration.get("static")
     if item is None or item.static is None:
         return
     pressure, warmth = item.static.uncertainty, item.static.temperature_uncertainty
-    _put(out, "p_static", pressure)
-    _put(out, "temperature", warmth)
+    _put(sigmas, "p_static", pressure)
+    _put(sigmas, "temperature", warmth)
     rho, p, t, q, v = (_median(columns, n) for n in ("rho", "p_static", "temperature", "p_dynamic", "V"))
     if rho is not None and p and t:
         relative = float(np.hypot(pressure / p, warmth / t))
-        _put(out, "rho", rho * relative)
-        _put(out, "altitude", pressure / (rho * 9.80665))
-        if v and q and q > 0 and "p_dynamic" in out:
+        _put(sigmas, "rho", rho * relative)
+        _put(sigmas, "altitude", pressure / (rho * 9.80665))
+        if v and q and q > 0 and "p_dynamic" in sigmas:
             # V = sqrt(2 q / rho): half of each relative error
-            _put(out, "V", 0.5 * v * float(np.hypot(out["p_dynamic"] / q, relative)))
-            _put(out, "V_cas", 0.5 * v * out["p_dynamic"] / q)
+            _put(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))
+            _put(sigmas, "V_cas", 0.5 * v * sigmas["p_dynamic"] / q)
 
 
-def _vanes(calibration: CalibrationSet, out: dict[str, float]) -> None:
+def _vanes(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
     for column in ("alpha", "beta"):
         item = calibration.get(f"{column}_vane")
         sigma = _curve_sigma(item)
         if item is not None and item.vane is not None and sigma is not None:
             # the wash factor's share is stated at 0.1 rad
-            _put(out, column, float(np.hypot(sigma, 0.1 * item.vane.wash_factor_uncertainty) / item.vane.wash_factor))
+            _put(
+                sigmas, column, float(np.hypot(sigma, 0.1 * item.vane.wash_factor_uncertainty) / item.vane.wash_factor)
+            )
 
 
-def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], out: dict[str, float]) -> None:
+def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
     names = {"accelerometer": ("ax", "ay", "az"), "gyro": ("p", "q", "r"), "magnetometer": ("mx", "my", "mz")}
     for instrument, axes in names.items():
         item = calibration.get(instrument)
@@ -186,7 +188,7 @@ def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], out: dict
         squares = [float(np.nanmean(columns[a] ** 2)) for a in axes if np.isfinite(columns[a]).any()]
         size = float(np.sqrt(sum(squares)))
         for axis, sigma in zip(axes, item.triad.uncertainty, strict=True):
-            _put(out, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
+            _put(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
 
 
 def _median(columns: Mapping[str, Array], name: str) -> float | None:

@@ -60,13 +60,13 @@ def runs(number: NDArray[np.int64], finite: Mask) -> tuple[list[NDArray[np.int64
 def to_scan_time(
     values: Array,
     sampled_at: Array,
-    wanted: Array,
+    target_times: Array,
     number: NDArray[np.int64],
     *,
     smooth: bool,
     furthest: float = math.inf,
 ) -> Array:
-    """`values` (N,) sampled at `sampled_at` (N,) [s], brought to `wanted` (N,) [s], run by run.
+    """`values` (N,) sampled at `sampled_at` (N,) [s], brought to `target_times` (N,) [s], run by run.
 
     number: (N,) scan counter. smooth: cubic instead of linear. A channel whose samples are further apart than `furthest` [s]
     or SLOWEST scans stays in its own scans; one read in every k-th scan gets a value in each scan of its runs. A run of one
@@ -74,7 +74,7 @@ def to_scan_time(
     a run than half its sample interval.
     """
     finite = np.isfinite(values) & np.isfinite(sampled_at)
-    if _too_sparse(finite, wanted, number, furthest):
+    if _too_sparse(finite, target_times, number, furthest):
         return np.where(finite, values, np.nan)
     aligned_values = np.full_like(values, np.nan)
     row_runs, spacing = runs(number, finite)
@@ -82,7 +82,7 @@ def to_scan_time(
         t, y = sampled_at[rows], values[rows]
         if t.size >= 2 and np.all(np.diff(t) > 0):
             span = slice(max(0, rows[0] - spacing // 2), min(values.size, rows[-1] + 1 + spacing // 2))
-            aligned = _in_run(t, y, wanted[span], smooth and t.size >= 4)
+            aligned = _in_run(t, y, target_times[span], smooth and t.size >= 4)
             aligned_values[span] = np.where(np.isnan(aligned), aligned_values[span], aligned)
     return aligned_values
 
@@ -105,26 +105,26 @@ def hold(values: Array, number: NDArray[np.int64]) -> Array:
     return held_values
 
 
-def _in_run(t: Array, y: Array, wanted: Array, cubic: bool) -> Array:
-    i = np.clip(np.searchsorted(t, wanted) - 1, 0, t.size - 2)
-    interpolated = y[i] + (wanted - t[i]) * ((y[i + 1] - y[i]) / (t[i + 1] - t[i]))
+def _in_run(t: Array, y: Array, target_times: Array, cubic: bool) -> Array:
+    i = np.clip(np.searchsorted(t, target_times) - 1, 0, t.size - 2)
+    interpolated = y[i] + (target_times - t[i]) * ((y[i + 1] - y[i]) / (t[i + 1] - t[i]))
     if cubic:
         j = np.clip(i - 1, 0, t.size - 4)
-        within = (wanted >= t[0]) & (wanted <= t[-1])
-        interpolated = np.where(within, _lagrange(t, y, wanted, j), interpolated)
-    exact = wanted == t[i]
+        within = (target_times >= t[0]) & (target_times <= t[-1])
+        interpolated = np.where(within, _lagrange(t, y, target_times, j), interpolated)
+    exact = target_times == t[i]
     interpolated = np.where(exact, y[i], interpolated)
     reach = 0.5 * float(np.median(np.diff(t)))
-    return np.where((wanted < t[0] - reach) | (wanted > t[-1] + reach), np.nan, interpolated)
+    return np.where((target_times < t[0] - reach) | (target_times > t[-1] + reach), np.nan, interpolated)
 
 
-def _lagrange(t: Array, y: Array, wanted: Array, first: NDArray[np.int64]) -> Array:
-    total = np.zeros_like(wanted)
+def _lagrange(t: Array, y: Array, target_times: Array, first: NDArray[np.int64]) -> Array:
+    total = np.zeros_like(target_times)
     for a in range(4):
-        weight = np.ones_like(wanted)
+        weight = np.ones_like(target_times)
         for b in range(4):
             if a != b:
-                weight = weight * (wanted - t[first + b]) / (t[first + a] - t[first + b])
+                weight = weight * (target_times - t[first + b]) / (t[first + a] - t[first + b])
         total = total + weight * y[first + a]
     return total
 

@@ -107,7 +107,7 @@ class Calibrator:
         return readings
 
     def _read_curve(
-        self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, out: Readings
+        self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, readings: Readings
     ) -> None:
         reading = self.physical(table, channel)
         if item.ratiometric is not None:
@@ -121,13 +121,13 @@ class Calibrator:
             value = value - curves.evaluate(curve, zero)
         outside = int(np.sum(curves.extrapolated(curve, reading)))
         if outside:
-            out.extrapolated[item.instrument] = outside
+            readings.extrapolated[item.instrument] = outside
         group = CHANNEL_BY_NAME[channel].group
         # a channel read later within its group shows a later instant: less delay
         delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
-        _put_reading(out, item.instrument, value, group, delay)
+        _put_reading(readings, item.instrument, value, group, delay)
 
-    def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, out: Readings) -> None:
+    def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, readings: Readings) -> None:
         x, y, z = (self.physical(table, c) for c in item.channels)
         reading = (x, y, z)
         group = CHANNEL_BY_NAME[item.channels[0]].group
@@ -138,16 +138,16 @@ class Calibrator:
         lowest, highest = triad.valid
         outside = sum(int(np.sum((axis < lowest) | (axis > highest))) for axis in reading)
         if outside:
-            out.extrapolated[item.instrument] = outside
+            readings.extrapolated[item.instrument] = outside
         delay = item.delay + self.facts.delay(item.instrument, group)
         lag = self.facts.lag(item.instrument)
         warmth = hold_recent(table.time, self.physical(table, "imu_temperature"))
         for axis, value in zip("xyz", conversions.apply_triad(triad, reading, warmth), strict=True):
-            _put_reading(out, f"{item.instrument}_{axis}", value, group, delay)
+            _put_reading(readings, f"{item.instrument}_{axis}", value, group, delay)
             if lag:
-                out.lag[f"{item.instrument}_{axis}"] = lag
+                readings.lag[f"{item.instrument}_{axis}"] = lag
 
-    def _read_static(self, table: ScanTable, out: Readings) -> None:
+    def _read_static(self, table: ScanTable, readings: Readings) -> None:
         item = self.calibration.get("static")
         if item is None or item.static is None or self._static_chip is None:
             return
@@ -155,19 +155,19 @@ class Calibrator:
             table.raw["static_pressure"], table.raw["static_temperature"]
         )
         delay = item.delay + self.facts.delay("static", "static")
-        _put_reading(out, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
-        _put_reading(out, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
+        _put_reading(readings, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
+        _put_reading(readings, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
 
     def physical(self, table: ScanTable, channel: str) -> Array:
         """A raw channel (N,) at data-sheet scale of its range, as counts where the data sheet leaves the scale open."""
         scale = self.facts.scale(channel)
         return table.raw[channel] if scale is None else table.raw[channel] * scale + CHANNEL_BY_NAME[channel].offset
 
-    def _read_gnss(self, table: ScanTable, out: Readings) -> None:
+    def _read_gnss(self, table: ScanTable, readings: Readings) -> None:
         """Position and velocity of fixes in three dimensions; other fixes measure nothing."""
         has_fix = table.raw["gnss_fix"] >= _FIX_3D
         for name in GNSS:
-            _put_reading(out, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
+            _put_reading(readings, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
 
     def sensor_supply(self, table: ScanTable) -> Array:
         """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
@@ -217,8 +217,8 @@ def known_offset(table: ScanTable, group: str) -> Array:
     return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
 
 
-def _put_reading(out: Readings, name: str, values: Array, group: str, delay: float) -> None:
-    out.values[name], out.group[name], out.delay[name] = values, group, delay
+def _put_reading(readings: Readings, name: str, values: Array, group: str, delay: float) -> None:
+    readings.values[name], readings.group[name], readings.delay[name] = values, group, delay
 
 
 def _clipped(table: ScanTable) -> dict[str, int]:

@@ -228,17 +228,17 @@ class _InstrumentJob:
         assert self.fit.field is not None, "checked by the plan"
         return fit_sphere(readings, self.fit.field, self.fit.reference_uncertainty)
 
-    def _updated(self, old: Triad, found: TriadFit) -> Triad:
-        slope = tuple(found.bias_per_kelvin.tolist()) if self.fit.fit_temperature else old.bias_per_kelvin
+    def _updated(self, old: Triad, fit: TriadFit) -> Triad:
+        slope = tuple(fit.bias_per_kelvin.tolist()) if self.fit.fit_temperature else old.bias_per_kelvin
         common = self.fit.systematic_uncertainty
         return old.model_copy(
             update={
-                "matrix": tuple(tuple(row) for row in found.matrix.tolist()),
-                "bias": tuple(found.bias.tolist()),
+                "matrix": tuple(tuple(row) for row in fit.matrix.tolist()),
+                "bias": tuple(fit.bias.tolist()),
                 "bias_per_kelvin": slope,
-                "uncertainty": tuple(np.hypot(found.bias_std, common).tolist()),
-                "matrix_uncertainty": float(found.matrix_std.max()),
-                "residual_rms": found.residual_rms,
+                "uncertainty": tuple(np.hypot(fit.bias_std, common).tolist()),
+                "matrix_uncertainty": float(fit.matrix_std.max()),
+                "residual_rms": fit.residual_rms,
             }
         )
 
@@ -287,24 +287,24 @@ def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet
     return replace(base.with_texts(texts), name=base.name)
 
 
-def _sentence(made: Instrument, fit: InstrumentFit) -> str:
-    start = f"{made.instrument}: {len(fit.dwell)} {'points' if made.triad is None else 'dwells'}"
-    if made.curve is not None:
-        curve = made.curve
+def _sentence(instrument: Instrument, fit: InstrumentFit) -> str:
+    curve, triad, static = instrument.curve, instrument.triad, instrument.static
+    start = f"{instrument.instrument}: {len(fit.dwell)} {'points' if triad is None else 'dwells'}"
+    if curve is not None:
         low, high = curve.valid
         largest = float(np.max(curves.standard_deviation(curve, np.linspace(low, high, 21))))
         return (
             f"{start}, degree {fit.degree}, residual {curve.residual_rms:.3g} {curve.output_unit} rms, one sigma at most "
             f"{largest:.3g} {curve.output_unit} from {low:.6g} to {high:.6g} {curve.input_unit}"
         )
-    if made.triad is not None:
-        bias, sigma = (", ".join(f"{v:.4g}" for v in values) for values in (made.triad.bias, made.triad.uncertainty))
+    if triad is not None:
+        bias, sigma = (", ".join(f"{v:.4g}" for v in values) for values in (triad.bias, triad.uncertainty))
         return (
-            f"{start}, residual {made.triad.residual_rms:.3g} {made.triad.output_unit} rms, bias {bias} (+- {sigma}), "
-            f"scale and misalignment +- {made.triad.matrix_uncertainty:.2g}"
+            f"{start}, residual {triad.residual_rms:.3g} {triad.output_unit} rms, bias {bias} (+- {sigma}), "
+            f"scale and misalignment +- {triad.matrix_uncertainty:.2g}"
         )
-    if made.static is not None:
-        return f"{start}, offset {made.static.pressure_offset:.4g} Pa (+- {made.static.uncertainty:.3g})"
+    if static is not None:
+        return f"{start}, offset {static.pressure_offset:.4g} Pa (+- {static.uncertainty:.3g})"
     return start
 
 

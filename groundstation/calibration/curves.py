@@ -110,9 +110,9 @@ def fit_polynomial(
         ) from error
 
 
-def _interpolate(grid: Array, out: Array, x: Array) -> Array:
+def _interpolate(grid: Array, outputs: Array, x: Array) -> Array:
     i = np.clip(np.searchsorted(grid, x) - 1, 0, grid.size - 2)
-    return np.asarray(out[i] + (x - grid[i]) * ((out[i + 1] - out[i]) / (grid[i + 1] - grid[i])))
+    return np.asarray(outputs[i] + (x - grid[i]) * ((outputs[i + 1] - outputs[i]) / (grid[i + 1] - grid[i])))
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iter
     )
 
 
-def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None, model: str, say: Say) -> bool:
+def _conclude(station: "Station", handovers: list["Handover"], json_path: Path | None, model: str, say: Say) -> bool:
     """Say what the session has left, and write its counters; whether the disk has all that came down.
 
     model: that the gap monitor held against flight, or "".
@@ -159,15 +159,15 @@ def _conclude(station: "Station", handed: list["Handover"], json_path: Path | No
     from groundstation.cli.data import write_json
     from groundstation.identification.history import alarmed
 
-    for flight in handed:
+    for flight in handovers:
         for line in flight.lines():
             say(line)
         if alarmed(flight.flight.provenance.detail):
             option = f" --model {model}" if model else ""
             say(f"  the gap monitor gave alarms; next: sideslip gap {flight.manoeuvres_path or flight.path}{option}")
     summary = station.receiver.summary()
-    summary["flight"] = str(handed[0].path) if handed else None
-    summary["flights"] = [str(h.path) for h in handed]
+    summary["flight"] = str(handovers[0].path) if handovers else None
+    summary["flights"] = [str(h.path) for h in handovers]
     write_json(json_path, summary)
     lost_count = sum(b - a + 1 for a, b in summary["scans_lost"])
     say(
@@ -263,7 +263,7 @@ def _listen(
 
 
 def _estimate(
-    handed: list["Handover"],
+    handovers: list["Handover"],
     settings: "GroundConfig",
     folder: Path,
     say: Say,
@@ -272,7 +272,7 @@ def _estimate(
     show: bool,
 ) -> None:
     """Estimate from the flights, after the station is closed. show: open the report, for somebody who has been watching."""
-    flights = [h.manoeuvres_path or h.path for h in handed]
+    flights = [h.manoeuvres_path or h.path for h in handovers]
     if not flights:
         say("nothing to estimate from: no flight was handed over")
         return

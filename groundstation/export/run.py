@@ -35,66 +35,66 @@ class ExportSummary:
 
 
 def export_file(
-    file: Path, out: Path, *, units_row: bool = False, raw: bool = False, calibration: Path | None = None
+    file: Path, target: Path, *, units_row: bool = False, raw: bool = False, calibration: Path | None = None
 ) -> ExportSummary:
-    """Write FILE, a flight or a raw recording, in the format of `out`'s ending.
+    """Write FILE, a flight or a raw recording, in the format of `target`'s ending.
 
     units_row: a second line of units in a CSV. raw: counts instead of calibrated columns (recordings, tables only).
     calibration: directory in place of the embedded set. Raises UserError with one sentence.
     """
-    check_output(file, out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    suffix = out.suffix.lower()
+    check_output(file, target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    suffix = target.suffix.lower()
     if suffix == ".rrd":
         from groundstation.viewer.recorded import as_rrd
 
-        as_rrd(file, out, calibration=calibration)
-        return ExportSummary(out)
+        as_rrd(file, target, calibration=calibration)
+        return ExportSummary(target)
     if raw:
-        return ExportSummary(out, _export_counts(file, out, units_row))
+        return ExportSummary(target, _export_counts(file, target, units_row))
     from groundstation.export import foxglove, tracks
 
     flight = open_flight(file, calibration)
     writers = {".kml": tracks.write_kml, ".gpx": tracks.write_gpx, ".mcap": foxglove.write_foxglove}
     if suffix not in writers:
-        return ExportSummary(out, save_table(tracks.with_utc(flight_table(flight), flight), out, units_row))
-    writers[suffix](flight, out)
+        return ExportSummary(target, save_table(tracks.with_utc(flight_table(flight), flight), target, units_row))
+    writers[suffix](flight, target)
     untimed = "the flight does not know UTC: times count from the aircraft's start"
-    return ExportSummary(out, (untimed,) if tracks.utc_offset(flight) is None else ())
+    return ExportSummary(target, (untimed,) if tracks.utc_offset(flight) is None else ())
 
 
-def check_output(file: Path, out: Path) -> None:
+def check_output(file: Path, target: Path) -> None:
     """Refuse a format that nobody knows and an output that is the input."""
-    if out.suffix.lower() not in FORMATS:
-        raise ExportError(f"{out}: no known format; end the name in one of {' '.join(FORMATS)}")
-    if out.exists() and file.exists() and out.samefile(file):
-        raise ExportError(f"{out}: that is the file to export; give another name")
+    if target.suffix.lower() not in FORMATS:
+        raise ExportError(f"{target}: no known format; end the name in one of {' '.join(FORMATS)}")
+    if target.exists() and file.exists() and target.samefile(file):
+        raise ExportError(f"{target}: that is the file to export; give another name")
 
 
-def _export_counts(file: Path, out: Path, units_row: bool) -> tuple[str, ...]:
+def _export_counts(file: Path, target: Path, units_row: bool) -> tuple[str, ...]:
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.scan_table import scan_table
 
-    if out.suffix.lower() not in TABLES:
-        raise ExportError(f"{out}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
+    if target.suffix.lower() not in TABLES:
+        raise ExportError(f"{target}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
     recording = read_recording(file, salvage=True)
-    return save_table(raw_table(scan_table(recording.scans()), recording.path.stem), out, units_row)
+    return save_table(raw_table(scan_table(recording.scans()), recording.path.stem), target, units_row)
 
 
-def save_table(table: ColumnTable, out: Path, units_row: bool) -> tuple[str, ...]:
-    """Write a table in the format of `out`'s ending; notes for a person."""
-    match out.suffix.lower():
+def save_table(table: ColumnTable, target: Path, units_row: bool) -> tuple[str, ...]:
+    """Write a table in the format of `target`'s ending; notes for a person."""
+    match target.suffix.lower():
         case ".csv":
-            write_csv(table, out, units_row=units_row)
+            write_csv(table, target, units_row=units_row)
         case ".parquet":
             import pyarrow.parquet as pq
 
             from groundstation.flight.tables import arrow_table
 
-            with whole(out) as new:
+            with whole(target) as new:
                 pq.write_table(arrow_table(table), new)
         case _:
-            nameless = write_matlab(table, out)
+            nameless = write_matlab(table, target)
             return tuple(f"column {name}: no name that MATLAB takes, left out" for name in nameless)
     return ()
 

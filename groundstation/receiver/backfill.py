@@ -237,21 +237,21 @@ class BackfillClient:
         self.refused += unsound
         self._papers_ns = now_ns + RETRY_NS
 
-    def _take_scans(self, asked: set[int], data: bytes) -> None:
+    def _take_scans(self, requested: set[int], data: bytes) -> None:
         for encoded in unpack_scans(data):
             try:
                 scan = decode_scan(encoded)
             except ScanDecodeError:
                 continue
             # only one that was asked for, and that can have been made when it says
-            if scan.number in asked and self._accounting.fits(scan.number, scan.time_monotonic_ns):
+            if scan.number in requested and self._accounting.fits(scan.number, scan.time_monotonic_ns):
                 self._recorder.complete(encoded)
                 self._fetched.append(encoded)
-                asked.discard(scan.number)
+                requested.discard(scan.number)
                 self._accounting.see(scan.number)
                 self._accounting.backfilled.add(scan.number)
         # What the aircraft left out of a sound answer it does not have (any more).
-        for number in asked:
+        for number in requested:
             self.unavailable.add(number)
 
     def _take_archive(self, part: int, data: bytes, now_ns: int) -> None:

@@ -120,7 +120,7 @@ class UnconfirmedRuns:
     def count(self) -> int:
         return sum(len(c.parts) for c in self._candidates)
 
-    def hold(self, pending: PendingScan, lost: int) -> tuple[ConfirmedRun | None, int]:
+    def hold(self, pending: PendingScan, lost_frames: int) -> tuple[ConfirmedRun | None, int]:
         """Keep a part. Returns the run it proves, if it does, and how many other parts had to be given up for it."""
         given_up = 0
         now_ns = pending.now_ns
@@ -130,7 +130,7 @@ class UnconfirmedRuns:
                 weakest = min(self._candidates, key=lambda c: c.scans)
                 self._candidates.remove(weakest)
                 given_up = len(weakest.parts)
-            candidate = _Candidate(ScanRun(pending.part, now_ns), now_ns, lost)
+            candidate = _Candidate(ScanRun(pending.part, now_ns), now_ns, lost_frames)
             self._candidates.append(candidate)
         given_up += len(candidate.parts) == _MAX_PARTS
         candidate.run.advance(pending.part, now_ns)

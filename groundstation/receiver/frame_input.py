@@ -96,10 +96,10 @@ class FrameInput:
         self._decoders[sender] = decoder  # the latest one last
         return decoder
 
-    def _log(self, found: MavlinkFrame | Junk, utc_ns: int) -> None:
+    def _log(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
         if self._tlog is not None:
             try:
-                self._tlog.write(found, utc_ns)
+                self._tlog.write(item, utc_ns)
             except OSError as error:  # cleared by `flush`, which says that the disk takes it again
                 self._faults.note(TELEMETRY_LOG, error)
 

@@ -68,7 +68,7 @@ def counters(
     totals: Sequence[int],
     trackers: Sequence[SequenceTracker],
     rejected: int,
-    written: Sequence[Path],
+    recordings: Sequence[Path],
 ) -> dict[str, Any]:
     """Counters of all aircraft; scan ranges are those of the session with most scans, `sessions` has them all.
 
@@ -87,7 +87,7 @@ def counters(
         "bytes_discarded": totals[3],
         "unsigned_rejected": rejected,
         "backfilled": sum(a.backfilled for a in accounting),
-        "flight": str(written[0]) if written else None,
+        "flight": str(recordings[0]) if recordings else None,
         "sessions": [_session(a) for a in accounting],
     }
 

@@ -121,7 +121,7 @@ class UdpListener(UdpPort):
             self._keep(name, size, now_ns, datagrams)
         return datagrams
 
-    def _keep(self, name: str, size: int, now_ns: int, out: list[tuple[str, bytes]]) -> None:
+    def _keep(self, name: str, size: int, now_ns: int, datagrams: list[tuple[str, bytes]]) -> None:
         """Take what is in the buffer, if its sender may send so much."""
         aircraft = self._aircraft.get(name)
         if aircraft is not None:
@@ -129,16 +129,16 @@ class UdpListener(UdpPort):
         else:
             accepted = self._stranger_allowance(name).spend(size, now_ns) and self._strangers.spend(size, now_ns)
         if accepted:
-            out.append((name, bytes(self._buffer[:size])))
+            datagrams.append((name, bytes(self._buffer[:size])))
         else:
             self.refused_bytes += size
 
-    def _datagrams(self, own: socket.socket, limit: int) -> Iterator[tuple[Address, int]]:
+    def _datagrams(self, connection: socket.socket, limit: int) -> Iterator[tuple[Address, int]]:
         """Sender and size of each datagram waiting, its bytes in the buffer; bounded, so that a turn has an end."""
         total = 0
         for _ in range(TURN_DATAGRAMS):
             try:
-                size, address = own.recvfrom_into(self._buffer)
+                size, address = connection.recvfrom_into(self._buffer)
             except OSError as error:
                 if error.errno in _REFUSED:
                     continue  # something sent before has not arrived
@@ -225,9 +225,9 @@ def _name(address: Address) -> str:
     return f"{address[0]}:{address[1]}"
 
 
-def _drops(own: socket.socket) -> int:
+def _drops(connection: socket.socket) -> int:
     try:
-        counters = own.getsockopt(socket.SOL_SOCKET, _MEMORY_INFO, 9 * 4)
+        counters = connection.getsockopt(socket.SOL_SOCKET, _MEMORY_INFO, 9 * 4)
     except OSError:
         return 0
     return int(struct.unpack_from("=I", counters, _DROPS_AT)[0]) if len(counters) >= 9 * 4 else 0

@@ -131,7 +131,7 @@ class Receiver:
         with self._lock:
             return dict(self.faults.present)
 
-    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now: int, utc: int, events: list[ev.Event]) -> None:
+    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now_ns: int, utc: int, events: list[ev.Event]) -> None:
         if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
@@ -144,12 +144,12 @@ class Receiver:
                     aircraft.meter.radio = fields
             return
         aircraft_of_frame = self._aircraft_of(frame, sender)
-        if aircraft_of_frame is None or not self._may_speak(aircraft_of_frame, frame, sender, now):
+        if aircraft_of_frame is None or not self._may_speak(aircraft_of_frame, frame, sender, now_ns):
             return
         aircraft_of_frame.port = port
-        events += aircraft_of_frame.decoder.decode_frame(frame, now, utc)
+        events += aircraft_of_frame.decoder.decode_frame(frame, now_ns, utc)
         if frame.msg_id not in SCAN_IDS:
-            self._take_answer(aircraft_of_frame, frame, now, events)
+            self._take_answer(aircraft_of_frame, frame, now_ns, events)
 
     def _aircraft_of(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
@@ -169,24 +169,24 @@ class Receiver:
             self._aircraft[frame.system] = aircraft
         return aircraft
 
-    def _may_speak(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
+    def _may_speak(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
         is_own_message = frame.msg_id >= FIRST_OWN_ID
         speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
         if self._gate.signer is None:
-            if not aircraft.senders.allows(sender, frame.component, is_own_message, now):
+            if not aircraft.senders.allows(sender, frame.component, is_own_message, now_ns):
                 return False
         elif is_own_message:
-            aircraft.senders.speaks(sender, now)
+            aircraft.senders.speaks(sender, now_ns)
         if is_own_message and speaker != sender:
             if speaker is not None:
                 self._frame_input.forget(speaker)
             self._frame_input.favour(sender)
         return True
 
-    def _contests(self, now: int) -> list[ev.ReceptionFinding]:
+    def _contests(self, now_ns: int) -> list[ev.ReceptionFinding]:
         """Second senders that are to be reported; the first time of each is put into the recording."""
-        reports = self.findings.reports(now, FindingKind.CONTESTED)
+        reports = self.findings.reports(now_ns, FindingKind.CONTESTED)
         for report in reports:
             aircraft = self._aircraft[report.system]
             accounting = aircraft.decoder.accounting
@@ -194,13 +194,15 @@ class Receiver:
                 aircraft.sessions.note(accounting.session, report.text)
         return reports
 
-    def _take_answer(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now: int, events: list[ev.Event]) -> None:
+    def _take_answer(
+        self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now_ns: int, events: list[ev.Event]
+    ) -> None:
         """Answers to what was asked from here."""
         match frame.name:
             case "COMMAND_ACK":
                 f: Mapping[str, Any] = frame.fields()
                 if f["target_system"] in (0, self.config.system_id):
-                    events += self.commander.acknowledge(frame.system, f["command"], f["result"], now)
+                    events += self.commander.acknowledge(frame.system, f["command"], f["result"], now_ns)
             case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
                 f = frame.fields()
                 accounting = aircraft.decoder.accounting
@@ -208,19 +210,19 @@ class Receiver:
                     with self.faults.watch("backfill"):
                         if frame.name == "BACKFILL_DATA":
                             refused_count = aircraft.backfill.refused
-                            aircraft.backfill.take_data(f, now)
+                            aircraft.backfill.take_data(f, now_ns)
                             self.findings.doubt(
                                 frame.system, findings.PAPERS, aircraft.backfill.refused - refused_count
                             )
                             fetched = aircraft.backfill.take_fetched()
-                            events += [ev.ScanFetched(accounting.session, data, now) for data in fetched]
+                            events += [ev.ScanFetched(accounting.session, data, now_ns) for data in fetched]
                         else:
                             aircraft.backfill.take_summary(f)
             case "MANOEUVRE_STATUS":
-                events += aircraft.manoeuvre.take_status(frame.fields(), now)
+                events += aircraft.manoeuvre.take_status(frame.fields(), now_ns)
             case "LOG_ENTRY" | "LOG_DATA":
                 with self.faults.watch("download"):
-                    aircraft.logs.take_answer(frame.name, frame.fields(), now)
+                    aircraft.logs.take_answer(frame.name, frame.fields(), now_ns)
 
     def _record(self, events: list[ev.Event]) -> None:
         """Hand events to the recorders of their sessions."""
@@ -246,49 +248,49 @@ class Receiver:
 
     # ------------------------------------------------------------------------------------------ sending
 
-    def _send_due(self, now: int, events: list[ev.Event]) -> None:
-        if now >= self._next_report_ns:
-            self._next_report_ns = now + _REPORT_NS
-            self._report(now, events)
-        self._gate.keep_state(now)
+    def _send_due(self, now_ns: int, events: list[ev.Event]) -> None:
+        if now_ns >= self._next_report_ns:
+            self._next_report_ns = now_ns + _REPORT_NS
+            self._report(now_ns, events)
+        self._gate.keep_state(now_ns)
         if not self.config.transmit:
             return
-        if now >= self._next_heartbeat_ns:
-            self._next_heartbeat_ns = now + _HEARTBEAT_NS
+        if now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
             beat = self._encoder.message("HEARTBEAT", type=_GCS, autopilot=_NO_AUTOPILOT, mavlink_version=3)
             for port in self._ports.values():
                 self._write(port, beat)
-        send, given_up = self.commander.due(now)
+        send, given_up = self.commander.due(now_ns)
         events += given_up
         for system, fields in send:
             target = self._aircraft.get(system)
             if target is not None:
                 self._send(target, "COMMAND_LONG", fields)
         for aircraft in self._aircraft.values():
-            events += aircraft.manoeuvre.given_up(now)
-            self._serve_aircraft(aircraft, now)
+            events += aircraft.manoeuvre.given_up(now_ns)
+            self._serve_aircraft(aircraft, now_ns)
 
-    def _serve_aircraft(self, aircraft: _TrackedAircraft, now: int) -> None:
+    def _serve_aircraft(self, aircraft: _TrackedAircraft, now_ns: int) -> None:
         accounting = aircraft.decoder.accounting
         if accounting is None:
             return
-        if now >= aircraft.next_sync_ns:
+        if now_ns >= aircraft.next_sync_ns:
             aircraft.syncs += 1
-            aircraft.next_sync_ns = now + (_SYNC_FAST_NS if aircraft.syncs < _SYNC_FAST_COUNT else _SYNC_NS)
-            self._send(aircraft, "TIMESYNC", {"ts1": aircraft.decoder.sync.ask(now)})
-        if now >= aircraft.next_map_ns:
-            aircraft.next_map_ns = now + _MAP_NS
+            aircraft.next_sync_ns = now_ns + (_SYNC_FAST_NS if aircraft.syncs < _SYNC_FAST_COUNT else _SYNC_NS)
+            self._send(aircraft, "TIMESYNC", {"ts1": aircraft.decoder.sync.ask(now_ns)})
+        if now_ns >= aircraft.next_map_ns:
+            aircraft.next_map_ns = now_ns + _MAP_NS
             # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
-            quiet = now - aircraft.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
+            quiet = now_ns - aircraft.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
             open_blocks = (b for b in accounting.open_blocks() if b < accounting.last // BLOCK or quiet)
             for block in islice(open_blocks, _MAPS_AT_ONCE):
                 self._send(
                     aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": accounting.session.boot}
                 )
         if aircraft.backfill is not None:
-            for name, fields in aircraft.backfill.due(now):
+            for name, fields in aircraft.backfill.due(now_ns):
                 self._send(aircraft, name, fields)
-        for name, fields in (*aircraft.logs.due(now), *aircraft.manoeuvre.due(now)):
+        for name, fields in (*aircraft.logs.due(now_ns), *aircraft.manoeuvre.due(now_ns)):
             self._send(aircraft, name, fields)
 
     def _send(self, aircraft: _TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
@@ -308,15 +310,15 @@ class Receiver:
                     break
                 size += piece
 
-    def _report(self, now: int, events: list[ev.Event]) -> None:
+    def _report(self, now_ns: int, events: list[ev.Event]) -> None:
         for aircraft in self._aircraft.values():
-            report = aircraft.meter.report(now)
+            report = aircraft.meter.report(now_ns)
             if report is None:
                 continue
             events.append(report)
             if aircraft.sessions is not None:
                 aircraft.sessions.keep(report)
-            progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
+            progress = aircraft.backfill.progress(now_ns) if aircraft.backfill is not None else None
             if progress is not None:
                 events.append(progress)
         self._frame_input.flush()

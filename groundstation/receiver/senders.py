@@ -100,22 +100,22 @@ class Senders:
         self._confirmed: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # spoke before, and still may
         self.contested = 0
 
-    def allows(self, sender: Sender, component: int, own: bool, now_ns: int) -> bool:
-        """Whether a frame may be used. own: it is one of the logger's own messages."""
-        confirmed = self._confirmed.get((sender, component, own))
+    def allows(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
+        """Whether a frame may be used. is_own_message: it is one of the logger's own messages."""
+        confirmed = self._confirmed.get((sender, component, is_own_message))
         if confirmed is not None:
             for confirmed_speaker in confirmed:
                 confirmed_speaker.heard_ns = now_ns
             return True
         port = sender.port
-        roles = ((component, port), (_LOGGER, port)) if own else ((component, port),)
+        roles = ((component, port), (_LOGGER, port)) if is_own_message else ((component, port),)
         speakers = [self._speakers.get(role) for role in roles]
         for speaker in speakers:
             if speaker is not None and speaker.sender != sender and now_ns - speaker.heard_ns < SILENCE_NS:
                 self.contested += 1
                 self._findings.contest(self.system, sender.name, speaker.sender.name, used=False)
                 return False
-        if own and (_LOGGER, sender.port) not in self._speakers:
+        if is_own_message and (_LOGGER, sender.port) not in self._speakers:
             self._report_second_port(sender, now_ns)
         for role, speaker in zip(roles, speakers, strict=True):
             if speaker is None or speaker.sender != sender:
@@ -124,7 +124,7 @@ class Senders:
             else:
                 speaker.heard_ns = now_ns
         if len(self._confirmed) < _MAX_CONFIRMED:
-            self._confirmed[sender, component, own] = tuple(self._speakers[role] for role in roles)
+            self._confirmed[sender, component, is_own_message] = tuple(self._speakers[role] for role in roles)
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:

@@ -45,14 +45,14 @@ class TlogWriter:
         self._wrapper = FrameEncoder(0, 0)
         self._sound = True
 
-    def write(self, found: MavlinkFrame | Junk, utc_ns: int) -> None:
+    def write(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
         """Keep a frame, or bytes that are none."""
         stamp = _STAMP.pack(max(0, utc_ns) // 1000)
-        if isinstance(found, MavlinkFrame):
-            self._put(stamp + found.raw)
+        if isinstance(item, MavlinkFrame):
+            self._put(stamp + item.raw)
             return
-        for offset in range(0, len(found.raw), JUNK_CHUNK):
-            piece = found.raw[offset : offset + JUNK_CHUNK]
+        for offset in range(0, len(item.raw), JUNK_CHUNK):
+            piece = item.raw[offset : offset + JUNK_CHUNK]
             wrapped = self._wrapper.message(
                 "TUNNEL", payload_type=JUNK_PAYLOAD_TYPE, payload_length=len(piece), payload=piece
             )

@@ -69,14 +69,14 @@ def host_of(header: str) -> str:
 
 
 def refusal(
-    headers: Mapping[str, str], known: frozenset[str], token: str, *, tokens: tuple[str, ...] = ()
+    headers: Mapping[str, str], names: frozenset[str], token: str, *, tokens: tuple[str, ...] = ()
 ) -> HTTPStatus | None:
-    """Why a request is not answered; None where it is. headers: by their names in small letters. known: names that this
+    """Why a request is not answered; None where it is. headers: by their names in small letters. names: names that this
     server goes by; with a token any, for a strange name has no token. tokens: those that the request shows besides its cookie."""
     host, origin = headers.get("host", ""), headers.get("origin", "null")
-    if not token and host_of(host) not in known:
+    if not token and host_of(host) not in names:
         return HTTPStatus.MISDIRECTED_REQUEST
-    if origin != "null" and host_of(origin) not in (known if not token else {host_of(host)}):
+    if origin != "null" and host_of(origin) not in (names if not token else {host_of(host)}):
         return HTTPStatus.FORBIDDEN
     candidates = [*tokens, *_cookies(headers.get("cookie", ""))]
     if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in candidates):
@@ -127,9 +127,9 @@ class BoundedServer(socketserver.ThreadingTCPServer):
         """A connection that breaks is no news."""
 
 
-def pump(one: socket.socket, other: socket.socket, idle_s: float = IDLE_S) -> None:
+def pump(first: socket.socket, second: socket.socket, idle_s: float = IDLE_S) -> None:
     """Pass bytes on in both directions until one side ends, or nothing comes for too long."""
-    destination = {one: other, other: one}
+    destination = {first: second, second: first}
     for side in destination:
         side.settimeout(HEAD_S)
     while True:

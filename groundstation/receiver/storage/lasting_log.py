@@ -139,15 +139,15 @@ class Disk:
     def busy(self) -> bool:
         return self._round is not None and not self._round.done()
 
-    def _sync(self, held: list[tuple[int, Path]]) -> None:
+    def _sync(self, descriptors: list[tuple[int, Path]]) -> None:
         try:
-            for descriptor, path in held:
+            for descriptor, path in descriptors:
                 os.fsync(descriptor)
                 if path not in self._named:
                     sync_directory(path.parent)
                     self._named.add(path)
         finally:
-            for descriptor, _ in held:
+            for descriptor, _ in descriptors:
                 os.close(descriptor)
 
     def close(self) -> None:

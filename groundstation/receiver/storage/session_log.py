@@ -175,15 +175,15 @@ class SessionLog:
         return next(iter(deque(self.others(kind), maxlen=1)), None)
 
 
-def _record_at(file: IO[bytes], at: int, size: int) -> _Record | None:
-    file.seek(at)
+def _record_at(file: IO[bytes], offset: int, size: int) -> _Record | None:
+    file.seek(offset)
     head = file.read(_HEAD.size)
     if len(head) < _HEAD.size:
         return None
     kind, number, length, crc = _HEAD.unpack(head)
-    if kind not in _KINDS or length > _LIMIT or at + _HEAD.size + length > size:
+    if kind not in _KINDS or length > _LIMIT or offset + _HEAD.size + length > size:
         return None
     data = file.read(length)
     if zlib.crc32(_CRC_OF.pack(kind, number, length) + data) != crc:
         return None
-    return _Record(at, RecordKind(kind), number, data)
+    return _Record(offset, RecordKind(kind), number, data)
