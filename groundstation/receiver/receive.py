@@ -8,26 +8,25 @@ All methods may be called from any thread.
 import threading
 from collections.abc import Mapping
 from contextlib import ExitStack, closing
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, FrameEncoder, MavlinkFrame, message_types
 from daq.transport.ports import BytePort
 from groundstation.receiver import events as ev
 from groundstation.receiver import findings
-from groundstation.receiver.backfill import BackfillClient, Mode
-from groundstation.receiver.commands import Commander, LogFetcher, ManoeuvreSender
-from groundstation.receiver.decode import AircraftDecoder
+from groundstation.receiver.aircraft import TrackedAircraft
+from groundstation.receiver.backfill import Mode
+from groundstation.receiver.commands import Commander, LogFetcher
 from groundstation.receiver.events import FindingKind
 from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import FrameInput, Sender
-from groundstation.receiver.link_quality import RateMeter, counters
+from groundstation.receiver.link_quality import counters
 from groundstation.receiver.ports import LinkConfig, open_port
-from groundstation.receiver.senders import SIGNING_STATE, Senders, SignatureGate, make_signer
+from groundstation.receiver.senders import SIGNING_STATE, SignatureGate, make_signer
 from groundstation.receiver.storage.lasting_log import Disk
 from groundstation.receiver.storage.recording import SessionRecorder
 from groundstation.receiver.storage.sessions import RECORDING, Sessions
@@ -35,34 +34,11 @@ from groundstation.receiver.timeline import NS, GroundClock
 
 _HEARTBEAT_NS = NS
 _REPORT_NS = NS
-_SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
-_MAP_NS = 2 * NS
-_MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _DISK = "disk"
 _RECORDED = (ev.ScanReceived, ev.EventMarked)
 _FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
-
-
-class _TrackedAircraft:
-    """One aircraft as the receiver keeps it."""
-
-    def __init__(
-        self, system: int, port: BytePort, sender: Sender, sessions: Sessions | None, reception: ReceptionFindings
-    ) -> None:
-        self.decoder = AircraftDecoder(system, reception)
-        self.first_sender = sender
-        self.senders = Senders(system, reception)
-        self.meter = RateMeter(self.decoder)
-        self.port = port
-        self.sessions = sessions
-        self.backfill: BackfillClient | None = None
-        self.logs = LogFetcher(system)
-        self.manoeuvre = ManoeuvreSender(system)
-        self.next_sync_ns = 0
-        self.syncs = 0
-        self.next_map_ns = 0
 
 
 class Receiver:
@@ -89,7 +65,7 @@ class Receiver:
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._frame_input = FrameInput(self._ports, folder, self.faults)
         self._disk = Disk()
-        self._aircraft: dict[int, _TrackedAircraft] = {}
+        self._aircraft: dict[int, TrackedAircraft] = {}
         self._next_heartbeat_ns = 0
         self._next_report_ns = 0
         self._written: list[Path] = []
@@ -143,15 +119,21 @@ class Receiver:
                 if aircraft.port is port:
                     aircraft.meter.radio = fields
             return
-        aircraft_of_frame = self._aircraft_of(frame, sender)
-        if aircraft_of_frame is None or not self._may_speak(aircraft_of_frame, frame, sender, now_ns):
+        speaking = self._aircraft_of(frame, sender)
+        if speaking is None or not self._may_speak(speaking, frame, sender, now_ns):
             return
-        aircraft_of_frame.port = port
-        events += aircraft_of_frame.decoder.decode_frame(frame, now_ns, utc)
-        if frame.msg_id not in SCAN_IDS:
-            self._take_answer(aircraft_of_frame, frame, now_ns, events)
+        speaking.port = port
+        events += speaking.decoder.decode_frame(frame, now_ns, utc)
+        if frame.msg_id in SCAN_IDS:
+            return
+        if frame.name == "COMMAND_ACK":
+            f: Mapping[str, Any] = frame.fields()
+            if f["target_system"] in (0, self.config.system_id):
+                events += self.commander.acknowledge(frame.system, f["command"], f["result"], now_ns)
+        else:
+            events += speaking.take_answer(frame, now_ns)
 
-    def _aircraft_of(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
+    def _aircraft_of(self, frame: MavlinkFrame, sender: Sender) -> TrackedAircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
         aircraft = self._aircraft.get(frame.system)
         if aircraft is not None:
@@ -165,11 +147,18 @@ class Receiver:
                 self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
                 return None
             sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            aircraft = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.findings)
-            self._aircraft[frame.system] = aircraft
+            aircraft = self._aircraft[frame.system] = TrackedAircraft(
+                frame.system,
+                self._ports[sender.port],
+                sender,
+                sessions,
+                self.config.backfill,
+                self.faults,
+                self.findings,
+            )
         return aircraft
 
-    def _may_speak(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
+    def _may_speak(self, aircraft: TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
         is_own_message = frame.msg_id >= FIRST_OWN_ID
         speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
@@ -194,57 +183,19 @@ class Receiver:
                 aircraft.sessions.note(accounting.session, report.text)
         return reports
 
-    def _take_answer(
-        self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now_ns: int, events: list[ev.Event]
-    ) -> None:
-        """Answers to what was asked from here."""
-        match frame.name:
-            case "COMMAND_ACK":
-                f: Mapping[str, Any] = frame.fields()
-                if f["target_system"] in (0, self.config.system_id):
-                    events += self.commander.acknowledge(frame.system, f["command"], f["result"], now_ns)
-            case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
-                f = frame.fields()
-                accounting = aircraft.decoder.accounting
-                if accounting is not None and f["boot"] == accounting.session.boot:
-                    with self.faults.watch("backfill"):
-                        if frame.name == "BACKFILL_DATA":
-                            refused_count = aircraft.backfill.refused
-                            aircraft.backfill.take_data(f, now_ns)
-                            self.findings.doubt(
-                                frame.system, findings.PAPERS, aircraft.backfill.refused - refused_count
-                            )
-                            fetched = aircraft.backfill.take_fetched()
-                            events += [ev.ScanFetched(accounting.session, data, now_ns) for data in fetched]
-                        else:
-                            aircraft.backfill.take_summary(f)
-            case "MANOEUVRE_STATUS":
-                events += aircraft.manoeuvre.take_status(frame.fields(), now_ns)
-            case "LOG_ENTRY" | "LOG_DATA":
-                with self.faults.watch("download"):
-                    aircraft.logs.take_answer(frame.name, frame.fields(), now_ns)
-
     def _record(self, events: list[ev.Event]) -> None:
         """Hand events to the recorders of their sessions."""
         for event in events:
             if isinstance(event, ev.Restarted):
-                with self.findings.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
-                    self._begin_session(event.session)
+                system = event.session.system
+                with self.findings.guard(system, "its new session"), self.faults.watch(RECORDING):
+                    self._aircraft[system].begin_session(event.session)
             elif isinstance(event, _RECORDED):
                 try:
-                    sessions = self._aircraft[event.session.system].sessions
-                    if sessions is not None and not sessions.keep(event):
-                        self.findings.doubt(event.session.system, findings.EVENTS)
+                    self._aircraft[event.session.system].record(event)
                 except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
-                    self.findings.quarantine_error(
-                        event.session.system, f"a {type(event).__name__} in the recording", error
-                    )
-
-    def _begin_session(self, session: ev.Session) -> None:
-        aircraft = self._aircraft[session.system]
-        accounting = next((b for b in aircraft.decoder.sessions if b.session == session), None)
-        if aircraft.sessions is not None and accounting is not None:
-            aircraft.backfill = BackfillClient(aircraft.sessions.recorder(session), accounting, self.config.backfill)
+                    what = f"a {type(event).__name__} in the recording"
+                    self.findings.quarantine_error(event.session.system, what, error)
 
     # ------------------------------------------------------------------------------------------ sending
 
@@ -268,33 +219,11 @@ class Receiver:
                 self._send(target, "COMMAND_LONG", fields)
         for aircraft in self._aircraft.values():
             events += aircraft.manoeuvre.given_up(now_ns)
-            self._serve_aircraft(aircraft, now_ns)
-
-    def _serve_aircraft(self, aircraft: _TrackedAircraft, now_ns: int) -> None:
-        accounting = aircraft.decoder.accounting
-        if accounting is None:
-            return
-        if now_ns >= aircraft.next_sync_ns:
-            aircraft.syncs += 1
-            aircraft.next_sync_ns = now_ns + (_SYNC_FAST_NS if aircraft.syncs < _SYNC_FAST_COUNT else _SYNC_NS)
-            self._send(aircraft, "TIMESYNC", {"ts1": aircraft.decoder.sync.ask(now_ns)})
-        if now_ns >= aircraft.next_map_ns:
-            aircraft.next_map_ns = now_ns + _MAP_NS
-            # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
-            quiet = now_ns - aircraft.decoder.last_scan_ns > 2 * NS  # then the last block gets no map by itself
-            open_blocks = (b for b in accounting.open_blocks() if b < accounting.last // BLOCK or quiet)
-            for block in islice(open_blocks, _MAPS_AT_ONCE):
-                self._send(
-                    aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": accounting.session.boot}
-                )
-        if aircraft.backfill is not None:
-            for name, fields in aircraft.backfill.due(now_ns):
+            for name, fields in aircraft.due(now_ns):
                 self._send(aircraft, name, fields)
-        for name, fields in (*aircraft.logs.due(now_ns), *aircraft.manoeuvre.due(now_ns)):
-            self._send(aircraft, name, fields)
 
-    def _send(self, aircraft: _TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
-        targets = {} if name == "TIMESYNC" else {"target_system": aircraft.decoder.system}
+    def _send(self, aircraft: TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
+        targets = {} if name == "TIMESYNC" else {"target_system": aircraft.system}
         self._write(aircraft.port, self._encoder.message(name, **{**targets, **fields}))
 
     def _write(self, port: BytePort, frame: bytes) -> None:
@@ -312,23 +241,10 @@ class Receiver:
 
     def _report(self, now_ns: int, events: list[ev.Event]) -> None:
         for aircraft in self._aircraft.values():
-            report = aircraft.meter.report(now_ns)
-            if report is None:
-                continue
-            events.append(report)
-            if aircraft.sessions is not None:
-                aircraft.sessions.keep(report)
-            progress = aircraft.backfill.progress(now_ns) if aircraft.backfill is not None else None
-            if progress is not None:
-                events.append(progress)
+            events += aircraft.report(now_ns)
         self._frame_input.flush()
-        for (
-            aircraft
-        ) in self._aircraft.values():  # journals go on where the disk failed, and what it lost is wanted again
-            if aircraft.sessions is not None:
-                aircraft.sessions.look_after()
-            if aircraft.backfill is not None:
-                aircraft.backfill.look_after()
+        for aircraft in self._aircraft.values():
+            aircraft.look_after()
         for kind, count in (
             (findings.BYTES, self._frame_input.refused_bytes),
             (findings.DATAGRAMS, self._frame_input.datagrams_dropped),
@@ -406,9 +322,7 @@ class Receiver:
 
     def _disk_counts(self) -> dict[str, Any]:
         """What the disk holds of what came down, for `ground --json`."""
-        pairs = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
-        states = [(sessions.state(b) if sessions is not None else None) for sessions, b in pairs]
-        counts = [state for state in states if state is not None]
+        counts = [state for a in self._aircraft.values() for state in a.states_on_disk()]
         return {
             "scans_on_disk": sum(on_disk for on_disk, _ in counts),
             "scans_not_on_disk": sum(missing for _, missing in counts),
