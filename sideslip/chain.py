@@ -41,8 +41,8 @@ def fly_scenario(
     tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
     """
     from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY
     from groundstation.flight import write_flight
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import hand_over

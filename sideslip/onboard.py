@@ -13,7 +13,7 @@ from daq.contract.errors import UserError
 from daq.contract.scan import ScanDecodeError
 from daq.identification.stretches import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.schema import load_calibration
+from groundstation.calibration.calibration_set import load_calibration
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.words import NAMES, short_line

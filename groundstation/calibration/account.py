@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
 from groundstation.calibration import curves
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
+from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.columns import direct_columns
 from groundstation.calibration.scan_table import Readings, ScanTable
-from groundstation.calibration.schema import CalibrationSet, Instrument
+from groundstation.calibration.schema import Instrument
 from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]

@@ -14,16 +14,16 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channel_rows import RAW_LIMITS
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration import conversions, curves
 from groundstation.calibration.account import account
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
+from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.columns import GNSS, CombinedColumns, direct_columns
 from groundstation.calibration.facts import RecordedFacts
 from groundstation.calibration.scan_table import Readings, ScanTable, bridged, scan_table
-from groundstation.calibration.schema import CalibrationCurve, CalibrationError, CalibrationSet, Instrument, Triad
+from groundstation.calibration.schema import CalibrationCurve, CalibrationError, Instrument, Triad
 from groundstation.flight import Flight, Provenance
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ class Calibrator:
     # -------------------------------------------------------------------------------------------- counts to values
 
     def _readings(self, table: ScanTable) -> Readings:
-        readings = Readings({}, {}, {}, {}, {}, _clipped(table))
+        readings = Readings({}, {}, {}, {}, {}, table.clipped())
         for item in self.calibration.instruments.values():
             if item.curve is not None and item.channel is not None:
                 self._read_curve(item, item.curve, item.channel, table, readings)
@@ -182,7 +182,7 @@ class Calibrator:
 
     def _align(self, table: ScanTable, readings: Readings) -> dict[str, Array]:
         values = dict(readings.values)
-        values.update(_continuous_quaternion(values))
+        values.update(conversions.continuous_quaternion(values))
         furthest = BRIDGED if table.bridged else math.inf
         for name, reading in values.items():
             if name in _HELD:
@@ -190,7 +190,7 @@ class Calibrator:
             else:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
-                sampled_at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
+                sampled_at = table.time + table.known_offset(readings.group[name]) - readings.delay[name]
                 smooth = name not in self._linear
                 values[name] = to_scan_time(
                     reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
@@ -208,38 +208,8 @@ def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Ar
     return np.where(recent, values[last], np.nan)
 
 
-def known_offset(table: ScanTable, group: str) -> Array:
-    """Read offset of a group in each scan [s]; where a scan does not carry it, the group's median, else 0."""
-    offset = table.offset[group]
-    missing = np.isnan(offset)
-    if not missing.any():
-        return offset
-    return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
-
-
 def _put_reading(readings: Readings, name: str, values: Array, group: str, delay: float) -> None:
     readings.values[name], readings.group[name], readings.delay[name] = values, group, delay
-
-
-def _clipped(table: ScanTable) -> dict[str, int]:
-    """Samples at the ends of the raw range of the signed channels: the truth lay beyond."""
-    counts = {}
-    for name, values in table.raw.items():
-        if CHANNEL_BY_NAME[name].raw_type == "i16" and CHANNEL_BY_NAME[name].group != "attitude":
-            low, high = RAW_LIMITS["i16"]
-            count = int(np.sum((values <= low) | (values >= high)))
-            if count:
-                counts[name] = count
-    return counts
-
-
-def _continuous_quaternion(values: Mapping[str, Array]) -> dict[str, Array]:
-    """q and -q are the same attitude: signs chosen so that no component jumps from one sample to the next."""
-    names = [f"quaternion_{axis}" for axis in "wxyz"]
-    q = np.stack([values[n] for n in names])
-    dot = np.sum(q[:, 1:] * q[:, :-1], axis=0)
-    sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0, -1.0, 1.0))])
-    return {n: q[i] * sign for i, n in enumerate(names)}
 
 
 # ------------------------------------------------------------------------------------------------------ whole flights

@@ -18,17 +18,11 @@ from daq.contract.recordings.reading import Recording, read_recording
 from groundstation.calibration import conversions, curves
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.bench_plan import BenchPlan, Dwell, InstrumentFit
+from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.curves import TriadFit, fit_sphere, fit_vectors
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.calibration.scan_table import ScanTable, scan_table
-from groundstation.calibration.schema import (
-    BenchPoints,
-    BenchSource,
-    CalibrationError,
-    CalibrationSet,
-    Instrument,
-    Triad,
-)
+from groundstation.calibration.schema import BenchPoints, BenchSource, CalibrationError, Instrument, Triad
 
 Array = NDArray[np.float64]
 
@@ -281,7 +275,7 @@ class _InstrumentJob:
 
 def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet:
     """The base set with the fitted files in place of its own."""
-    from groundstation.calibration.schema import to_toml
+    from groundstation.calibration.calibration_set import to_toml
 
     texts = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
     return replace(base.with_texts(texts), name=base.name)

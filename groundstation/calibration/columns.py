@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME, CHANNELS, COLUMNS, Channel, FlightColumn, sources_of
 from groundstation.calibration import conversions
 from groundstation.calibration.align import derivative
+from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.scan_table import ScanTable
-from groundstation.calibration.schema import CalibrationError, CalibrationSet, Instrument, MountingAngles, Vector
+from groundstation.calibration.schema import CalibrationError, Instrument, MountingAngles, Vector
 from groundstation.flight.atmosphere import SEA_LEVEL_PRESSURE, density
 
 Array = NDArray[np.float64]

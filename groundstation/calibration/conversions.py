@@ -7,6 +7,8 @@ aircraft (upwash, sidewash) plus the speed that rotation gives to that place, om
 and therefore reads the flank angle atan(v / u), not asin(v / V); at alpha = 0.2 rad the two differ by 2 %.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -144,6 +146,15 @@ def euler_angles(w: Array, x: Array, y: Array, z: Array, attitude: MountingAngle
     if attitude.declination:
         psi = wrap(psi + attitude.declination)
     return phi, theta, psi
+
+
+def continuous_quaternion(values: Mapping[str, Array]) -> dict[str, Array]:
+    """q and -q are the same attitude: signs chosen so that no component jumps from one sample to the next."""
+    names = [f"quaternion_{axis}" for axis in "wxyz"]
+    q = np.stack([values[n] for n in names])
+    dot = np.sum(q[:, 1:] * q[:, :-1], axis=0)
+    sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0, -1.0, 1.0))])
+    return {n: q[i] * sign for i, n in enumerate(names)}
 
 
 def wrap(angle: Array) -> Array:

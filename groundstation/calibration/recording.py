@@ -13,8 +13,9 @@ from daq.contract.recordings.reading import Recording, read_recordings, sound
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from daq.contract.scan import SCAN_TOPIC
 from groundstation.calibration.apply import calibrate
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 from groundstation.calibration.facts import Reported, reported
-from groundstation.calibration.schema import CalibrationError, CalibrationSet, load_calibration
+from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 
 _TOLD = 20  # damages of a recording told one by one in a flight's notes

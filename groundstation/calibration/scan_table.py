@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import CHANNELS, GROUP_NAMES
+from daq.contract.channel_rows import RAW_LIMITS
+from daq.contract.channels import CHANNEL_BY_NAME, CHANNELS, GROUP_NAMES
 from daq.contract.scan import Scan
 from groundstation.calibration.align import BRIDGED
 from groundstation.calibration.schema import CalibrationError
@@ -45,6 +46,25 @@ class ScanTable:
 
     def __len__(self) -> int:
         return int(self.time.size)
+
+    def known_offset(self, group: str) -> Array:
+        """Read offset of a group in each scan [s]; where a scan does not carry it, the group's median, else 0."""
+        offset = self.offset[group]
+        missing = np.isnan(offset)
+        if not missing.any():
+            return offset
+        return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
+
+    def clipped(self) -> dict[str, int]:
+        """Samples at the ends of the raw range of the signed channels: the truth lay beyond."""
+        counts = {}
+        low, high = RAW_LIMITS["i16"]
+        for name, values in self.raw.items():
+            if CHANNEL_BY_NAME[name].raw_type == "i16" and CHANNEL_BY_NAME[name].group != "attitude":
+                count = int(np.sum((values <= low) | (values >= high)))
+                if count:
+                    counts[name] = count
+        return counts
 
     def part(self, rows: slice | NDArray[np.bool_]) -> "ScanTable":
 

@@ -279,8 +279,8 @@ def bench(
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.bench import fit_bench, fitted_set
     from groundstation.calibration.bench_plan import load_plan
+    from groundstation.calibration.calibration_set import load_calibration
     from groundstation.calibration.recording import embedded_calibration
-    from groundstation.calibration.schema import load_calibration
 
     bench_plan = load_plan(plan)
     base = load_calibration(calibration) if calibration else embedded_calibration(read_recording(raw))

@@ -10,7 +10,8 @@ from typing import Protocol
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Reason, State
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.schema import CalibrationError, CalibrationSet
+from groundstation.calibration.calibration_set import CalibrationSet
+from groundstation.calibration.schema import CalibrationError
 from groundstation.identification.session import LiveState
 from groundstation.live.config import GroundConfig
 from groundstation.live.readouts import FreshValues, banner, readout_line

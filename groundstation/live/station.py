@@ -6,8 +6,9 @@ from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.rotating_log import RotatingLog
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 from groundstation.calibration.facts import reported
-from groundstation.calibration.schema import CalibrationError, CalibrationSet, load_calibration
+from groundstation.calibration.schema import CalibrationError
 from groundstation.identification.aircraft import AircraftSource
 from groundstation.live.aircraft_monitor import AircraftMonitor, MonitorView
 from groundstation.live.config import GroundConfig

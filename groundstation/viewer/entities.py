@@ -47,6 +47,30 @@ LINK_SERIES = (
     (LINK_LATENCY, "latency [ms]", PALETTE[1]),
 )
 
+
+@dataclass(frozen=True, slots=True)
+class LinkSample:
+    """State of the radio link: loss [%], frame rate [1/s], received signal [dBm], latency [s]; NaN unknown."""
+
+    loss_percent: float = math.nan
+    rate_hz: float = math.nan
+    signal_dbm: float = math.nan
+    latency_s: float = math.nan
+
+    @classmethod
+    def reported(cls, loss: float, rate_hz: float, signal: float | None, latency_s: float | None) -> "LinkSample":
+        """From a report of the receiver. loss: share of frames; None: not known."""
+        unknown = math.nan
+        return cls(
+            100 * loss, rate_hz, unknown if signal is None else signal, unknown if latency_s is None else latency_s
+        )
+
+    def by_entity(self) -> dict[str, float]:
+        """Values as shown, by the entity that shows them."""
+        values = (self.loss_percent, self.rate_hz, self.signal_dbm, 1e3 * self.latency_s)
+        return dict(zip((row[0] for row in LINK_SERIES), values, strict=True))
+
+
 _HUES: Mapping[str, int] = {"/controls/commanded": 3}  # drawn with what was measured
 _MODEL_HUE = 4
 

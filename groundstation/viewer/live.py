@@ -19,8 +19,9 @@ from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint, fitted
+from groundstation.viewer.entities import LinkSample
 from groundstation.viewer.gate import LOOPBACK, ViewerError, ViewerGate, free_port, hidden_address, port_is_free
-from groundstation.viewer.scene import LinkSample, Scene
+from groundstation.viewer.scene import Scene
 
 DEFAULT_PORT = 9876
 QUEUE_LENGTH = 600

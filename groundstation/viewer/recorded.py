@@ -21,9 +21,9 @@ from groundstation.viewer import entities as e
 from groundstation.viewer.beside import beside
 from groundstation.viewer.blueprint import Layout, blueprint, fitted
 from groundstation.viewer.derivatives import entity as curves_of
-from groundstation.viewer.entities import drawable
+from groundstation.viewer.entities import LinkSample, drawable
 from groundstation.viewer.gate import ViewerError
-from groundstation.viewer.scene import LinkSample, Scene
+from groundstation.viewer.scene import Scene
 
 if TYPE_CHECKING:
     from daq.contract.recordings.reading import Recording

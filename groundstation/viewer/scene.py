@@ -7,7 +7,6 @@ Time is the flight's own time [s] on the timeline `flight_time`. Nothing here op
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -18,7 +17,7 @@ from groundstation.identification.session import LiveState
 from groundstation.live.readouts import READOUTS, FreshValues, readout_line
 from groundstation.viewer import entities as e
 from groundstation.viewer.derivatives import DerivativeCurves, send_scalars
-from groundstation.viewer.entities import airframe_mesh, drawable
+from groundstation.viewer.entities import LinkSample, airframe_mesh, drawable
 
 EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400
@@ -45,29 +44,6 @@ def _lane(colors: Mapping[str, int]) -> rr.StateConfiguration:
     """States in words, each with its colour."""
     names = list(colors)
     return rr.StateConfiguration(values=names, labels=names, colors=np.array(list(colors.values()), np.uint32))
-
-
-@dataclass(frozen=True, slots=True)
-class LinkSample:
-    """State of the radio link: loss [%], frame rate [1/s], received signal [dBm], latency [s]; NaN unknown."""
-
-    loss_percent: float = math.nan
-    rate_hz: float = math.nan
-    signal_dbm: float = math.nan
-    latency_s: float = math.nan
-
-    @classmethod
-    def reported(cls, loss: float, rate_hz: float, signal: float | None, latency_s: float | None) -> "LinkSample":
-        """From a report of the receiver. loss: share of frames; None: not known."""
-        unknown = math.nan
-        return cls(
-            100 * loss, rate_hz, unknown if signal is None else signal, unknown if latency_s is None else latency_s
-        )
-
-    def by_entity(self) -> dict[str, float]:
-        """Values as shown, by the entity that shows them."""
-        values = (self.loss_percent, self.rate_hz, self.signal_dbm, 1e3 * self.latency_s)
-        return dict(zip((row[0] for row in e.LINK_SERIES), values, strict=True))
 
 
 class Scene:

@@ -14,8 +14,8 @@ from groundstation.live.config import LISTENER, configured, usual_ports
 from groundstation.live.readouts import FRESH_S, READOUTS, FreshValues, banner, readout_line
 from groundstation.live.watches import Alarms, Limit
 from groundstation.viewer.blueprint import blueprint, fitted
+from groundstation.viewer.entities import LinkSample
 from groundstation.viewer.recorded import filled_entities
-from groundstation.viewer.scene import LinkSample
 
 
 def test_numbers_are_in_the_units_a_person_reads() -> None:

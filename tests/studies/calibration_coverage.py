@@ -18,7 +18,8 @@ from firmware_sim.runs.bench_recordings import record_bench
 from groundstation.calibration import curves
 from groundstation.calibration.bench import fit_bench
 from groundstation.calibration.bench_plan import load_plan
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, Instrument
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
+from groundstation.calibration.schema import Instrument
 
 BENCHES = (
     "bench_angles",

@@ -11,8 +11,9 @@ from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.runs.bench_recordings import record_bench
 from groundstation.calibration.bench import fit_bench, fitted_set
 from groundstation.calibration.bench_plan import load_plan, parse_plan
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
 from groundstation.calibration.curves import fit_sphere, fit_vectors
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, CalibrationError, load_calibration
+from groundstation.calibration.schema import CalibrationError
 from tests.studies.calibration_coverage import scores
 
 UNIT = 5

@@ -2,8 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration, to_toml
 from groundstation.calibration.facts import RecordedFacts
-from groundstation.calibration.schema import CalibrationError, CalibrationSet, Instrument, load_calibration, to_toml
+from groundstation.calibration.schema import CalibrationError, Instrument
 
 GOOD = """format = 1
 instrument = "thrust"
