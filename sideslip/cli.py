@@ -51,7 +51,7 @@ VERBS: dict[str, Verb] = {
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb(
-        "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
+        "groundstation.cli.import_log", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
     "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
     "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),

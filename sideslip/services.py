@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from groundstation.cli.data import Services
+from groundstation.cli.services import Services
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight

@@ -15,7 +15,7 @@ from daq.contract.outputs import tried_folder
 from groundstation.cli.view import VIEW, VIEW_HELP, terminated_is_interrupt
 
 if TYPE_CHECKING:
-    from groundstation.cli.data import Services
+    from groundstation.cli.services import Services
     from groundstation.identification.aircraft import AircraftSource
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover

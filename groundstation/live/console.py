@@ -21,7 +21,7 @@ from daq.contract.rotating_log import RotatingLog
 from daq.contract.standard_streams import Speaker
 from groundstation.identification.words import lines
 from groundstation.live.station import Station
-from groundstation.receiver.commands import LogFetcher
+from groundstation.receiver.downloads import LogFetcher
 
 HELP = """\
 status            state of each aircraft, recorder, link and alarms in force

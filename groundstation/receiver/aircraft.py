@@ -10,8 +10,9 @@ from daq.transport.ports import BytePort
 from groundstation.receiver import events as ev
 from groundstation.receiver import findings
 from groundstation.receiver.backfill import BackfillClient, Mode, Request
-from groundstation.receiver.commands import LogFetcher, ManoeuvreSender
+from groundstation.receiver.commands import ManoeuvreSender
 from groundstation.receiver.decode import AircraftDecoder
+from groundstation.receiver.downloads import LogFetcher
 from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import Sender
 from groundstation.receiver.link_quality import RateMeter

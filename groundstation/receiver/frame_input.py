@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
-from daq.transport.ports import BytePort, TcpServerPort
+from daq.transport.ports import BytePort, TcpServerPort, UdpPort
 from groundstation.receiver.findings import Faults
-from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener, receive
+from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
 from groundstation.receiver.storage.lasting_log import LastingLog
 from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
@@ -79,7 +79,11 @@ class FrameInput:
 
     def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
         try:
-            datagrams = receive(port)
+            if isinstance(port, UdpPort | TcpServerPort):  # they know senders apart
+                datagrams = port.receive()
+            else:
+                data = port.read(65536)
+                datagrams = [("", data)] if data else []
         except OSError as error:
             self._faults.note(name, error)
             return []

@@ -22,7 +22,6 @@ from daq.transport.ports import (
     BytePort,
     PortError,
     SerialPort,
-    TcpServerPort,
     UdpPort,
     open_socket_port,
     parse_port,
@@ -252,11 +251,3 @@ def _serial(device: str, baud: int) -> SerialPort:
     import serial
 
     return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
-
-
-def receive(port: BytePort) -> list[tuple[str, bytes]]:
-    """What has arrived at a port, by sender where the port knows senders apart."""
-    if isinstance(port, UdpPort | TcpServerPort):
-        return port.receive()
-    data = port.read(65536)
-    return [("", data)] if data else []

@@ -20,7 +20,8 @@ from groundstation.receiver import events as ev
 from groundstation.receiver import findings
 from groundstation.receiver.aircraft import TrackedAircraft
 from groundstation.receiver.backfill import Mode
-from groundstation.receiver.commands import Commander, LogFetcher
+from groundstation.receiver.commands import Commander
+from groundstation.receiver.downloads import LogFetcher
 from groundstation.receiver.events import FindingKind
 from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import FrameInput, Sender

@@ -11,8 +11,8 @@ from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
 from estimation.models.load import write_model
-from groundstation.cli.data import Services
 from groundstation.cli.live import _estimate
+from groundstation.cli.services import Services
 
 
 def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:

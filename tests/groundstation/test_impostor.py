@@ -81,7 +81,7 @@ def test_gaps_between_numbers_cost_by_what_came_not_by_how_wide_they_are() -> No
     for number in (5, 2**31, LAST):
         books.see(number)
         books.received.add(number)
-    found = books.accounting()
+    found = books.totals()
     first_open = next(iter(books.open_blocks()))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -107,7 +107,7 @@ def test_accounting_by_ranges_is_what_counting_one_by_one_gives(rng: np.random.G
                 books.take_map(block * 512, settled[block], word, 0)
         numbers = range(min(got), max(got) + 1)
         told = {n for n in numbers if n <= settled.get(n // 512, -1)}
-        found = books.accounting()
+        found = books.totals()
         assert {n for a, b in found.lost for n in range(a, b + 1)} == (sent & told) - got
         assert {n for a, b in found.unknown for n in range(a, b + 1)} == set(numbers) - told - got
         assert all(b + 1 < c for (_, b), (c, _) in zip(found.unknown, found.unknown[1:], strict=False))
