@@ -222,7 +222,7 @@ def test_a_refusal_of_the_sequencer_is_told_in_words(tmp_path: Path) -> None:
 def test_nonsense_about_the_sequencer_is_unsupported(tmp_path: Path, parameters: tuple[float, ...]) -> None:
     rig = keyed(tmp_path)
     at_rest(rig)
-    rig.ground.commander._add(1, c.SEQUENCER, *parameters)
+    rig.ground.commander._send(1, c.SEQUENCER, *parameters)
     at_rest(rig)
     assert rig.logger.asked == []
     assert (c.SEQUENCER, "unsupported") in results(rig)
