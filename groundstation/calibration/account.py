@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
+from daq.contract.constants import GRAVITY
 from groundstation.calibration import curves
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
 from groundstation.calibration.calibration_set import CalibrationSet
@@ -162,7 +163,7 @@ def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict
     if rho is not None and p and t:
         relative = float(np.hypot(pressure / p, warmth / t))
         _put(sigmas, "rho", rho * relative)
-        _put(sigmas, "altitude", pressure / (rho * 9.80665))
+        _put(sigmas, "altitude", pressure / (rho * GRAVITY))
         if v and q and q > 0 and "p_dynamic" in sigmas:
             # V = sqrt(2 q / rho): half of each relative error
             _put(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, CHANNELS, COLUMNS, Channel, FlightColumn, sources_of
+from daq.contract.constants import ROUND_EARTH_RADIUS, SEA_LEVEL_PRESSURE
 from groundstation.calibration import conversions
 from groundstation.calibration.align import derivative
 from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import CalibrationError, Instrument, MountingAngles, Vector
-from groundstation.flight.atmosphere import SEA_LEVEL_PRESSURE, density
+from groundstation.flight.atmosphere import density
 
 Array = NDArray[np.float64]
 
-EARTH_RADIUS = 6_371_000.0  # m, mean: an antenna is metres from the CG at most
 
 GNSS = tuple("latitude_e7 longitude_e7 height_msl_mm velocity_north_mm velocity_east_mm velocity_down_mm".split())
 
@@ -133,8 +133,8 @@ class CombinedColumns:
         attitude, rates = (c["phi"], c["theta"], c["psi"]), (c["p"], c["q"], c["r"])
         place, speed = conversions.point_in_earth_axes(position, attitude, rates)
         north, east, down = (np.nan_to_num(v) for v in place)
-        c["latitude"] = c["latitude"] - np.degrees(north / EARTH_RADIUS)
-        c["longitude"] = c["longitude"] - np.degrees(east / (EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
+        c["latitude"] = c["latitude"] - np.degrees(north / ROUND_EARTH_RADIUS)
+        c["longitude"] = c["longitude"] - np.degrees(east / (ROUND_EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
         c["altitude_gnss"] = c["altitude_gnss"] + down
         for column, of_antenna in zip(("vn", "ve", "vd"), speed, strict=True):
             c[column] = c[column] - np.nan_to_num(of_antenna)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.constants import SEA_LEVEL_PRESSURE
 from daq.contract.errors import UserError
 
 
@@ -109,7 +110,7 @@ class Static(_CalibrationTable):
     feeds_pitot: bool = True
     pressure_offset: Finite = 0.0
     temperature_offset: Finite = 0.0
-    sea_level_pressure: Annotated[float, Field(gt=8e4, lt=1.2e5)] = 101325.0
+    sea_level_pressure: Annotated[float, Field(gt=8e4, lt=1.2e5)] = SEA_LEVEL_PRESSURE
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
     temperature_uncertainty: Annotated[float, Field(ge=0)] = 0.0
 

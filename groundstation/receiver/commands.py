@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.contract import manoeuvre_wire as wire
 from daq.contract.link import commands as c
+from daq.contract.link import manoeuvre_wire as wire
 from daq.contract.link.wire import SCAN_FAST_ID
 from daq.contract.manoeuvre import Manoeuvre
 from groundstation.receiver import events as ev

@@ -21,7 +21,6 @@ from daq.transport.ports import (
     MAX_PEERS,
     BytePort,
     PortError,
-    SerialPort,
     UdpPort,
     open_socket_port,
     parse_port,
@@ -239,15 +238,9 @@ def open_port(text: str, clock: GroundClock | None = None) -> BytePort:
     """
     spec = parse_port(text)
     if spec.kind != "udpin":
-        return open_lasting(text, _serial)
+        return open_lasting(text)
     open_socket_port(spec).close()  # says in words why it cannot be had
     try:
         return UdpListener((spec.address, spec.number), clock or SystemClock())
     except OSError as error:
         raise PortError(f"{text}: cannot be opened ({error.strerror}); is another program using it?") from error
-
-
-def _serial(device: str, baud: int) -> SerialPort:
-    import serial
-
-    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
