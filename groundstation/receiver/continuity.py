@@ -143,6 +143,8 @@ class UnconfirmedRuns:
 
     def clear(self) -> int:
         """The known run goes on: what waits is not believed. Returns how many parts that were."""
+        if not self._candidates:
+            return 0
         count = self.count
         self._candidates.clear()
         return count

@@ -160,7 +160,8 @@ class ScanDecoder:
         parts.append(part)
         while len(self._parts) > _PARTS_KEPT:
             _, old_parts = self._parts.popitem(last=False)
-            self.partial_scans += all(p.msg_id != SCAN_FAST_ID for p in old_parts)
+            if old_parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in old_parts):
+                self.partial_scans += 1
         if part.msg_id == SCAN_FAST_ID:
             if not accounting.received.add(part.number):
                 return
