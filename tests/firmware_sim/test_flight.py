@@ -18,8 +18,8 @@ from firmware_sim.runs.flight import START_UTC_NS, FlightFiles, prepare_flight
 from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from tests.firmware_sim.truth_log import TruthLog
 
 CALIBRATION = NOMINAL_DIRECTORY / "cdfp"

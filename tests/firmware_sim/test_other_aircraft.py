@@ -16,7 +16,7 @@ from firmware_sim.physics.plant import ARMS, THRUST, Plant
 from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import scenario_from
 from firmware_sim.world.world import World
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
 from tests.docs.blocks import files_of
 from tests.firmware_sim.plants import QUIET, level_state
 

@@ -15,10 +15,11 @@ import numpy as np
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.units import calibration_truth
 from firmware_sim.runs.bench_recordings import record_bench
-from groundstation.calibration.bench_work.bench import fit_bench
-from groundstation.calibration.bench_work.plan import load_plan
-from groundstation.calibration.conversions import curves
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, Instrument
+from groundstation.calibration import curves
+from groundstation.calibration.bench import fit_bench
+from groundstation.calibration.bench_plan import load_plan
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
+from groundstation.calibration.schema import Instrument
 
 BENCHES = (
     "bench_angles",

@@ -56,8 +56,8 @@ def direct(manoeuvre: Manoeuvre, flights: int, gust_deg: float, noise: DirectNoi
 def chained(first: InputDesign, flights: int, gust_deg: float) -> Iterator[Flight]:
     """The same through the simulated bus and the onboard sequencer, calibrated from the recording."""
     from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "manoeuvre.toml"
