@@ -26,7 +26,6 @@ from estimation.models.base import Model, Parameter
 TAG = "form"
 EDGES = ("low", "high", "middle", "half")
 POINTS = 61  # of the curve in the answer
-ACROSS = 5  # values of the second variable in the answer
 NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
 
 
