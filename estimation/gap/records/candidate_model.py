@@ -18,12 +18,12 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
+from daq.contract.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole, Signal
 from groundstation.flight import Flight
 
-GRAVITY = 9.80665
 TIMING = "timing_"  # of what moves late
 TOGETHER = TIMING + "controls"  # all of them
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Group
 from estimation.gap.errors import GapError
@@ -28,7 +29,6 @@ from groundstation.flight import Flight
 
 NEEDED_TO_PITCH = ("V", "alpha", "theta", "q", "ax", "az")
 ASIDE = ("beta", "p", "r", "phi", "ay")  # taken as zero where a flight does not have them
-GRAVITY = 9.80665
 NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
 
 

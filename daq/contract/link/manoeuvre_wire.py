@@ -35,11 +35,11 @@ def pack(manoeuvre: Manoeuvre) -> bytes:
         "steps": steps,
     }
     data = zlib.compress(json.dumps(content, separators=(",", ":")).encode(), 9)
-    most = FRAGMENT_BYTES * MOST_FRAGMENTS
-    if len(data) > most:
+    limit = FRAGMENT_BYTES * MOST_FRAGMENTS
+    if len(data) > limit:
         raise ManoeuvreError(
-            f"manoeuvre {manoeuvre.digest[:6]}: {len(data)} bytes, at most {most} go up the link (some minute of smooth inputs); "
-            "put the file on board, or design a shorter one"
+            f"manoeuvre {manoeuvre.digest[:6]}: {len(data)} bytes, at most {limit} go up the link (some minute of smooth "
+            "inputs); put the file on board, or design a shorter one"
         )
     return data
 
@@ -52,7 +52,7 @@ def unpack(data: bytes) -> Manoeuvre:
         if not unpacker.eof or unpacker.unused_data:
             raise ManoeuvreError("manoeuvre sent up: longer than it may be, or torn; send it again")
         content = json.loads(text)
-        made = Manoeuvre(
+        manoeuvre = Manoeuvre(
             str(content["kind"]),
             float(content["time_step"]),
             {str(name): _values(values) for name, values in content["steps"].items()},
@@ -62,14 +62,13 @@ def unpack(data: bytes) -> Manoeuvre:
         digest = content["digest"]
     except (zlib.error, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ManoeuvreError(f"manoeuvre sent up: not one ({type(error).__name__}); send it again") from error
-    checked(made, "manoeuvre sent up")
-    if digest != made.digest:
+    checked(manoeuvre, "manoeuvre sent up")
+    if digest != manoeuvre.digest:
         raise ManoeuvreError("manoeuvre sent up: its digest does not fit its values; send it again")
-    return made
+    return manoeuvre
 
 
 def fragments(data: bytes) -> list[bytes]:
-    """The pieces in which packed bytes are sent."""
     return [data[i : i + FRAGMENT_BYTES] for i in range(0, len(data), FRAGMENT_BYTES)]
 
 
@@ -80,7 +79,7 @@ def _differences(values: Sequence[int]) -> list[int]:
 
 
 def _values(differences: Any) -> tuple[float, ...]:
-    whole: list[int] = [int(v) for v in differences]
+    integers: list[int] = [int(v) for v in differences]
     for _ in range(_FIRST_DIFFERENCES):
-        whole = list(accumulate(whole))
-    return tuple(v * FINENESS for v in whole)
+        integers = list(accumulate(integers))
+    return tuple(v * FINENESS for v in integers)

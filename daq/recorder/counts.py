@@ -1,9 +1,52 @@
-"""The books of a recording session: every scan slot is in exactly one count."""
+"""What is counted of a recording session: scan slots, and histograms of how late scans begin and how long writes take.
 
+The bins are fixed so that reports of one flight and another can be added and compared.
+"""
+
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
 from daq.contract.ranges import ranges
+
+EDGES_US: tuple[int, ...] = (
+    *(m * 10**e for e in range(1, 7) for m in (1, 2, 5)),  # 10 us to 5 s
+    10_000_000,
+    30_000_000,
+)
+"""Bin edges [us]: bin i holds times from edge i-1 up to below edge i; the first is below 10 us, the last over 30 s."""
+
+
+class Histogram:
+    """Counts of times over `EDGES_US`."""
+
+    def __init__(self) -> None:
+        self.counts = [0] * (len(EDGES_US) + 1)
+
+    def add(self, time_us: int) -> None:
+        """Count one time; negative ones count as their magnitude."""
+        self.counts[bisect_right(EDGES_US, abs(time_us))] += 1
+
+
+class LoopTiming:
+    """Timing of the scan loop: filled by the loop, read by the recorder for its reports.
+
+    lateness: start of a scan after its deadline. interval_error: deviation of the time between two successive scans
+    from the period. scan_duration: how long reading all sensors took. late: scans that began later than a tenth of
+    a period after their deadline.
+    """
+
+    def __init__(self) -> None:
+        self.lateness = Histogram()
+        self.interval_error = Histogram()
+        self.scan_duration = Histogram()
+        self.late = 0
+
+    def counts(self) -> dict[str, Any]:
+        """The histograms as fields of a `Statistics` report."""
+        histograms = ("lateness", "interval_error", "scan_duration")
+        counts = {name: tuple(getattr(self, name).counts) for name in histograms}
+        return {"late_scans": self.late, "edges_us": EDGES_US, **counts}
 
 
 @dataclass(slots=True)
@@ -26,21 +69,15 @@ class SlotCounts:
 
     @property
     def pending(self) -> int:
-        """Scans in memory."""
         return self.offered - self.written - self.dropped - self.lost
 
     def counts(self) -> dict[str, Any]:
         """The books as fields of a `Statistics` report."""
-        return {
+        same = ("written", "dropped", "lost", "missed", "pending", "write_errors")
+        return {name: getattr(self, name) for name in same} | {
             "first_number": self.first or 0,
             "next_number": self.next,
-            "written": self.written,
-            "dropped": self.dropped,
-            "lost": self.lost,
-            "missed": self.missed,
-            "pending": self.pending,
             "absent": tuple(self.absent),
-            "write_errors": self.write_errors,
             "queue_high_water": self.high_water,
         }
 

@@ -1,18 +1,28 @@
-"""How much the ground may ask: requests of a sender, recordings, marks. What goes beyond is refused, counted and told.
+"""What the ground may ask: how many requests, recordings and marks, and what only at rest. The rest is refused and told.
 
 Without a key anybody in range can ask; with one, a ground station that has gone wrong can. Neither may fill the card,
 wear it out, or take the scan loop's time.
 """
 
+import logging
 from collections import OrderedDict
+from collections.abc import Callable, Sequence
 
 from daq.clock import NS
+from daq.contract.scan import Scan
+from daq.sensors.standstill import pitot_unrest, unrest
 from daq.telemetry.config import LinkLimits
+
+_LOG = logging.getLogger("sideslip.uplink")
 
 SENDERS = 16
 """Senders told apart; a further one takes the place of the one not heard for longest. A ground has one or two."""
 ALL_SENDERS = 2
 """All senders together may ask this many times what one may: sender ids are free to choose where there is no key."""
+
+REPORT_NS = 5 * NS  # who is refused a thousand times a second is not told so each time
+_KINDS = 3  # sentences told at a time: two STATUSTEXT each, they take under 80 bytes/s of the link
+_WARNING = 4
 
 
 class Bucket:
@@ -24,7 +34,7 @@ class Bucket:
         self._tokens = self._burst
         self._last_ns: int | None = None
 
-    def take(self, now_ns: int) -> bool:
+    def allows(self, now_ns: int) -> bool:
         """Whether one more is within the limit; if so it counts."""
         if self._last_ns is not None:
             self._tokens = min(self._burst, self._tokens + (now_ns - self._last_ns) / NS * self._per_s)
@@ -51,7 +61,7 @@ class SenderLimits:
             if len(self._senders) > SENDERS:
                 self._senders.popitem(last=False)
         self._senders.move_to_end(sender)
-        return bucket.take(now_ns) and self._all.take(now_ns)
+        return bucket.allows(now_ns) and self._all.allows(now_ns)
 
 
 class CommandBudget:
@@ -70,11 +80,11 @@ class CommandBudget:
 
     def against_stop(self, now_ns: int) -> str:
         """Why the recording may not be ended."""
-        least = self._limits.recording_s
+        shortest_s = self._limits.recording_s
         if self._begun >= self._limits.recordings:
             return f"all {self._limits.recordings} recordings that may be begun by command have been"
-        if self._begun_ns is not None and now_ns - self._begun_ns < least * NS:
-            return f"a recording begun by command lasts at least {least:g} s"
+        if self._begun_ns is not None and now_ns - self._begun_ns < shortest_s * NS:
+            return f"a recording begun by command lasts at least {shortest_s:g} s"
         return ""
 
     def against_start(self) -> str:
@@ -84,10 +94,47 @@ class CommandBudget:
         return ""
 
     def started(self, now_ns: int) -> None:
-        """A recording has been begun by command."""
         self._begun += 1
         self._begun_ns = now_ns
 
     def against_mark(self, now_ns: int) -> str:
         """Why no event may be marked; where nothing speaks against it, the mark counts."""
-        return "" if self._marks.take(now_ns) else f"more than {self._limits.marks_per_s:g} marks a second"
+        return "" if self._marks.allows(now_ns) else f"more than {self._limits.marks_per_s:g} marks a second"
+
+
+class Refusals:
+    """Collects sentences and tells each kind once with the number of its repetitions, at most every five seconds.
+
+    Of very many kinds some are told, and the others are in the number of the last. text: takes severity and words for the
+    ground.
+    """
+
+    def __init__(self, text: Callable[[int, str], None]) -> None:
+        self._text = text
+        self._reported_ns: int | None = None
+        self._unreported: dict[str, int] = {}
+
+    def note(self, words: str) -> None:
+        if words not in self._unreported and len(self._unreported) >= _KINDS:
+            words = next(reversed(self._unreported))
+        self._unreported[words] = self._unreported.get(words, 0) + 1
+
+    def report(self, now_ns: int) -> None:
+        """Say what has been refused, if it is time to."""
+        if not self._unreported or (self._reported_ns is not None and now_ns - self._reported_ns < REPORT_NS):
+            return
+        for words, count in self._unreported.items():
+            sentence = words + (f" (and {count - 1} more)" if count > 1 else "")
+            _LOG.warning("%s", sentence)
+            self._text(_WARNING, sentence)
+        self._reported_ns, self._unreported = now_ns, {}
+
+
+def flight_evidence(scans: Sequence[Scan]) -> str | None:
+    """Why the aircraft may not be standing still, in words; None when nothing speaks for motion.
+
+    Too little data speaks for motion: a command that must not act in flight then does nothing.
+    """
+    pitot = [s.values["pitot_pressure"] for s in scans if "pitot_pressure" in s.values]
+    without_imu = not any("gyro_x" in s.values for s in scans)
+    return (unrest(scans) if scans else None) or pitot_unrest(pitot, level_tells=without_imu)
