@@ -234,7 +234,7 @@ def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
     cosines = np.abs(screen.projected().cosines())
     best_span = screen.span(order[0])
     for h in order[len(selected) :]:
-        if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.fitted_tie:
+        if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.tie:
             selected.append(h)
     unjudged = [h for h, x in enumerate(screen.hypotheses) if (x.form.play or x.form.lagging) and h not in selected]
     return [*selected, *unjudged]

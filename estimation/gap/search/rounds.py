@@ -20,8 +20,7 @@ from estimation.gap.search.accept import accept, confirmed, own_inflation
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
 from estimation.gap.search.select import Choice, choose, control_noise, individual_inflation, material
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
-from estimation.gap.shapes.places import ModelMotion, places_of
-from estimation.gap.shapes.ranking import rank
+from estimation.gap.shapes.places import ModelMotion, places_of, rank
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.omnibus import examine
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess

@@ -18,8 +18,7 @@ from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
-from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place
-from estimation.gap.shapes.ranking import ranked
+from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place, ranked
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent

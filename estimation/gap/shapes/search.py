@@ -24,8 +24,7 @@ from estimation.gap.shapes.increment import (
     refitted_with,
 )
 from estimation.gap.shapes.lag_swing import find_memory, find_swing
-from estimation.gap.shapes.places import ModelMotion, Place, places_of, products_of
-from estimation.gap.shapes.ranking import Ranked, rank
+from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, gaps
 from estimation.gap.significance.measured_again import MeasuredAgain

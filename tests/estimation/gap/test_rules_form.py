@@ -9,8 +9,7 @@ import pytest
 from estimation.gap.criteria import AS_SET
 from estimation.gap.shapes import search as searching
 from estimation.gap.shapes.increment import HoldoutPrediction, closed, predicts_every_flight
-from estimation.gap.shapes.places import Place, spread_of
-from estimation.gap.shapes.ranking import penalised, ranked
+from estimation.gap.shapes.places import Place, penalised, ranked, spread_of
 from estimation.gap.shapes.search import as_good, runners_up
 from estimation.gap.shapes.spline import KEPT, basis
 from estimation.gap.significance.screen import Projected
