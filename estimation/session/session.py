@@ -15,7 +15,7 @@ from estimation.session.verdict import Verdict
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import StructureTest
 from groundstation.flight import Flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import texts
 
 
 @dataclass(frozen=True)

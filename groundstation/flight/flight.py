@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import plain_name
 from groundstation.flight.errors import FlightError, MissingColumnError
-from groundstation.flight.notes import Note, NoteKind, as_note, once
+from groundstation.flight.findings import Finding, FindingKind, as_finding, without_repeats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,7 +73,7 @@ class Flight:
     columns: Mapping[str, Array]
     segment: NDArray[np.int64]
     provenance: Provenance = Provenance()
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     @classmethod
     def build(
@@ -84,7 +84,7 @@ class Flight:
         *,
         segment: NDArray[Any] | None = None,
         provenance: Provenance | None = None,
-        notes: Iterable[Note | str] = (),
+        notes: Iterable[Finding | str] = (),
         gap_factor: float = GAP_FACTOR,
     ) -> "Flight":
         """A flight from raw arrays: sorts time, drops repeats, splits at gaps, and notes what it did.
@@ -103,8 +103,12 @@ class Flight:
         arrays = {k: v[keep] for k, v in arrays.items()}
         segments, gaps = _split(time, labels, gap_factor)
         # a flight read again finds the gaps it was written with
-        said = (*notes, *(Note(NoteKind.TIME_ORDER, w) for w in order), *(Note(NoteKind.GAP, w) for w in gaps))
-        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), once(said))
+        said = (
+            *notes,
+            *(Finding(FindingKind.TIME_ORDER, w) for w in order),
+            *(Finding(FindingKind.GAP, w) for w in gaps),
+        )
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), without_repeats(said))
 
     def __repr__(self) -> str:
         about = self.provenance
@@ -235,9 +239,9 @@ class Flight:
         """A copy with columns added or replaced."""
         return replace(self, columns=MappingProxyType({**self.columns, **columns}))
 
-    def with_notes(self, *notes: Note | str) -> "Flight":
+    def with_notes(self, *notes: Finding | str) -> "Flight":
         """A copy with notes added."""
-        return replace(self, notes=(*self.notes, *map(as_note, notes)))
+        return replace(self, notes=(*self.notes, *map(as_finding, notes)))
 
     def part(self, keep: slice | NDArray[np.bool_], name: str | None = None) -> "Flight":
         """A copy of a range of samples; segments are renumbered from 0."""

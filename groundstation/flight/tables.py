@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from groundstation.flight.notes import Note, texts
+from groundstation.flight.findings import Finding, texts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +40,7 @@ class FlightView(Protocol):
     @property
     def provenance(self) -> Any: ...
     @property
-    def notes(self) -> tuple[Note, ...]: ...
+    def notes(self) -> tuple[Finding, ...]: ...
 
 
 @dataclass(frozen=True)

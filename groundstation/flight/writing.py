@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq.contract.durable import whole
 from groundstation.flight.credible_columns import field_names
 from groundstation.flight.errors import FlightError
-from groundstation.flight.notes import to_meta
+from groundstation.flight.findings import to_meta
 from groundstation.flight.tables import FlightView
 from groundstation.flight.utc import offset_in, stamps
 

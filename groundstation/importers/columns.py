@@ -13,8 +13,8 @@ from daq.contract.plain_words import LONGEST_NAME, listed
 from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
 from groundstation.flight.contradictions.air import independent_density
 from groundstation.flight.expression import parse
+from groundstation.flight.findings import Finding, FindingKind, unknown_columns
 from groundstation.flight.flight import HELD, INTERVAL
-from groundstation.flight.notes import Note, NoteKind, unknown_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import ColumnSource, Kind, Map
@@ -59,7 +59,7 @@ class ImportedColumns:
 
     values: dict[str, Array]
     made: dict[str, Made]
-    notes: tuple[Note | str, ...]
+    notes: tuple[Finding | str, ...]
 
 
 def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> ImportedColumns:
@@ -71,7 +71,7 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Impor
     values: dict[str, Array] = {}
     made: dict[str, Made] = {}
     absent: list[str] = []
-    notes: list[Note | str] = []
+    notes: list[Finding | str] = []
     for name, sources in chosen.columns.items():
         source = chosen_source(log, sources)
         if source is None:
@@ -85,7 +85,7 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Impor
         values[under] = _value(log, source, name, time)
         if under != name:
             text = f"{name} by {source.formula} is computed, not measured: kept as {under}, and not used as {name}"
-            notes.append(Note(NoteKind.NOT_MEASURED, text))
+            notes.append(Finding(FindingKind.NOT_MEASURED, text))
     _made_true(values, made, notes)
     if absent:
         notes.append(f"not in the file, so not measured: {listed(absent, 60)}")
@@ -117,7 +117,7 @@ def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
     return (1.0 / slowest if slowest > 0.0 else 0.0), max((p.lag for p in parts), default=0.0)
 
 
-def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Note | str]) -> None:
+def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Finding | str]) -> None:
     """Equivalent airspeed made true by the density of the flight, in place; and that density as a column where there is none."""
     about = made.get("V")
     if about is None or not about.source.equivalent or about.name not in values:
@@ -142,7 +142,7 @@ def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Note
     )
 
 
-def _others(log: Log, chosen: Map, time: Array, values: dict[str, Array], made: dict[str, Made]) -> list[Note | str]:
+def _others(log: Log, chosen: Map, time: Array, values: dict[str, Array], made: dict[str, Made]) -> list[Finding | str]:
     """The columns of a table that no mapping names, under plain names, and notes on them."""
     taken = {t.column for m in made.values() for t in m.source.parts} | {chosen.segment or RECORD, RECORD}
     left = {n: _plain_name(n, set(values)) for n in log.series if n not in taken}
@@ -152,7 +152,7 @@ def _others(log: Log, chosen: Map, time: Array, values: dict[str, Array], made: 
             for n, to in left.items()
         }
     )
-    notes: list[Note | str] = [unknown_columns({to: n for n, to in left.items()})] if left else []
+    notes: list[Finding | str] = [unknown_columns({to: n for n, to in left.items()})] if left else []
     if log.text_columns:
         notes.append(f"columns that are not numbers, left out: {listed(log.text_columns)}")
     return notes

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.flight import Flight
+from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.marks import marks_of, together
-from groundstation.flight.notes import Note, NoteKind
 
 APART = 1.0
 """Time [s] put between records whose clocks begin anew."""
@@ -33,10 +33,10 @@ def joined(flights: Sequence[Flight]) -> Flight:
         segments.append(flight.segment + first_segment)
         last, first_segment = float(time[-1]), int(segments[-1][-1]) + 1
     columns = {n: np.concatenate([f.columns[n] if n in f else np.full(len(f), np.nan) for f in flights]) for n in names}
-    said = [Note(NoteKind.OTHER, f"{len(flights)} records in a row, each with segments of its own")]
+    said = [Finding(FindingKind.OTHER, f"{len(flights)} records in a row, each with segments of its own")]
     if moved:
         said.append(
-            Note(NoteKind.OTHER, f"{moved} of them begin anew in time: moved to {APART:g} s after the one before")
+            Finding(FindingKind.OTHER, f"{moved} of them begin anew in time: moved to {APART:g} s after the one before")
         )
     notes = [n for f in flights for n in f.notes]
     made = Flight.build(

@@ -14,9 +14,9 @@ from daq.contract.plain_words import listed, plain_name
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.contradictions import CONTRADICTIONS
 from groundstation.flight.credible_columns import credible_values
+from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS
-from groundstation.flight.notes import Note, NoteKind
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.boots import by_boot
 from groundstation.importers.columns import flight_columns, spoken
@@ -105,7 +105,7 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
     notes = [*log.notes, *notes]
     suspected = suspicions(time, columns)
     doubts = [s.text for s in suspected if not set(s.columns) <= _NEEDED_BY_NONE]
-    notes += [Note(NoteKind.UNLIKELY, s.text) for s in suspected if set(s.columns) <= _NEEDED_BY_NONE]
+    notes += [Finding(FindingKind.UNLIKELY, s.text) for s in suspected if set(s.columns) <= _NEEDED_BY_NONE]
     if doubts and not accept_implausible:
         raise ImportDataError(
             f"{path}: {'; '.join(doubts)}; if the data are right as they are, add --accept-implausible"

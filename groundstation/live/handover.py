@@ -13,8 +13,9 @@ from daq.contract.recordings.recording import RecordingError
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, FlightError, write_flight
+from groundstation.flight.findings import Finding
 from groundstation.flight.manoeuvres import ManoeuvreStretch, cut, find_manoeuvres
-from groundstation.flight.quality.report import Finding, quality_report
+from groundstation.flight.quality.report import quality_report
 from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
 
 
@@ -38,7 +39,7 @@ class Handover:
         seconds = self.flight.time[-1] - self.flight.time[0]
         found = [f"flight {self.path}: {len(self.flight)} samples, {seconds:.1f} s, from {self.origin}"]
         found += [f"  manoeuvre {m.start:7.1f} to {m.stop:7.1f} s  {m.title}" for m in self.manoeuvres]
-        found += [f"  {f.verdict}: {f.check}: {f.text}" for f in self.findings if f.verdict != "ok"]
+        found += [f"  {f.severity}: {f.kind}: {f.text}" for f in self.findings if f.severity != "ok"]
         return found
 
 

@@ -21,7 +21,7 @@ from estimation.session.flights import select_segments, separated
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import texts
 
 LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]

@@ -11,7 +11,7 @@ from estimation.gap.records.reconstructed import uncertainty
 from estimation.models.base import Model
 from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
-from groundstation.flight.quality.same_record import one_record_twice
+from groundstation.flight.quality.repeats import one_record_twice
 
 
 def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:

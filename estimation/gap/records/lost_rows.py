@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from estimation.engine.data import LONGEST_BRIDGE
 from estimation.gap.criteria import Criteria
 from groundstation.flight import Flight
-from groundstation.flight.quality.repeats import runs_of
+from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
     if known.size < 2:
         return unseen
     least = criteria.surface_step * GAUSSIAN * float(np.median(np.abs(np.diff(known))))
-    for a, b in runs_of(~np.isfinite(control)):
+    for a, b in true_runs(~np.isfinite(control)):
         inside = a > 0 and b < control.size and b - a <= LONGEST_BRIDGE
         if inside and abs(control[b] - control[a - 1]) > least:
             unseen[a:b] = True
@@ -97,7 +97,7 @@ def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria:
     """(draws, N) what may be wrong with straight lines across unseen moves: the step may have been anywhere between the samples
     on either side."""
     wrong = np.zeros((draws, control.size))
-    for a, b in runs_of(unseen_moves(control, criteria)):
+    for a, b in true_runs(unseen_moves(control, criteria)):
         at = np.arange(a, b)
         share = (at - (a - 1.0)) / (b - (a - 1.0))
         when = rng.uniform(a - 1.0, b, (draws, 1))

@@ -7,6 +7,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from groundstation.flight import Flight
+from groundstation.flight.arrays import longest_run
 
 
 def sample_notes(flights: Sequence[Flight], columns: Sequence[str], criteria: Criteria) -> list[str]:
@@ -48,12 +49,7 @@ def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
         said.append(f"{name} repeats its last value in {stuck:.0%} of the samples: stale or coarsely rounded")
         return said
     for end, word in zip(ends, ("upper", "lower"), strict=True):
-        run = _longest((seen == end).astype(int))
+        run = longest_run(seen == end)
         if run >= criteria.clipped_run:
             said.append(f"{name} stands at its {word} end {end:.4g} for {run} samples in a row: clipped")
     return said
-
-
-def _longest(flags: Array) -> int:
-    changes = np.flatnonzero(np.diff(np.concatenate([[0], flags, [0]])))
-    return int((changes[1::2] - changes[::2]).max(initial=0))

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from estimation.gap.criteria import Criteria
 from groundstation.flight import Flight
-from groundstation.flight.quality.repeats import repeats, runs_of, span_of
+from groundstation.flight.arrays import true_runs
+from groundstation.flight.quality.repeats import repeats, span_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -158,7 +159,7 @@ def _lines(flight: Flight, values: Array) -> _Lines:
         rest[1:-1] = (np.abs(np.diff(values))[:-1] <= least) & (np.abs(np.diff(values))[1:] <= least)
         bend[1:-1] = ~((np.abs(bends) <= least) & moves[:-1])
     ends, at_ends = np.zeros(values.size, bool), values.copy()
-    for a, b in runs_of(bend & inner):
+    for a, b in true_runs(bend & inner):
         share = 0.0
         if (
             b - a == BETWEEN and bends[a - 1] * bends[a] > 0.0

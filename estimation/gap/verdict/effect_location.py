@@ -9,6 +9,7 @@ from estimation.gap.answer.result import Where
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Form
 from estimation.gap.likelihood.baseline import Baseline
+from groundstation.flight.arrays import true_runs
 
 DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
 SPANS = 4  # stretches of flight given for one effect
@@ -58,8 +59,7 @@ def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, 
     n = min(max(round(criteria.span_window / float(np.median(np.diff(time)))), 2), time.size)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
     limit = max(criteria.span_share * float(smooth.max()), NOTHING)
-    changes = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > limit).astype(int), [0]])))
-    found = [(a, b - 1) for a, b in zip(changes[::2], changes[1::2], strict=True) if b - a >= n // 2]
+    found = [(a, b - 1) for a, b in true_runs(smooth > limit) if b - a >= n // 2]
     found.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
     return [(float(time[a]), float(time[b])) for a, b in found]
 

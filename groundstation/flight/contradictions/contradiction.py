@@ -30,17 +30,9 @@ class Contradiction:
 
     def to_json(self) -> dict[str, Any]:
         """As in the JSON of `import`, `check` and `analyse`."""
-        return {
-            "between": list(self.between),
-            "ratio": self.ratio,
-            "offset": self.offset,
-            "unit": self.unit,
-            "std": self.std if math.isfinite(self.std) else None,
-            "favoured": self.favoured,
-            "moves": self.moves,
-            "stops": self.stops,
-            "text": self.text,
-        }
+        names = ("ratio", "offset", "unit", "std", "favoured", "moves", "stops", "text")
+        values = {name: getattr(self, name) for name in names}
+        return {"between": list(self.between), **values, "std": self.std if math.isfinite(self.std) else None}
 
 
 def from_json(content: object) -> Contradiction | None:
@@ -51,17 +43,10 @@ def from_json(content: object) -> Contradiction | None:
     text = content.get("text")
     if not between or not isinstance(text, str):
         return None
-    return Contradiction(
-        between,
-        one_line(text),
-        _number(content.get("ratio")),
-        _number(content.get("offset")),
-        _word(content.get("unit")),
-        _number(content.get("std")) or math.nan,
-        _word(content.get("favoured")),
-        _word(content.get("moves")),
-        content.get("stops") is True,
-    )
+    ratio, offset, std = (_number(content.get(key)) for key in ("ratio", "offset", "std"))
+    unit, favoured, moves = (_word(content.get(key)) for key in ("unit", "favoured", "moves"))
+    stops = content.get("stops") is True
+    return Contradiction(between, one_line(text), ratio, offset, unit, std or math.nan, favoured, moves, stops)
 
 
 def _number(value: object) -> float | None:

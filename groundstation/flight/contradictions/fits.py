@@ -4,16 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
+
 Columns = Mapping[str, Array]
 
-GRAVITY = 9.80665
-BLOCK = 1.0
-"""Over so long [s] signals are averaged: slower than a Dutch roll's half period, faster than a turn."""
-WINDOW = 60.0
-"""Within so long [s] wind and slow errors are taken for constant."""
+BLOCK = 1.0  # [s] over which signals are averaged: slower than a Dutch roll's half period, faster than a turn
+WINDOW = 60.0  # [s] within which wind and slow errors are taken for constant
 FEWEST_BLOCKS = 8
 
 
@@ -26,8 +23,8 @@ class FitWithError:
 
     def differs_from(self, other: float, tolerance: float, sigmas: float) -> bool:
         """Whether it is further from another number than a tolerance and than chance."""
-        off = abs(self.value - other)
-        return off > tolerance and off > sigmas * self.std
+        distance = abs(self.value - other)
+        return distance > tolerance and distance > sigmas * self.std
 
 
 def blocks(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
@@ -61,9 +58,9 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
         return None
     normal = design.T @ design
     solved = np.linalg.solve(normal, design.T @ target)
-    left = target - design @ solved
-    spread = float(left @ left)
-    neighbours = float(left[1:] @ left[:-1]) / spread if spread > 0 else 0.0
+    residual = target - design @ solved
+    spread = float(residual @ residual)
+    neighbours = float(residual[1:] @ residual[:-1]) / spread if spread > 0 else 0.0
     rho = min(max(neighbours, 0.0), 0.9)
     variance = spread / free * (1.0 + rho) / (1.0 - rho)
     return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)

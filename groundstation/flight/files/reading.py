@@ -16,13 +16,13 @@ from groundstation.flight.credible_columns import credible_values, plain_names
 from groundstation.flight.errors import FlightError
 from groundstation.flight.files.csv_columns import read_csv
 from groundstation.flight.files.parquet_columns import read_parquet
+from groundstation.flight.findings import Finding, from_meta, unknown_columns
 from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance
-from groundstation.flight.notes import Note, from_meta, unknown_columns
 from groundstation.flight.writing import FLIGHT_TOPIC, METADATA_NAME, value_digest
 
 FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
 
-_Read = tuple[dict[str, Array], Provenance, list[Note | str]]
+_Read = tuple[dict[str, Array], Provenance, list[Finding | str]]
 
 
 def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
@@ -69,7 +69,7 @@ def _read_csv(path: Path) -> _Read:
 
 def _read_parquet(path: Path) -> _Read:
     found = read_parquet(path, FlightError)
-    notes: list[Note | str] = [
+    notes: list[Finding | str] = [
         f"column {plain_name(name)} is not numeric: left out" for name in (*found.words, *found.dates)
     ]
     if len(notes) > 30:

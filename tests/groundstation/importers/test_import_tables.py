@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from groundstation.cli.data import import_
 from groundstation.flight import read_flight, write_flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import texts
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import load_map
