@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from groundstation.flight import Flight
 from groundstation.flight.tables import ColumnTable, TableColumn
-from groundstation.flight.utc import UTC_KEY, offset_in, stamps
+from groundstation.flight.writing import UTC_KEY, offset_in, stamps
 
 __all__ = ["UTC_KEY", "iso", "stamps_ns", "utc_offset", "with_utc"]
 

@@ -120,7 +120,7 @@ class Flight:
         )
 
     def _repr_html_(self) -> str:
-        from groundstation.flight.show import flight_html
+        from groundstation.flight.tables import flight_html
 
         return flight_html(self)
 
@@ -151,7 +151,7 @@ class Flight:
 
         ax: one matplotlib axes, or as many as there are columns. Angles are drawn in degrees.
         """
-        from groundstation.flight.show import plot_flight
+        from groundstation.flight.tables import plot_flight
 
         return plot_flight(self, columns, ax)
 

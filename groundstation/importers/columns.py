@@ -202,7 +202,7 @@ def _value(log: Log, source: ColumnSource, name: str, time: Array) -> Array:
 
     if source.expression is not None:
         expression = parse(source.expression)
-        total = expression.of({n: on_base(n) for n in expression.columns})
+        total = expression.values({n: on_base(n) for n in expression.columns})
     else:
         total = np.zeros(time.size)
         for term in source.parts:

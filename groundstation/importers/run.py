@@ -13,7 +13,7 @@ from daq.contract.input_files import check_file
 from daq.contract.plain_words import listed, plain_name
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.contradictions import CONTRADICTIONS
-from groundstation.flight.credible_columns import credible_values
+from groundstation.flight.files.reading import credible_values
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS

@@ -10,7 +10,7 @@ import rerun as rr
 
 from daq.identification.airframe import EQUATIONS
 from groundstation.flight import Flight
-from groundstation.flight.rerun_file import rerun_file
+from groundstation.flight.writing import rerun_file
 from groundstation.identification.history import history_of
 from groundstation.live.readouts import READOUTS
 from groundstation.viewer import entities as e

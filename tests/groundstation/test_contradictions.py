@@ -5,7 +5,7 @@ import pytest
 
 from groundstation.flight import Flight, Provenance, read_flight
 from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
-from groundstation.flight.contradictions.fits import GRAVITY
+from groundstation.flight.kinematics import GRAVITY
 from tests.groundstation.turning import RHO, Columns, turning_flight
 
 

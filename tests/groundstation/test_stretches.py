@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, Provenance
-from groundstation.flight.airborne import airborne
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import DEEPEST, ExpressionError, parse, parse_condition
 from groundstation.flight.marks import FlightMode, Mark, Marks, marks_of
-from groundstation.flight.stretches import is_times, where
+from groundstation.flight.stretches import airborne, is_times, where
 
 MODES = Marks(
     (
@@ -83,9 +82,9 @@ def test_what_names_no_stretch_is_a_sentence(text: str, words: str) -> None:
 def test_a_number_is_no_condition_nor_the_reverse() -> None:
     with pytest.raises(ExpressionError, match="no condition"):
         parse("V > 3")
-    assert parse("2 ** 3 * V").of({"V": np.array([0.5])}) == 4.0
-    assert parse_condition("-V < +3").of({"V": np.array([-4.0, 1.0])}).tolist() == [0.0, 1.0]
-    assert parse("(" * (DEEPEST // 2 - 2) + "V" + ")" * (DEEPEST // 2 - 2)).of({"V": np.array([2.0])}) == 2.0
+    assert parse("2 ** 3 * V").values({"V": np.array([0.5])}) == 4.0
+    assert parse_condition("-V < +3").values({"V": np.array([-4.0, 1.0])}).tolist() == [0.0, 1.0]
+    assert parse("(" * (DEEPEST // 2 - 2) + "V" + ")" * (DEEPEST // 2 - 2)).values({"V": np.array([2.0])}) == 2.0
 
 
 def test_times_are_told_from_conditions() -> None:

@@ -2,23 +2,22 @@
 
 A footer of a kilobyte can announce a thousand million rows, and a compressed page of a few hundred bytes become two
 gigabytes: rows and the size that each page claims are looked at before Arrow reads it (parquet-format, "Data Pages" and
-`PageHeader` of parquet.thrift).
+`PageHeader` of parquet.thrift). Arrow's own accessors of the footer end the process where a column's statistics do not fit each
+other, so footer and page headers are read here, as structs of Thrift's compact protocol (thrift-compact-protocol.md).
 """
 
 import io
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
-from groundstation.flight.files.thrift import ThriftReader
-
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
 
 MOST_CELLS = 12_000_000
 """Of a table, or one a byte of the file where that is more: three hours at 50 Hz with twenty columns; 200 MB while it is read."""
@@ -30,6 +29,8 @@ MOST_COLUMNS = 4096
 """Of a table; a PX4 log with all its topics has some 3,000."""
 MOST_VALUES = 1_000_000
 """Of a footer, or one for 16 bytes of the file where that is more: ten row groups of 3,000 columns; a second or two."""
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_DEEPEST = 12  # nested values; the deepest of parquet.thrift's own (statistics of a column of a row group) is 6
 _MOST_SCHEMA = 100_000  # elements of a list in the footer
 _LONGEST_TEXT = 2**24  # bytes of a text in the footer
 
@@ -101,12 +102,12 @@ def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
     if pa.types.is_timestamp(column.type):
         stamps = column.cast(pa.int64())
         first = pc.min(stamps).as_py() or 0
-        scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        scale = _SECONDS[column.type.unit]
         out.dates[name], out.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
         return
     if pa.types.is_duration(column.type) or pa.types.is_time(column.type):
         whole = column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
-        out.dates[name] = _floats(whole) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        out.dates[name] = _floats(whole) * _SECONDS[column.type.unit]
         return
     if pa.types.is_dictionary(column.type):
         column = column.unify_dictionaries()
@@ -139,12 +140,8 @@ def _cells(words: list[str], column: Any) -> list[str]:
     return [shown[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """Where the pages of a column in a row group stand, by the footer."""
-
-    first: int
-    end: int
+_Chunk = tuple[int, int]
+"""Where the pages of a column in a row group begin and end, by the footer."""
 
 
 def _chunks(data: bytes, columns: int) -> list[list[_Chunk]]:
@@ -172,7 +169,7 @@ def _chunk(column: dict[int, Any], size: int) -> _Chunk:
         first = dictionary
     if not 0 < first <= size or packed < 0:
         raise ValueError(f"a column at byte {first} of {size}")
-    return _Chunk(first, min(first + packed, size))
+    return first, min(first + packed, size)
 
 
 def _structs(value: Any) -> list[dict[int, Any]]:
@@ -183,9 +180,8 @@ def _structs(value: Any) -> list[dict[int, Any]]:
 
 def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error: type[UserError]) -> None:
     """Raise `error` when a page of a column would unpack to more than LARGEST_PAGE."""
-    for chunk in chunks:
-        at = chunk.first
-        while at < chunk.end:
+    for at, end in chunks:
+        while at < end:
             reader = ThriftReader(data, at)
             header = reader.struct()
             unpacked, packed = header.get(2), header.get(3)
@@ -196,3 +192,77 @@ def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error
                     f"{path}: column {name}: a page of {unpacked} bytes unpacked; at most {LARGEST_PAGE} are read"
                 )
             at = reader.end + packed
+
+
+class ThriftReader:
+    """Reads values one after the other. end: where the next one begins. most: values that are read, those of lists and
+    structs included.
+
+    Raises ValueError where the bytes are no such value or more of them: never anything else.
+    """
+
+    def __init__(self, data: bytes, at: int = 0, most: int = 1000) -> None:
+        self._data = data
+        self._left = most
+        self.end = at
+
+    def struct(self, depth: int = _DEEPEST) -> dict[int, Any]:
+        """Value of each field by its number; the last one counts where a number stands twice."""
+        fields: dict[int, Any] = {}
+        number = 0
+        while (head := self._byte()) != 0:
+            number = number + (head >> 4) if head >> 4 else self._signed()
+            fields[number] = self._value(head & 15, depth) if head & 15 not in (1, 2) else self._counted(head & 15 == 1)
+        return fields
+
+    def _value(self, kind: int, depth: int) -> Any:
+        """3 byte, 4 to 6 integers, 7 double, 8 bytes, 9, 10 lists, 12 struct; 1, 2 booleans of a list stand in a byte."""
+        self._counted()
+        if depth <= 0:
+            raise ValueError("a header nested too deep")
+        if kind in (1, 2, 3):
+            return self._byte()
+        if kind in (4, 5, 6):
+            return self._signed()
+        if kind == 7:
+            return struct.unpack("<d", self._take(8))[0]
+        if kind == 8:
+            return self._take(self._varint())
+        if kind in (9, 10):
+            return self._list(depth)
+        if kind == 12:
+            return self.struct(depth - 1)
+        raise ValueError("a header that is none")
+
+    def _counted(self, value: bool = True) -> bool:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError("a header of too many values")
+        return value
+
+    def _list(self, depth: int) -> list[Any]:
+        head = self._byte()
+        length = head >> 4 if head >> 4 < 15 else self._varint()
+        return [self._value(head & 15, depth - 1) for _ in range(length)]
+
+    def _byte(self) -> int:
+        return self._take(1)[0]
+
+    def _take(self, length: int) -> bytes:
+        if length > len(self._data) - self.end:
+            raise ValueError("a header runs out of the file")
+        self.end += length
+        return self._data[self.end - length : self.end]
+
+    def _varint(self) -> int:
+        value = 0
+        for shift in range(0, 70, 7):
+            byte = self._byte()
+            value |= (byte & 127) << shift
+            if byte < 128:
+                return value
+        raise ValueError("a header holds a number without end")
+
+    def _signed(self) -> int:
+        value = self._varint()
+        return value >> 1 ^ -(value & 1)

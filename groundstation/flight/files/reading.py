@@ -12,7 +12,6 @@ from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import check_file
 from daq.contract.plain_words import listed, one_line, plain_name
 from daq.contract.recordings.claims import json_object, mapping
-from groundstation.flight.credible_columns import credible_values, plain_names
 from groundstation.flight.errors import FlightError
 from groundstation.flight.files.csv_columns import read_csv
 from groundstation.flight.files.parquet_columns import read_parquet
@@ -20,6 +19,8 @@ from groundstation.flight.findings import Finding, from_meta, unknown_columns
 from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance
 from groundstation.flight.writing import FLIGHT_TOPIC, METADATA_NAME, value_digest
 
+LARGEST = 1e12
+"""No quantity of a flight in SI units is as large; squares and sums of what is smaller stay far from the largest float."""
 FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
 
 _Read = tuple[dict[str, Array], Provenance, list[Finding | str]]
@@ -122,3 +123,28 @@ def _read_mcap(path: Path) -> _Read:
         )
     columns = {n: table.values[:, i] for i, n in enumerate(table.names)}
     return columns, _provenance_from(meta), [*from_meta(meta)]
+
+
+def credible_values(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
+    """The columns with NaN for what no instrument measures, and notes on it: infinities, and values beyond LARGEST."""
+    out, notes = dict(columns), []
+    for name, values in columns.items():
+        for what, wrong in (
+            ("infinite values", np.isinf(values)),
+            (f"values beyond {LARGEST:g}", np.isfinite(values) & (np.abs(values) > LARGEST)),
+        ):
+            if wrong.any() and (name in COLUMN_BY_NAME or what.startswith("inf")):
+                out[name] = np.where(wrong, np.nan, out[name])
+                notes.append(f"column {name}: {int(wrong.sum())} {what} taken as not measured")
+    return out, notes
+
+
+def plain_names(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The columns under names that can be shown anywhere, each of its own."""
+    out: dict[str, Array] = {}
+    for name, values in columns.items():
+        shown = plain_name(name)
+        while shown in out:
+            shown = f"{shown[:100]}_{len(out)}"
+        out[shown] = values
+    return out

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, one_line, plain_name
+from groundstation.flight.files.csv_columns import plain_columns
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parquet
-from groundstation.flight.files.plain_csv import plain_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.table_time import stamps_of, without_sentinels
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
