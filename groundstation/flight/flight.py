@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import plain_name
+from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, FindingKind, as_finding, without_repeats
 
@@ -24,16 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-Array = NDArray[np.float64]
-
-GAP_FACTOR = 4.5
-"""A step in time longer than this many median sample intervals is a gap: never integrated across."""
-
-LATEST = 9e9
-"""Latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years."""
-
-FASTEST = 1e9
-"""Rate [Hz] beyond which nothing is sampled: a nanosecond, of which time is made."""
+GAP_FACTOR = 4.5  # a step in time longer than this many median sample intervals is a gap: never integrated across
+LATEST = 9e9  # latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years
+FASTEST = 1e9  # rate [Hz] beyond which nothing is sampled: a nanosecond, of which time is made
 
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
@@ -98,17 +92,13 @@ class Flight:
                 raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
         name = plain_name(name)
         labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
-        keep, order = _order(name, time)
+        keep, order_notes = _order(name, time)
         time, labels = time[keep], labels[keep]
         arrays = {k: v[keep] for k, v in arrays.items()}
         segments, gaps = _split(time, labels, gap_factor)
         # a flight read again finds the gaps it was written with
-        said = (
-            *notes,
-            *(Finding(FindingKind.TIME_ORDER, w) for w in order),
-            *(Finding(FindingKind.GAP, w) for w in gaps),
-        )
-        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), without_repeats(said))
+        every = without_repeats([*notes, *order_notes, *gaps])
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), every)
 
     def __repr__(self) -> str:
         about = self.provenance
@@ -257,44 +247,44 @@ def _plain(provenance: Provenance) -> Provenance:
     return replace(provenance, calibration=dict(provenance.calibration), detail=dict(provenance.detail))
 
 
-def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[str]]:
+def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[Finding]]:
     """Indices that make time strictly increasing, and what had to be done for it."""
     notes: list[str] = []
     with np.errstate(invalid="ignore"):
-        finite = np.flatnonzero(np.abs(time) < LATEST)
+        order = np.flatnonzero(np.abs(time) < LATEST)
     endless = int(np.sum(np.abs(time[np.isfinite(time)]) >= LATEST))
     if endless:
         notes.append(f"{endless} rows with a time beyond 285 years dropped; is time in seconds?")
-    if finite.size + endless < time.size:
-        notes.append(f"{time.size - finite.size - endless} rows without a time dropped")
-    steps = np.diff(time[finite])
-    order = finite
-    if np.any(steps < 0):
-        order = finite[np.argsort(time[finite], kind="stable")]
-        at = time[finite][1:][steps < 0][0]
-        notes.append(f"time runs backwards {int(np.sum(steps < 0))} times (first at t = {at:g} s): rows sorted by time")
-    repeated = np.concatenate([[False], np.diff(time[order]) == 0]) if order.size else np.zeros(0, bool)
+    if order.size + endless < time.size:
+        notes.append(f"{time.size - order.size - endless} rows without a time dropped")
+    backwards = np.diff(time[order]) < 0
+    if backwards.any():
+        first = time[order][1:][backwards][0]
+        notes.append(
+            f"time runs backwards {int(backwards.sum())} times (first at t = {first:g} s): rows sorted by time"
+        )
+        order = order[np.argsort(time[order], kind="stable")]
+    repeated = np.diff(time[order], prepend=np.nan) == 0
     if repeated.any():
-        at = time[order][repeated][0]
-        notes.append(f"{int(repeated.sum())} repeated instants (first at t = {at:g} s): the first row of each kept")
+        first = time[order][repeated][0]
+        notes.append(f"{int(repeated.sum())} repeated instants (first at t = {first:g} s): the first row of each kept")
     order = order[~repeated]
     if order.size < 2:
         hint = " in seconds (there are times beyond 285 years)" if endless else ""
         raise FlightError(
             f"{name}: only {order.size} usable samples; a flight needs at least two rows with a time{hint}"
         )
-    return order, notes
+    return order, [Finding(FindingKind.TIME_ORDER, text) for text in notes]
 
 
-def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[NDArray[np.int64], list[str]]:
+def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[NDArray[np.int64], list[Finding]]:
     """Segment number of each sample from the given labels and the gaps in time."""
     steps = np.diff(time)
     gap = steps > gap_factor * np.median(steps)
-    notes = [
-        f"gap of {steps[i]:.3g} s at t = {time[i]:g} s: split there, never integrated across"
-        for i in np.flatnonzero(gap)
-    ]
+    rows = np.flatnonzero(gap)
+    notes = [f"gap of {steps[i]:.3g} s at t = {time[i]:g} s: split there, never integrated across" for i in rows]
     if len(notes) > 5:
         notes = [*notes[:5], f"{len(notes) - 5} more gaps"]
     edge = gap | (np.diff(labels) != 0)
-    return np.concatenate([[0], np.cumsum(edge)]).astype(np.int64), notes
+    segments = np.concatenate([[0], np.cumsum(edge)]).astype(np.int64)
+    return segments, [Finding(FindingKind.GAP, text) for text in notes]

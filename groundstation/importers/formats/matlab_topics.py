@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.importers.formats.attitude import with_attitudes
 from groundstation.importers.formats.dataflash import with_velocities
+from groundstation.importers.formats.matlab import FEWEST_ROWS
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
 from groundstation.importers.series import Log, TimeSeries
 
@@ -22,7 +23,6 @@ _LABEL = "_label"
 _DATAFLASH_TIME = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 _PX4_TIME = {"timestamp": 1e-6}
 _OWN_TIME = {"time": 1.0, "t": 1.0, "Time": 1.0, "time_s": 1.0}
-FEWEST_ROWS = 2
 
 
 def topics_of(variables: object) -> tuple[Log, Map] | None:
