@@ -207,7 +207,7 @@ def import_(
         raise click.UsageError("Missing option '-o' / '--output'")
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible)
     if aircraft is not None:
-        from groundstation.importers.aircraft import with_aircraft
+        from groundstation.importers.records import with_aircraft
 
         flight = with_aircraft(flight, aircraft)
         if output.suffix.lower() == ".csv":

@@ -106,8 +106,8 @@ def _tokens(text: str) -> list[tuple[str, str]]:
         match = _TOKEN.match(text, position)
         if match is None or match.lastgroup is None:
             raise ExpressionError(
-                f"expression {text!r}: cannot read {text[position:].strip()[:20]!r}; numbers, column names (in backquotes where they "
-                f"hold blanks or signs), + - * / ** and {', '.join(FUNCTIONS)} are known"
+                f"expression {text!r}: cannot read {text[position:].strip()[:20]!r}; numbers, column names (in backquotes "
+                f"where they hold blanks or signs), + - * / ** and {', '.join(FUNCTIONS)} are known"
             )
         tokens.append((match.lastgroup, match[match.lastgroup]))
         position = match.end()

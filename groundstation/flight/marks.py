@@ -67,9 +67,11 @@ class Marks:
 def together(parts: Iterable[Marks]) -> Marks:
     """The marks of several records in a row."""
     records = tuple(parts)
-    modes = tuple(m for r in records for m in r.modes)
-    events, messages = (tuple(m for r in records for m in getattr(r, kind)) for kind in (EVENTS, MESSAGES))
-    return Marks(modes, events, messages)
+    return Marks(
+        tuple(m for record in records for m in record.modes),
+        tuple(m for record in records for m in record.events),
+        tuple(m for record in records for m in record.messages),
+    )
 
 
 def marks_of(flight: Flight) -> Marks:

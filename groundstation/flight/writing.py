@@ -1,4 +1,4 @@
-"""Flights into files: MCAP, CSV and Parquet; a file is replaced whole, or not at all. Time of MCAP messages is UTC where known."""
+"""Flights into files: MCAP, CSV and Parquet; a file is replaced whole, or not at all. Stamps in MCAP are UTC if known."""
 
 import csv
 import hashlib

@@ -8,11 +8,10 @@ import numpy as np
 from groundstation.flight.marks import together
 from groundstation.importers.endings import BAGS, LOGS
 from groundstation.importers.formats.bags import is_bag
-from groundstation.importers.formats.dataflash_text import is_text
+from groundstation.importers.formats.dataflash import HEAD, is_text
 from groundstation.importers.run import read_logs
 from groundstation.importers.series import Log, native_rate
 
-_DATAFLASH = b"\xa3\x95"
 _ENOUGH = 64
 """Bytes of a file that tell a dataflash log."""
 
@@ -28,7 +27,7 @@ def is_foreign_log(path: Path) -> bool:
         return True
     with path.open("rb") as file:
         head = file.read(_ENOUGH)
-    return head.startswith(_DATAFLASH) or is_text(head)
+    return head.startswith(HEAD) or is_text(head)
 
 
 def log_info(path: Path) -> dict[str, Any]:

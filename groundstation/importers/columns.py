@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import LONGEST_NAME, listed
 from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
-from groundstation.flight.contradictions.air import independent_density
+from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns
 from groundstation.flight.flight import HELD, INTERVAL
@@ -62,7 +62,7 @@ class ImportedColumns:
     notes: tuple[Finding | str, ...]
 
 
-def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> ImportedColumns:
+def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> ImportedColumns:
     """All that a mapping makes of a log on a time base (N,), and of a table the columns that no mapping names.
 
     What a program of the aircraft computed of attitude and a guessed wind is no airspeed and no flow angle: it stands under a
@@ -72,7 +72,7 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Impor
     made: dict[str, Made] = {}
     absent: list[str] = []
     notes: list[Finding | str] = []
-    for name, sources in chosen.columns.items():
+    for name, sources in mapping.columns.items():
         source = chosen_source(log, sources)
         if source is None:
             absent.append(f"{name} ({' + '.join(t.column for t in sources[0].parts)})")
@@ -90,7 +90,7 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Impor
     if absent:
         notes.append(f"not in the file, so not measured: {listed(absent, 60)}")
     if log.common:
-        notes += _others(log, chosen, time, values, made)
+        notes += _unmapped(log, mapping, time, values, made)
     return ImportedColumns(values, made, tuple(notes))
 
 
@@ -119,40 +119,34 @@ def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
 
 def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Finding | str]) -> None:
     """Equivalent airspeed made true by the density of the flight, in place; and that density as a column where there is none."""
-    about = made.get("V")
-    if about is None or not about.source.equivalent or about.name not in values:
+    airspeed = made.get("V")
+    if airspeed is None or not airspeed.source.equivalent or airspeed.name not in values:
         return
-    known = {n: v for n, v in values.items() if np.isfinite(v).any()}
-    found = (known["rho"], "rho") if "rho" in known else independent_density(known)
-    if found is None:
-        notes.append(
-            f"V by {about.source.formula} is equivalent airspeed, and nothing tells the density: taken for true airspeed"
-        )
+    words = f"V by {airspeed.source.formula} is equivalent airspeed"
+    measured = {n: v for n, v in values.items() if np.isfinite(v).any()}
+    air = air_density(measured)
+    if air is None:
+        notes.append(f"{words}, and nothing tells the density: taken for true airspeed")
         return
-    density, by = found
-    if "rho" not in known:
+    density, columns = air
+    if "rho" not in measured:
         values["rho"] = density
-        source = ColumnSource(column=by.split(" and ")[0], unit="kg/m3")
-        made["rho"] = Made(source.model_copy(update={"column": by}), COMPUTED, about.rate, "rho")
+        source = ColumnSource(column=columns, unit="kg/m3")
+        made["rho"] = Made(source, COMPUTED, airspeed.rate, "rho")
     with np.errstate(invalid="ignore", divide="ignore"):
-        values[about.name] = values[about.name] * np.sqrt(SEA_LEVEL_DENSITY / density)
-    notes.append(
-        f"V by {about.source.formula} is equivalent airspeed: made true by the density of {by} "
-        f"({float(np.nanmedian(density)):.3g} kg/m3)"
-    )
+        values[airspeed.name] = values[airspeed.name] * np.sqrt(SEA_LEVEL_DENSITY / density)
+    notes.append(f"{words}: made true by the density of {columns} ({float(np.nanmedian(density)):.3g} kg/m3)")
 
 
-def _others(log: Log, chosen: Map, time: Array, values: dict[str, Array], made: dict[str, Made]) -> list[Finding | str]:
+def _unmapped(
+    log: Log, mapping: Map, time: Array, values: dict[str, Array], made: dict[str, Made]
+) -> list[Finding | str]:
     """The columns of a table that no mapping names, under plain names, and notes on them."""
-    taken = {t.column for m in made.values() for t in m.source.parts} | {chosen.segment or RECORD, RECORD}
-    left = {n: _plain_name(n, set(values)) for n in log.series if n not in taken}
-    values.update(
-        {
-            to: log.series[n].values if time is log.series[n].time else resample(log.series[n], time)
-            for n, to in left.items()
-        }
-    )
-    notes: list[Finding | str] = [unknown_columns({to: n for n, to in left.items()})] if left else []
+    mapped = {t.column for m in made.values() for t in m.source.parts} | {mapping.segment or RECORD, RECORD}
+    labels = {_plain_name(n, set(values)): n for n in log.series if n not in mapped}
+    series = {name: log.series[label] for name, label in labels.items()}
+    values |= {n: s.values if time is s.time else resample(s, time) for n, s in series.items()}
+    notes: list[Finding | str] = [unknown_columns(labels)] if labels else []
     if log.text_columns:
         notes.append(f"columns that are not numbers, left out: {listed(log.text_columns)}")
     return notes

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.importers.attitude import ANGLES, euler_from_quaternion, with_attitudes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
-from groundstation.importers.formats.attitude import euler_from_quaternion, with_attitudes
 from groundstation.importers.formats.bag_series import Topic
 from groundstation.importers.formats.bags import read_bag
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
@@ -106,17 +106,17 @@ def _attitude(
     name: str, field: str, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
     """Angles of a quaternion from east-north-up and x forward, y left, z up, to ours, as series of the topic."""
-    parts = [made.get(f"{name}.{field}.{axis}") for axis in "wxyz"]
-    if any(p is None for p in parts):
+    names = [f"{name}.{field}.{axis}" for axis in "wxyz"]
+    if not all(n in made for n in names):
         return
-    q = np.array([p.values for p in parts if p is not None])
+    parts = [made[n] for n in names]
+    q = np.array([p.values for p in parts])
     size = np.sqrt(np.sum(q**2, axis=0))
     if not np.any(np.isfinite(size) & (np.abs(size - 1.0) < 0.1)):
         return  # an IMU without attitude leaves it at zero
-    roll, pitch, yaw = euler_from_quaternion(*q)
-    time = next(p.time for p in parts if p is not None)
-    angles = {"roll": roll, "pitch": -pitch, "yaw": (np.pi / 2 - yaw + np.pi) % (2 * np.pi) - np.pi}
-    for column, (label, values) in zip(("phi", "theta", "psi"), angles.items(), strict=True):
-        made[f"{name}.{label}"] = TimeSeries(time, np.asarray(values))
+    angles = euler_from_quaternion(*q)
+    angles |= {"pitch": -angles["pitch"], "yaw": (np.pi / 2 - angles["yaw"] + np.pi) % (2 * np.pi) - np.pi}
+    for column, label in ANGLES.items():
+        made[f"{name}.{label}"] = TimeSeries(parts[0].time, np.asarray(angles[label]))
         kinds[f"{name}.{label}"] = "computed"
         columns.setdefault(column, []).append(ColumnSource(column=f"{name}.{label}", unit="rad"))

@@ -1,7 +1,7 @@
 """The columns of a CSV file of numbers with a header line of names.
 
-The fast road is Arrow's reader, ten times as fast as cell by cell. What it does not take - words, quotes over lines, rows of other
-lengths - is left to the slow road, which knows what to say.
+The fast road is Arrow's reader, ten times as fast as cell by cell. What it does not take - words, quotes over lines, rows of
+other lengths - is left to the slow road, which knows what to say.
 """
 
 import csv

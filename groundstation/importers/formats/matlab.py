@@ -36,8 +36,10 @@ _NO_PACKAGE = 3  # its exit status
 
 
 def read_variables(path: Path) -> tuple[dict[str, Any], int]:
-    """Variables by name: dictionaries (structs), lists (cells, arrays of structs), texts and arrays of numbers; and how many parts
-    were left out. Read in a process of its own, whose memory and time are limited. Raises ImportDataError for a file that is none.
+    """Variables by name: dictionaries (structs), lists (cells, arrays of structs), texts and arrays of numbers; and how many
+    parts were left out.
+
+    Read in a process of its own, whose memory and time are limited. Raises ImportDataError for a file that is none.
     """
     data = read_bytes(path, error=ImportDataError)
     version = "7.3" if _HDF5 in (data[:8], data[512:520]) else "5"

@@ -3,8 +3,8 @@
 Arguments: the file, and the most bytes of numbers in it. It imports nothing of ours, for it runs without our path. The libraries
 trust what a file says of itself; a spoilt one can make them crash, turn in circles or take all memory, which ends here.
 
-Format: MathWorks, "MAT-File Format" (level 5) and "MAT-File Versions" (7.3: HDF5). In HDF5 as MATLAB uses it a struct is a group, an
-array of structs a group of arrays of references, a cell an array of references, all into `#refs#`; arrays are transposed;
+Format: MathWorks, "MAT-File Format" (level 5) and "MAT-File Versions" (7.3: HDF5). In HDF5 as MATLAB uses it a struct is a group,
+an array of structs a group of arrays of references, a cell an array of references, all into `#refs#`; arrays are transposed;
 MATLAB_class tells which is which.
 """
 
@@ -87,7 +87,8 @@ def _v5_node(value: Any, tree: Tree, depth: int = 0) -> Any:
         raise ValueError(type(value).__name__)
     if value.dtype.names:
         records = [
-            {"struct": {n: _v5_node(item[n], tree, depth + 1) for n in value.dtype.names}} for item in value.ravel(order="F")
+            {"struct": {n: _v5_node(item[n], tree, depth + 1) for n in value.dtype.names}}
+            for item in value.ravel(order="F")
         ]
         return records[0] if len(records) == 1 else {"list": records}
     if value.dtype == object:

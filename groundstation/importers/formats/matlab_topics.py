@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from groundstation.importers.formats.attitude import with_attitudes
-from groundstation.importers.formats.dataflash import with_velocities
+from groundstation.importers.attitude import with_attitudes
+from groundstation.importers.formats.dataflash import TIME_UNITS, with_velocities
 from groundstation.importers.formats.matlab import FEWEST_ROWS
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
-from groundstation.importers.series import Log, TimeSeries
+from groundstation.importers.series import Log, TimeSeries, instance_rows
 
 Array = NDArray[np.float64]
 
 _LABEL = "_label"
-_DATAFLASH_TIME = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 _PX4_TIME = {"timestamp": 1e-6}
 _OWN_TIME = {"time": 1.0, "t": 1.0, "Time": 1.0, "time_s": 1.0}
 
@@ -32,7 +31,7 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
     topics = _labelled(variables) or _structs(variables)
     if len(topics) < 2:
         return None
-    for kind, times, base in (("dataflash", _DATAFLASH_TIME, "ardupilot"), ("ulog", _PX4_TIME, "px4")):
+    for kind, times, base in (("dataflash", TIME_UNITS, "ardupilot"), ("ulog", _PX4_TIME, "px4")):
         series = _series(topics, times, by_instance=kind == "dataflash")
         if series:
             log = Log(kind, with_attitudes(series))
@@ -80,12 +79,9 @@ def _series(
         if stamp is None:
             continue
         time = fields[stamp] * times[stamp]
-        which = fields["I"] if by_instance and "I" in fields else np.zeros(time.size)
-        numbers = np.unique(which[np.isfinite(which)])[:256]
-        for number in numbers:
-            rows = which == number
-            head = topic if number == numbers[0] else f"{topic}[{number:g}]"
-            out |= {f"{head}.{n}": TimeSeries(time[rows], v[rows]) for n, v in fields.items() if n != stamp}
+        number = fields["I"] if by_instance and "I" in fields else np.zeros(time.size)
+        for instance, use in instance_rows(topic, number).items():
+            out |= {f"{instance}.{n}": TimeSeries(time[use], v[use]) for n, v in fields.items() if n != stamp}
     return out
 
 
