@@ -95,7 +95,7 @@ def test_a_slow_channel_is_taken_between_its_new_values_and_said(
     result = output_error(LATERAL, flight)
     assert moved(fitted["wandering"], result) < ALIKE
     (note,) = [n for n in result.flights[0].notes if n.kind is FindingKind.HELD]
-    assert note.columns == ((column, column),)
+    assert note.columns == (column,)
     assert "--keep-held" in note.text
     kept = prepare(LATERAL, flight, Preparation(keep_held=True))
     assert not [n for n in kept.notes if n.kind is FindingKind.HELD]

@@ -172,7 +172,7 @@ def test_a_heading_that_runs_on_is_taken_as_it_is(sound: Columns, rate: float) -
 def test_a_heading_in_degrees_does_not_pass_for_one_that_runs_on(sound: Columns) -> None:
     turned = circling(sound, -0.12)
     degrees = {**turned, "psi": np.degrees(turned["psi"])}
-    assert any("psi" in s.columns and "deg" in s.what for s in suspicions(turned["time"], degrees))
+    assert any("psi" in s.columns and "deg" in s.text for s in suspicions(turned["time"], degrees))
     gyroless = {n: v for n, v in turned.items() if n not in ("p", "q", "r")}
     assert any("psi" in s.columns for s in suspicions(turned["time"], gyroless))
 

@@ -49,8 +49,8 @@ class _Field:
 class UlogScan:
     """The sound messages of a ULog, each looked at once. `data` begins with MAGIC.
 
-    skipped: bytes of damage; dropouts: how many its logger reports, together dropped_ms long. logged: messages in words with their
-    time [s]; parameters: each as last stated.
+    skipped: bytes of damage; dropouts: how many its logger reports, together dropped_ms long. logged: messages in words with
+    their time [s]; parameters: each as last stated.
     """
 
     def __init__(self, data: bytes) -> None:
