@@ -40,8 +40,7 @@ _COMPARISON: Mapping[str, Function] = {
     **{"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal},
     **{"==": np.equal, "!=": np.not_equal},
 }
-MODE = "mode:"
-"""What the pseudo-column of a flight mode begins with: 1 in it, 0 else."""
+MODE = "mode:"  # what the pseudo-column of a flight mode begins with: 1 in it, 0 else
 
 
 class ExpressionError(FlightError):

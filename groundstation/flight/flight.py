@@ -31,8 +31,7 @@ FASTEST = 1e9  # rate [Hz] beyond which nothing is sampled: a nanosecond, of whi
 
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
-CHANNELS = "channels"
-"""Key of a provenance's detail: where each column comes from, see `Flight.channels`."""
+CHANNELS = "channels"  # key of a provenance's detail: where each column comes from, see `Flight.channels`
 CHANNEL_KINDS = ("measured", "computed", "assumed")
 """By a sensor, by a program of others, or by nobody at the place and time."""
 HELD, INTERVAL = "held", "interval_s"

@@ -14,8 +14,7 @@ class ByName(Protocol):
 
 
 GRAVITY = 9.80665  # m/s2
-GYROS = {"phi": "p", "theta": "q", "psi": "r"}
-"""Angle of attitude -> the gyro that turns it most."""
+GYROS = {"phi": "p", "theta": "q", "psi": "r"}  # angle of attitude -> the gyro that turns it most
 
 
 def heading_rate(c: ByName) -> Array:

@@ -12,8 +12,7 @@ from typing import Any
 from daq.contract.plain_words import one_line
 from groundstation.flight.flight import LATEST, Flight
 
-MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"
-"""Keys of a provenance's detail."""
+MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"  # keys of a provenance's detail
 MOST = 20_000  # marks of a kind that are kept: a mode every second for five hours
 LONGEST_TEXT = 200  # characters of a mark; MAVLink's messages have 50, PX4's 127
 

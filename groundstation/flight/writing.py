@@ -26,8 +26,7 @@ FLIGHT_SCHEMA = "sideslip.FlightSample"
 METADATA_NAME = "sideslip.flight"
 UTC_KEY = "utc_offset_s"
 """In a flight's provenance: UTC [s since 1970] minus flight time [s]; absent where the aircraft never learnt it."""
-LAST_UTC_S = 4.0e9
-"""In 2096: a receiver that says more is wrong, and nanoseconds would soon no longer fit into 64 bits."""
+LAST_UTC_S = 4.0e9  # in 2096: a receiver that says more is wrong, and nanoseconds would soon no longer fit into 64 bits
 
 
 def write_flight(flight: FlightView, path: str | Path) -> None:

@@ -12,8 +12,7 @@ from groundstation.importers.formats.dataflash import HEAD, is_text
 from groundstation.importers.run import read_logs
 from groundstation.importers.series import Log, native_rate
 
-_ENOUGH = 64
-"""Bytes of a file that tell a dataflash log."""
+_ENOUGH = 64  # bytes of a file that tell a dataflash log
 
 
 def is_foreign_log(path: Path) -> bool:

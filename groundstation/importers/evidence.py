@@ -10,14 +10,12 @@ from groundstation.flight.arrays import Mask
 from groundstation.importers.instances import mean_of_first, with_primaries
 from groundstation.importers.series import Log, TimeSeries
 
-FIX_3D = 3
-"""Type of a GNSS fix, of ArduPilot's Status as of MAVLink's and PX4's fix_type, from which it has a velocity."""
+FIX_3D = 3  # type of a GNSS fix, of ArduPilot's Status as of MAVLink's and PX4's fix_type, from which it has a velocity
 BY_SENSOR = (1, 4)
 """ArduPilot's AirspeedEstimateType: a sensor, or its simulator's; 0 none that is new, 2 and 3 synthetic."""
 PX4_SENSORS = (1, 2, 3)
 """PX4's airspeed_source (and selected_airspeed_index before it): a sensor; 0 ground speed less wind, 4 synthetic, -1 none."""
-PITOT_BIT = 16
-"""MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, in SYS_STATUS.onboard_control_sensors_*."""
+PITOT_BIT = 16  # MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, in SYS_STATUS.onboard_control_sensors_*
 _DIFFERENTIAL = ("SCALED_PRESSURE.press_diff", "HIGHRES_IMU.diff_pressure", "RAW_PRESSURE.press_diff1")
 
 

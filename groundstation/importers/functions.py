@@ -28,8 +28,7 @@ _BY_SURFACE: Mapping[str, tuple[int, ...]] = {
     "delta_r": (16, 17, 21, 26, 79, 80, 86, 87),
 }
 """Surface -> functions of outputs that have a part in it."""
-_UNTOLD = frozenset({1, *range(51, 67)})
-"""Functions that pass a stick on: what it moves is not said."""
+_UNTOLD = frozenset({1, *range(51, 67)})  # functions that pass a stick on: what it moves is not said
 
 
 def name_of(function: float) -> str:

@@ -11,10 +11,8 @@ from groundstation.importers.series import Array, TimeSeries
 
 ALL_OF_ONE_KIND = ("ARSP", "GPS", "BARO", "IMU", "MAG")
 """Messages of ArduPilot that come from several sensors and say which is in use."""
-AGREE = 0.08
-"""Of the median of a quantity, by which two sensors of it may differ: pitots differ by 3 %."""
-COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}
-"""What of a message is compared between instances."""
+AGREE = 0.08  # of the median of a quantity, by which two sensors of it may differ: pitots differ by 3 %
+COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}  # what of a message is compared between instances
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ from groundstation.importers.servos import ServoMap
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
-MOST_LINES_ABOVE = 1_000_000
-"""Lines before the first row of numbers; no file of 16 MiB has as many that say something."""
+MOST_LINES_ABOVE = 1_000_000  # lines before the first row of numbers; no file of 16 MiB has as many that say something
 
 
 class _MapTable(BaseModel):
@@ -200,8 +199,7 @@ def built_in_map(name: str) -> Map:
     return load_map(MAPS / f"{name}.toml")
 
 
-EXAMPLE = "example: "
-"""What the title of an example mapping begins with."""
+EXAMPLE = "example: "  # what the title of an example mapping begins with
 
 
 def examples() -> tuple[str, ...]:

@@ -51,10 +51,8 @@ _ERRORS: Mapping[int, str] = {
     11: "GPS", 12: "crash check", 16: "EKF check", 17: "failsafe of the EKF", 18: "barometer", 24: "EKF changed",
 }  # fmt: skip
 _QUADROTOR, _HELICOPTER, _ROVER_TYPE, _OTHER_COPTERS = 2, 4, 10, (13, 14, 15, 29, 35)
-_PX4 = 12
-"""MAV_AUTOPILOT_PX4."""
-ARMED = 128
-"""Bit of HEARTBEAT.base_mode."""
+_PX4 = 12  # MAV_AUTOPILOT_PX4
+ARMED = 128  # bit of HEARTBEAT.base_mode
 
 Row = Mapping[str, object]
 

@@ -41,8 +41,7 @@ def _told(ending: str, value: float) -> str:
     return f"{ending} {value:g} ({name_of(value)})" if ending == "FUNCTION" else f"{ending} {value:g}"
 
 
-ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")
-"""ArduPilot's parameters of a servo output, SERVOn_..."""
+ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's parameters of a servo output, SERVOn_
 
 
 def servo_outputs(path: Path) -> list[ServoOutput]:

@@ -19,8 +19,7 @@ from groundstation.importers.series import Log, TimeSeries
 
 _PX4 = re.compile(r"px4_msgs/msg/(\w+)")
 PX4_US = 1e-6
-_SIDE = {"x": 1, "y": -1, "z": -1}
-"""Sign of a body axis of ROS in ours."""
+_SIDE = {"x": 1, "y": -1, "z": -1}  # sign of a body axis of ROS in ours
 
 
 def read_ros(path: Path) -> tuple[Log, Map]:

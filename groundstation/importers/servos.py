@@ -27,8 +27,7 @@ from groundstation.importers.units import conversion
 PREFIX = "servo."
 BEYOND = 0.5
 """Outputs further outside the travel than this share of it are no position: autopilots write 0 (or 65535) for 'off'."""
-SAME_TRIM_US = 5.0
-"""Trims closer than this [us] are the same: half a degree of a usual servo."""
+SAME_TRIM_US = 5.0  # trims closer than this [us] are the same: half a degree of a usual servo
 _OUTPUT = re.compile(r"(?:RCOU\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
 """Outputs of ArduPilot, numbered as its parameters SERVOn_TRIM, _MIN, _MAX. PX4's trims are shares of travel, no pulses."""
 LARGEST_DEFLECTION = math.radians(90.0)

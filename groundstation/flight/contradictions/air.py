@@ -14,19 +14,13 @@ from groundstation.flight.atmosphere import (
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
 
-PRESSURE_TOLERANCE = 0.08
-"""Of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %."""
-SCALE_TOLERANCE = 0.08
-"""Of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %."""
-DENSITY_TOLERANCE = 0.08
-"""Between two densities: 25 K of temperature, or a day of strange pressure and 10 K."""
+PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %
+SCALE_TOLERANCE = 0.08  # of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %
+DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day of strange pressure and 10 K
 SIGMAS = 4.0
-TELLS_APART = 9.0
-"""Difference of chi-square by which the motion favours one scale of V over another: three sigmas."""
-CREDIBLE_SCALE = 0.1
-"""A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours."""
-PRESSURE_ALTITUDE = 600.0
-"""[m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes."""
+TELLS_APART = 9.0  # difference of chi-square by which the motion favours one scale of V over another: three sigmas
+CREDIBLE_SCALE = 0.1  # A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours
+PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
 def air_density(c: Columns) -> tuple[Array, str] | None:

@@ -11,16 +11,13 @@ from groundstation.flight.kinematics import EULER_RATES, GYROS, earth_accelerati
 
 Pairs = list[tuple[Array, Array]]
 
-AGREEMENT = 0.9
-"""Share of a motion that has to be explained before its scale is judged."""
+AGREEMENT = 0.9  # share of a motion that has to be explained before its scale is judged
 SCALE_TOLERANCE = 0.12
 """Of an angle by its gyro, of velocity by acceleration: scale errors of uncalibrated sensors stay within 3 %, lags within 5 %."""
-MOST_SCALE = 2.0
-"""A scale beyond it is another unit, which `quality.plausibility` names."""
+MOST_SCALE = 2.0  # A scale beyond it is another unit, which `quality.plausibility` names
 HEADING_TOLERANCE = np.radians(12.0)
 """Between heading and course: declination that was not allowed for, or a compass beside a current."""
-FIELD = (2.2e-5, 6.7e-5)
-"""Strength of the magnetic field on Earth [T] (IGRF-13)."""
+FIELD = (2.2e-5, 6.7e-5)  # strength of the magnetic field on Earth [T] (IGRF-13)
 FIELD_TOLERANCE = 0.15
 SIGMAS = 4.0
 RECEIVER_LATE = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)

@@ -21,12 +21,9 @@ from groundstation.flight.arrays import Array
 
 MOST_CELLS = 12_000_000
 """Of a table, or one a byte of the file where that is more: three hours at 50 Hz with twenty columns; 200 MB while it is read."""
-MOST_ROWS = 4_000_000
-"""Of a table, or one for four bytes of the file where that is more: eleven hours at 100 Hz."""
-LARGEST_PAGE = 2**26
-"""Bytes of a page when unpacked; writers make pages of 1 MB."""
-MOST_COLUMNS = 4096
-"""Of a table; a PX4 log with all its topics has some 3,000."""
+MOST_ROWS = 4_000_000  # of a table, or one for four bytes of the file where that is more: eleven hours at 100 Hz
+LARGEST_PAGE = 2**26  # bytes of a page when unpacked; writers make pages of 1 MB
+MOST_COLUMNS = 4096  # of a table; a PX4 log with all its topics has some 3,000
 MOST_VALUES = 1_000_000
 """Of a footer, or one for 16 bytes of the file where that is more: ten row groups of 3,000 columns; a second or two."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

@@ -41,8 +41,7 @@ SMOOTHED = 5  # samples of a running mean over slopes of an attitude
 
 MOVING = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V")
 """Columns that change from sample to sample in flight: a repeated value there is an old value."""
-SENSED = (*MOVING, "altitude", "p_static", "p_dynamic")
-"""Columns of sensors that the motion of the aircraft moves."""
+SENSED = (*MOVING, "altitude", "p_static", "p_dynamic")  # columns of sensors that the motion of the aircraft moves
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ class Bag:
     notes: list[str] = field(default_factory=list)
 
     def decoder(self, topic: str, what: str, make: Callable[[], Decode]) -> Decode | None:
-        """What reads the messages of a topic; None where its schema or definition (`what`) cannot be read, and why in `unread`."""
+        """What reads the messages of a topic; None where its schema or definition (`what`) cannot be read; `unread` says why."""
         try:
             return make()
         except ModuleNotFoundError:

@@ -38,8 +38,7 @@ _LETTERS: dict[str, tuple[str, float | None]] = {
 }  # fmt: skip
 TIME_UNITS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 """First field of a message that is its time since boot -> seconds; TimeMS in logs before ArduPilot 3.3."""
-EVENTS = ("MODE", "MSG", "EV", "ERR", "ARM")
-"""Messages that are words, or events, and no samples."""
+EVENTS = ("MODE", "MSG", "EV", "ERR", "ARM")  # messages that are words, or events, and no samples
 
 
 def is_text(data: bytes) -> bool:

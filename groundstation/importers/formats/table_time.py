@@ -277,8 +277,7 @@ def _in_a_row(stamps: Stamps, restarts: Mask) -> Stamps:
 
 SENTINELS = (-9999.0, -999.0, -99999.0, -9999.99, -999.99, -32768.0, 9999.0, 99999.0, 1e20, -1e20)
 """Numbers that programs write where there is none."""
-FAR = 5.0
-"""Times as large as everything else in a column, from which such a number is none of its values."""
+FAR = 5.0  # times as large as everything else in a column, from which such a number is none of its values
 
 
 def without_sentinels(columns: Mapping[str, Array], shown: Callable[[str], str]) -> tuple[dict[str, Array], list[str]]:

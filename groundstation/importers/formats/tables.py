@@ -24,11 +24,9 @@ from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
 from groundstation.importers.series import Log, TimeSeries
 from groundstation.importers.units import conversion, find_unit
 
-RECORD = "record number"
-"""Series that counts the records of a file in which time begins anew."""
+RECORD = "record number"  # series that counts the records of a file in which time begins anew
 WORDS_AMONG_NUMBERS = 0.1  # a column with a larger share of cells that are no numbers is one of words
-DATE_NAMES = ("date", "Date", "DATE")
-"""Columns that hold the day beside a time of day."""
+DATE_NAMES = ("date", "Date", "DATE")  # columns that hold the day beside a time of day
 _TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
 _ALIKE = 4  # lines below the column names that must have as many cells
 _LONGEST_PREAMBLE = 200

@@ -109,8 +109,8 @@ def layouts() -> Mapping[int, DialectLayout]:
 
 class TlogScan:
     """Every sound message of a log. A frame counts when its checksum holds; one of a message that the dialect does not have
-    counts for nothing and is passed over where another follows it. After damage the search goes on with the next bytes that a record can
-    begin with.
+    counts for nothing and is passed over where another follows it. After damage the search goes on with the next bytes that a
+    record can begin with.
 
     rows: by system, component and message id; ours: frames of our own downlink; skipped: bytes of damage.
     """
