@@ -231,7 +231,7 @@ def _advise(
     services: "Services", data: tuple[Path, ...], mapping: Path | None, rate: float | None, report: Path | None
 ) -> None:
     """Print what can be done with a log, and its servo outputs; report: a JSON to write."""
-    from groundstation.importers.recipe import servo_outputs
+    from groundstation.importers.about import servo_outputs
     from groundstation.importers.run import import_data
 
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=True)

@@ -4,6 +4,7 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ _WRAPPED = ("phi", "psi")
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
-    """A flight column as made: source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz], None for
+class ColumnOrigin:
+    """How a flight column was made: source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz], None for
     that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
     servo that follows it [s]."""
 
@@ -42,23 +43,20 @@ class Made:
 
     def to_json(self, rate: float) -> dict[str, object]:
         """As in `channels` of `import --json`. rate: of the time base [Hz]."""
-        about = {
-            "from": self.source.formula,
-            "kind": self.kind,
-            "rate_hz": self.rate if self.rate is not None else rate,
-        }
+        own_rate = self.rate if self.rate is not None else rate
+        entry = {"from": self.source.formula, "kind": self.kind, "rate_hz": own_rate}
         if self.held is not None:
-            back = DATED_BACK * self.held if self.rate is not None else 0.0
-            about |= {HELD: True, INTERVAL: self.held, "dated_back_s": back, "servo_lag_s": self.lag}
-        return about | ({"column": self.name} if self.name != "" else {})
+            dated_back = DATED_BACK * self.held if self.rate is not None else 0.0
+            entry |= {HELD: True, INTERVAL: self.held, "dated_back_s": dated_back, "servo_lag_s": self.lag}
+        return entry | {"column": self.name}
 
 
 @dataclass(frozen=True)
 class ImportedColumns:
-    """values: by name in the flight (N,); made: flight column -> how; notes."""
+    """values: by name in the flight (N,); origins: flight column -> how; notes."""
 
     values: dict[str, Array]
-    made: dict[str, Made]
+    origins: dict[str, ColumnOrigin]
     notes: tuple[Finding | str, ...]
 
 
@@ -69,7 +67,7 @@ def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> Impo
     name of its own. Raises ImportDataError for a unit that nobody states.
     """
     values: dict[str, Array] = {}
-    made: dict[str, Made] = {}
+    origins: dict[str, ColumnOrigin] = {}
     absent: list[str] = []
     notes: list[Finding | str] = []
     for name, sources in mapping.columns.items():
@@ -79,25 +77,25 @@ def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> Impo
             continue
         source = source.model_copy(update={"unit": _unit(log, source, name)})
         kind = flight_kind(log, source)
-        under = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
+        label = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
         rate = min(native_rate(log.series[t.column]) for t in source.parts) if resampled else None
-        made[name] = Made(source, kind, rate, under, *_held(log, source))
-        values[under] = _value(log, source, name, time)
-        if under != name:
-            text = f"{name} by {source.formula} is computed, not measured: kept as {under}, and not used as {name}"
+        origins[name] = ColumnOrigin(source, kind, rate, label, *_held(log, source))
+        values[label] = _value(log, source, name, time)
+        if label != name:
+            text = f"{name} by {source.formula} is computed, not measured: kept as {label}, and not used as {name}"
             notes.append(Finding(FindingKind.NOT_MEASURED, text))
-    _made_true(values, made, notes)
+    _true_airspeed(values, origins, notes)
     if absent:
         notes.append(f"not in the file, so not measured: {listed(absent, 60)}")
     if log.common:
-        notes += _unmapped(log, mapping, time, values, made)
-    return ImportedColumns(values, made, tuple(notes))
+        notes += _unmapped(log, mapping, time, values, origins)
+    return ImportedColumns(values, origins, tuple(notes))
 
 
 def chosen_source(log: Log, sources: Iterable[ColumnSource]) -> ColumnSource | None:
     """The first source of which the log has all; one that was measured before one that was computed."""
-    there = [s for s in sources if all(t.column in log.series for t in s.parts)]
-    return next((s for s in there if flight_kind(log, s) != COMPUTED), there[0] if there else None)
+    complete = [s for s in sources if all(t.column in log.series for t in s.parts)]
+    return next((s for s in complete if flight_kind(log, s) != COMPUTED), complete[0] if complete else None)
 
 
 def flight_kind(log: Log, source: ColumnSource) -> Kind:
@@ -117,9 +115,9 @@ def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
     return (1.0 / slowest if slowest > 0.0 else 0.0), max((p.lag for p in parts), default=0.0)
 
 
-def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Finding | str]) -> None:
+def _true_airspeed(values: dict[str, Array], origins: dict[str, ColumnOrigin], notes: list[Finding | str]) -> None:
     """Equivalent airspeed made true by the density of the flight, in place; and that density as a column where there is none."""
-    airspeed = made.get("V")
+    airspeed = origins.get("V")
     if airspeed is None or not airspeed.source.equivalent or airspeed.name not in values:
         return
     words = f"V by {airspeed.source.formula} is equivalent airspeed"
@@ -132,17 +130,17 @@ def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Find
     if "rho" not in measured:
         values["rho"] = density
         source = ColumnSource(column=columns, unit="kg/m3")
-        made["rho"] = Made(source, COMPUTED, airspeed.rate, "rho")
+        origins["rho"] = ColumnOrigin(source, COMPUTED, airspeed.rate, "rho")
     with np.errstate(invalid="ignore", divide="ignore"):
         values[airspeed.name] = values[airspeed.name] * np.sqrt(SEA_LEVEL_DENSITY / density)
     notes.append(f"{words}: made true by the density of {columns} ({float(np.nanmedian(density)):.3g} kg/m3)")
 
 
 def _unmapped(
-    log: Log, mapping: Map, time: Array, values: dict[str, Array], made: dict[str, Made]
+    log: Log, mapping: Map, time: Array, values: dict[str, Array], origins: dict[str, ColumnOrigin]
 ) -> list[Finding | str]:
     """The columns of a table that no mapping names, under plain names, and notes on them."""
-    mapped = {t.column for m in made.values() for t in m.source.parts} | {mapping.segment or RECORD, RECORD}
+    mapped = {t.column for m in origins.values() for t in m.source.parts} | {mapping.segment or RECORD, RECORD}
     labels = {_plain_name(n, set(values)): n for n in log.series if n not in mapped}
     series = {name: log.series[label] for name, label in labels.items()}
     values |= {n: s.values if time is s.time else resample(s, time) for n, s in series.items()}
@@ -159,11 +157,8 @@ def _plain_name(name: str, taken: set[str]) -> str:
     plain = f"_{plain}" if plain[0].isdigit() else plain
     if plain in ("time", "segment") or (plain != name and plain in COLUMN_BY_NAME):
         plain += "_other"
-    first, number = plain, 1
-    while plain in taken:
-        plain, number = f"{first}_{number}", number + 1
-    taken.add(plain)
-    return plain
+    numbered = (plain if n == 0 else f"{plain}_{n}" for n in count())
+    return next(name for name in numbered if name not in taken)
 
 
 def _unit(log: Log, source: ColumnSource, name: str) -> str:
@@ -171,16 +166,16 @@ def _unit(log: Log, source: ColumnSource, name: str) -> str:
     neither does."""
     if source.unit is not None:
         return source.unit
-    stated = {log.units.get(t.column, "") for t in source.parts}
-    if len(stated) == 1 and find_unit(unit := stated.pop()) is not None and unit:
+    units = {log.units.get(t.column, "") for t in source.parts}
+    if len(units) == 1 and find_unit(unit := units.pop()) is not None and unit:
         return unit
     si = COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else "1"
     if si == "1":
         return si
-    named = listed(t.column for t in source.parts)
+    columns = listed(t.column for t in source.parts)
     raise ImportDataError(
-        f"column {name}: the mapping does not say in which unit {named} is; add it, for example "
-        f'{name} = {{ column = "{named}", unit = "{si}" }}, or one of: {known_units(si)}'
+        f"column {name}: the mapping does not say in which unit {columns} is; add it, for example "
+        f'{name} = {{ column = "{columns}", unit = "{si}" }}, or one of: {known_units(si)}'
     )
 
 
@@ -198,9 +193,7 @@ def _value(log: Log, source: ColumnSource, name: str, time: Array) -> Array:
         expression = parse(source.expression)
         total = expression.values({n: on_base(n) for n in expression.columns})
     else:
-        total = np.zeros(time.size)
-        for term in source.parts:
-            total = total + term.factor * on_base(term.column)
+        total = sum((term.factor * on_base(term.column) for term in source.parts), np.zeros(time.size))
     value = (source.sign * source.factor * total + source.offset) * scale + offset
     if name in _WRAPPED and not log.common:
         value = (value + np.pi) % (2 * np.pi) - np.pi
@@ -212,8 +205,8 @@ def _unwrapped(series: TimeSeries, name: str, scale: float) -> TimeSeries:
     if name not in _WRAPPED:
         return series
     values = series.values.copy()
-    good = np.isfinite(values)
-    values[good] = np.unwrap(values[good] * scale) / scale
+    finite = np.isfinite(values)
+    values[finite] = np.unwrap(values[finite] * scale) / scale
     return TimeSeries(series.time, values)
 
 

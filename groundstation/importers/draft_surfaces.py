@@ -10,8 +10,7 @@ from itertools import count
 
 import numpy as np
 
-from groundstation.importers.functions import name_of
-from groundstation.importers.recipe import OUTPUT
+from groundstation.importers.functions import OUTPUT, name_of
 from groundstation.importers.series import Array, Log, TimeSeries, native_rate
 from groundstation.importers.servos import parameter_of
 

@@ -3,6 +3,7 @@
 Source: ArduPilot, SRV_Channel.h, `SRV_Channel::Function`.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 
 from groundstation.flight.contradictions import Contradiction
@@ -28,6 +29,11 @@ _BY_SURFACE: Mapping[str, tuple[int, ...]] = {
     "delta_r": (16, 17, 21, 26, 79, 80, 86, 87),
 }
 """Surface -> functions of outputs that have a part in it."""
+OUTPUT = re.compile(
+    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVOOUTPUT_RAW\.servo\d+_raw"
+)
+"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVOOUTPUT_RAW."""
+ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's parameters of a servo output, SERVOn_
 _UNTOLD = frozenset({1, *range(51, 67)})  # functions that pass a stick on: what it moves is not said
 
 
@@ -49,7 +55,9 @@ def misnamed(log: Log, chosen: Map) -> Iterator[Contradiction]:
             function = log.parameters.get(parameter) if parameter else None
             if function is None or round(function) in _UNTOLD or round(function) in _BY_SURFACE.get(surface, ()):
                 continue
-            moved = name_of(function)
-            text = f"the mapping makes {column} of {output}, which moves the {moved} by {parameter} {function:g} of the log"
-            moves = f"derivatives by {column}: they would be those of the {moved}"
+            part = name_of(function)
+            text = (
+                f"the mapping makes {column} of {output}, which moves the {part} by {parameter} {function:g} of the log"
+            )
+            moves = f"derivatives by {column}: they would be those of the {part}"
             yield Contradiction((column, parameter or output), text, moves=moves, stops=True)

@@ -116,14 +116,14 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
 def _provenance(
     path: Path, log: Log, mapping: Map, imported: ImportedColumns, time: Array, resampled: bool
 ) -> Provenance:
-    made = imported.made
+    origins = imported.origins
     base_rate = native_rate(TimeSeries(time, time))
     detail = {
         "format": log.kind,
-        "mapping": {name: spoken(column.source) for name, column in made.items()},
-        CHANNELS: {name: column.to_json(base_rate) for name, column in made.items()},
+        "mapping": {name: spoken(column.source) for name, column in origins.items()},
+        CHANNELS: {name: column.to_json(base_rate) for name, column in origins.items()},
         "resampled_hz": float(1 / np.median(np.diff(time))) if resampled else None,
-        "native_hz": {column.name: column.rate for column in made.values() if column.rate is not None},
+        "native_hz": {column.name: column.rate for column in origins.values() if column.rate is not None},
         **({CONTRADICTIONS: [c.to_json() for c in log.contradictions]} if log.contradictions else {}),
         **log.detail,
         **log.marks.to_json(),
