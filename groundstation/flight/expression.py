@@ -94,8 +94,8 @@ def _parsed(text: str, *, condition: bool) -> Expression:
     if not parser.columns:
         raise ExpressionError(f"expression {text!r} names no column")
     if term.condition != condition:
-        wanted = "a condition, like V > 12 or mode:MANUAL" if condition else "a number, and no condition"
-        raise ExpressionError(f"expression {text!r}: {wanted} is expected")
+        expectation = "a condition, like V > 12 or mode:MANUAL" if condition else "a number, and no condition"
+        raise ExpressionError(f"expression {text!r}: {expectation} is expected")
     return Expression(text, tuple(dict.fromkeys(parser.columns)), term)
 
 

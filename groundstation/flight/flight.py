@@ -96,16 +96,16 @@ class Flight:
         arrays = {k: v[keep] for k, v in arrays.items()}
         segments, gaps = _split(time, labels, gap_factor)
         # a flight read again finds the gaps it was written with
-        every = without_repeats([*notes, *order_notes, *gaps])
-        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), every)
+        all_notes = without_repeats([*notes, *order_notes, *gaps])
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), all_notes)
 
     def __repr__(self) -> str:
-        about = self.provenance
-        known = f"{about.aircraft or 'unnamed aircraft'}, {about.source}"
+        provenance = self.provenance
+        origin = f"{provenance.aircraft or 'unnamed aircraft'}, {provenance.source}"
         return (
             f"<Flight {self.name!r:.80}: {len(self)} samples, {self.time[-1] - self.time[0]:.2f} s at "
             f"{1.0 / self.sample_interval:.1f} Hz, {len(self.segments)} segment{'s' * (len(self.segments) > 1)}, "
-            f"{sum(map(self.measured, self.columns))} columns measured, {known:.80}>"
+            f"{sum(map(self.measured, self.columns))} columns measured, {origin:.80}>"
         )
 
     def _repr_html_(self) -> str:
@@ -203,16 +203,16 @@ class Flight:
     def channels(self) -> Mapping[str, Mapping[str, Any]]:
         """Where the columns come from, as an import says it: column -> {"from", "kind": "measured" | "computed" | "assumed",
         "rate_hz"}; empty where the flight does not say, or says what is none of it."""
-        stated = self.provenance.detail.get(CHANNELS)
-        found = stated.items() if isinstance(stated, Mapping) else ()
-        return {str(n): dict(c) for n, c in found if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
+        channels = self.provenance.detail.get(CHANNELS)
+        entries = channels.items() if isinstance(channels, Mapping) else ()
+        return {str(n): dict(c) for n, c in entries if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
 
     def held(self, column: str) -> float | None:
         """Interval [s] at which a column that is a command was recorded: it holds in between, has no noise, and may have changed
         up to so long before. None for what a sensor saw, or where the flight does not say."""
-        about = self.channels.get(column, {})
-        interval = about.get(INTERVAL)
-        return float(interval) if about.get(HELD) is True and isinstance(interval, float | int) else None
+        channel = self.channels.get(column, {})
+        interval = channel.get(INTERVAL)
+        return float(interval) if channel.get(HELD) is True and isinstance(interval, float | int) else None
 
     @property
     def known_columns(self) -> tuple[str, ...]:

@@ -40,7 +40,7 @@ def earth_acceleration(c: ByName) -> tuple[Array, Array, Array]:
     """Acceleration north, east, down [m/s2] from specific force in body axes and attitude."""
     sf, cf, st, ct = np.sin(c["phi"]), np.cos(c["phi"]), np.sin(c["theta"]), np.cos(c["theta"])
     sp, cp = np.sin(c["psi"]), np.cos(c["psi"])
-    ahead = c["ax"] * ct + (c["ay"] * sf + c["az"] * cf) * st
+    forward = c["ax"] * ct + (c["ay"] * sf + c["az"] * cf) * st
     right = c["ay"] * cf - c["az"] * sf
     down = -c["ax"] * st + (c["ay"] * sf + c["az"] * cf) * ct + GRAVITY
-    return ahead * cp - right * sp, ahead * sp + right * cp, down
+    return forward * cp - right * sp, forward * sp + right * cp, down

@@ -55,15 +55,15 @@ def where(flight: Flight, text: str) -> LabelledStretches:
     condition = parse_condition(text)
     columns = _condition_columns(flight, condition)
     holds = (condition.values(columns) > 0.0) & np.all([np.isfinite(c) for c in columns.values()], axis=0)
-    flown = airborne(flight)
-    notes = [flown.text] if flown.text and (holds & ~flown.flying).any() else []
-    runs = true_runs(holds & flown.flying, flight.segments)
+    flight_phase = airborne(flight)
+    notes = [flight_phase.text] if flight_phase.text and (holds & ~flight_phase.flying).any() else []
+    runs = true_runs(holds & flight_phase.flying, flight.segments)
     stretches = [(a, b) for a, b in runs if flight.time[b - 1] - flight.time[a] >= SHORTEST]
     if len(runs) > len(stretches):
         notes.append(f"{len(runs) - len(stretches)} stretches of '{text}' shorter than {SHORTEST:g} s left out")
     if not stretches:
-        why = "; ".join(notes) or f"it holds at {int(holds.sum())} of {len(flight)} samples"
-        raise StretchError(f"--segments {text!r}: nothing of {flight.name} is left: {why}")
+        reason = "; ".join(notes) or f"it holds at {int(holds.sum())} of {len(flight)} samples"
+        raise StretchError(f"--segments {text!r}: nothing of {flight.name} is left: {reason}")
     label = np.full(len(flight), -1, np.int64)
     for number, (a, b) in enumerate(stretches):
         label[a:b] = number
@@ -152,7 +152,9 @@ def _rolls(flight: Flight, slow: Mask) -> Mask:
     """Samples between standing and some height, before and after."""
     rolls = np.zeros(len(flight), bool)
     height = next((flight[c] for c in ("altitude", "altitude_gnss") if flight.measured(c)), None)
-    for part in flight.segments if height is not None else ():
+    if height is None:
+        return rolls
+    for part in flight.segments:
         for step in (1, -1):
             rolls[part][::step] |= _first_roll(flight.time[part][::step], slow[part][::step], height[part][::step])
     return rolls

@@ -66,7 +66,7 @@ class ColumnTable:
 
 def flight_table(flight: FlightView) -> ColumnTable:
     """`time`, every column of a flight, and `segment`."""
-    about = {
+    metadata = {
         "name": flight.name,
         "aircraft": flight.provenance.aircraft,
         "source": flight.provenance.source,
@@ -75,11 +75,11 @@ def flight_table(flight: FlightView) -> ColumnTable:
     }
     columns = [TableColumn("time", flight.time, "s", "time")]
     for name, values in flight.columns.items():
-        known = COLUMN_BY_NAME.get(name)
-        columns.append(TableColumn(name, values, known.unit if known else "", known.meaning if known else ""))
+        channel = COLUMN_BY_NAME.get(name)
+        columns.append(TableColumn(name, values, channel.unit if channel else "", channel.meaning if channel else ""))
     stretch = flight.segment.astype(float)
     columns.append(TableColumn("segment", stretch, "1", "stretch without a gap, counted from 0", whole=True))
-    return ColumnTable(tuple(columns), about)
+    return ColumnTable(tuple(columns), metadata)
 
 
 def arrow_table(table: ColumnTable) -> "pa.Table":
@@ -126,8 +126,8 @@ def flight_html(flight: FlightView) -> str:
     """Name, length and the range of every measured column, as an HTML table; text is escaped."""
     rows = []
     for name in _measured(flight):
-        values, known = flight.columns[name], COLUMN_BY_NAME.get(name)
-        unit, meaning = (known.unit, known.meaning) if known else ("", "")
+        values, channel = flight.columns[name], COLUMN_BY_NAME.get(name)
+        unit, meaning = (channel.unit, channel.meaning) if channel else ("", "")
         cells = (name, unit, f"{np.nanmin(values):.4g}", f"{np.nanmax(values):.4g}", meaning)
         rows.append("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in cells) + "</tr>")
     head = "".join(f"<th>{c}</th>" for c in ("column", "unit", "least", "most", "meaning"))
@@ -157,11 +157,11 @@ def plot_flight(flight: FlightView, columns: Sequence[str], ax: Any = None) -> A
     if axes.size != len(names):
         raise FlightError(f"{axes.size} axes for {len(names)} columns; give one for each, or none")
     for axis, name in zip(axes, names, strict=True):
-        known = COLUMN_BY_NAME.get(name)
-        unit = known.unit if known else ""
-        factor, shown = (np.degrees(1.0), unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
+        channel = COLUMN_BY_NAME.get(name)
+        unit = channel.unit if channel else ""
+        factor, label_unit = (np.degrees(1.0), unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
         for rows in flight.segments:
             axis.plot(flight.time[rows], factor * flight.columns[name][rows], color="C0", linewidth=1.0)
-        axis.set_ylabel(f"{name} [{shown}]" if shown else name)
+        axis.set_ylabel(f"{name} [{label_unit}]" if label_unit else name)
     axes[-1].set_xlabel("time [s]")
     return axes

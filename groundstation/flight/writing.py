@@ -77,15 +77,15 @@ def _provenance_to(flight: FlightView) -> dict[str, Any]:
 
 def field_names(names: Iterable[str]) -> list[str]:
     """Names that can be fields of an MCAP flight, each of its own: letters, digits and underscores for what is anything else."""
-    out: dict[str, None] = {}
+    unique: dict[str, None] = {}
     for name in names:
-        first = plain = (
+        first = label = (
             name if name.isascii() and name.isidentifier() else "_" + re.sub(r"\W+", "_", name, flags=re.ASCII)
         )
-        while plain in out:
-            plain = f"{first}_{len(out)}"
-        out[plain] = None
-    return list(out)
+        while label in unique:
+            label = f"{first}_{len(unique)}"
+        unique[label] = None
+    return list(unique)
 
 
 def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:

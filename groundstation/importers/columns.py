@@ -30,8 +30,8 @@ _WRAPPED = ("phi", "psi")
 
 @dataclass(frozen=True, slots=True)
 class ColumnOrigin:
-    """How a flight column was made: source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz], None for
-    that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
+    """How a flight column was made. source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz],
+    None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
     servo that follows it [s]."""
 
     source: ColumnSource
@@ -153,11 +153,11 @@ def _unmapped(
 def _plain_name(name: str, taken: set[str]) -> str:
     """A column name of letters, digits and underscores, as the flight format needs it; not one that is taken."""
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    plain = re.sub(r"\W+", "_", ascii_name[:LONGEST_NAME]).strip("_") or "column"
-    plain = f"_{plain}" if plain[0].isdigit() else plain
-    if plain in ("time", "segment") or (plain != name and plain in COLUMN_BY_NAME):
-        plain += "_other"
-    numbered = (plain if n == 0 else f"{plain}_{n}" for n in count())
+    label = re.sub(r"\W+", "_", ascii_name[:LONGEST_NAME]).strip("_") or "column"
+    label = f"_{label}" if label[0].isdigit() else label
+    if label in ("time", "segment") or (label != name and label in COLUMN_BY_NAME):
+        label += "_other"
+    numbered = (label if n == 0 else f"{label}_{n}" for n in count())
     return next(name for name in numbered if name not in taken)
 
 

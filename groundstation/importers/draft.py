@@ -53,8 +53,8 @@ def _of_log(path: Path) -> list[str]:
     log, mapping = read_logs(path)[0]
     gyros = {n: chosen_source(log, mapping.columns.get(n, ())) for n in ("p", "q", "r")}
     lines, shares = drafted_servos(log, {n: s.parts[0].column for n, s in gyros.items() if s is not None})
-    lacking = [s for s in SURFACES if s not in shares and s not in mapping.columns]
-    return [*_head(path), *lines, "", "[columns]", *surface_lines(shares, lacking), *_columns(log, mapping)]
+    missing = [s for s in SURFACES if s not in shares and s not in mapping.columns]
+    return [*_head(path), *lines, "", "[columns]", *surface_lines(shares, missing), *_columns(log, mapping)]
 
 
 def _columns(log: Log, mapping: Map) -> Iterator[str]:
@@ -95,8 +95,8 @@ def _of_table(path: Path) -> list[str]:
 
     table = _table(path)
     by_header, _ = header_map(table)
-    stated = by_header.time.column if by_header.time is not None else None
-    time_name = stated or time_column([*table.numeric, *table.words, *table.dates])
+    header_time = by_header.time.column if by_header.time is not None else None
+    time_name = header_time or time_column([*table.numeric, *table.words, *table.dates])
     time_lines, time = _time_lines(table, time_name)
     names = [n for n in table.numeric if n != time_name]
     candidates = meant(names)
@@ -132,8 +132,8 @@ def _time_lines(table: "ImportedTable", name: str | None) -> tuple[list[str], Ar
     column = f"column = {_toml_value(name)}"
     if name not in table.numeric:
         return [column, 'unit = "iso"      # dates, times of day or IRIG time'], None
-    unit, why = time_unit(table.numeric[name])
-    return [column, f'unit = "{unit}"      # {why}'], table.numeric[name] * UNITS[unit].scale
+    unit, evidence = time_unit(table.numeric[name])
+    return [column, f'unit = "{unit}"      # {evidence}'], table.numeric[name] * UNITS[unit].scale
 
 
 def _table(path: Path) -> "ImportedTable":

@@ -83,8 +83,8 @@ def unit_in_name(name: str) -> str | None:
 
 def fits(unit: str, column: str) -> bool:
     """Whether a unit is one of the quantity of a flight column."""
-    known = find_unit(unit)
-    return known is not None and known.si == COLUMN_BY_NAME[column].unit
+    si_unit = find_unit(unit)
+    return si_unit is not None and si_unit.si == COLUMN_BY_NAME[column].unit
 
 
 def meant(names: Sequence[str]) -> dict[str, list[str]]:
@@ -131,7 +131,7 @@ def unit_of(column: str, names: Mapping[str, str], values: Mapping[str, Array], 
             return UnitGuess("deg", f"{extent}: more than an angle in rad can be", True)
         return UnitGuess("rad", f"{extent}: rad, if it moves so far; UNKNOWN where degrees would be small")
     median = float(np.median(x))
-    able = [unit for unit, least, largest in _RANGES.get(column, ()) if least <= median <= largest]
+    able = [unit for unit, lowest, largest in _RANGES.get(column, ()) if lowest <= median <= largest]
     if len(able) == 1:
         return UnitGuess(able[0], f"{extent}: {able[0]} by what the atmosphere allows", True)
     if able:

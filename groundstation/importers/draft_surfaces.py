@@ -134,7 +134,7 @@ def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, answer: in
     rows = np.searchsorted(output.time, time, side="right") - 1
     u = output.values[np.clip(rows, 0, output.time.size - 1)] - trim
     y = np.interp(time, rate.time, rate.values)
-    response = max((_response(u, y, round(late * _RATE)) for late in np.arange(-LATEST, LATEST, 0.01)), key=abs)
+    response = max((_response(u, y, round(delay * _RATE)) for delay in np.arange(-LATEST, LATEST, 0.01)), key=abs)
     if abs(response) < SURE:
         return 1, f"sign UNKNOWN: {name} does not tell"
     sign = answer * (1 if response > 0 else -1)

@@ -101,19 +101,19 @@ def of_mavlink(log: Log) -> Log:
 
 def _airspeed_of_mavlink(series: Mapping[str, TimeSeries]) -> tuple[str, str]:
     pressures = [series[n].values for n in _DIFFERENTIAL if n in series]
-    moving = any(
+    varies = any(
         float(np.nanmax(np.abs(p - np.nanmedian(p)), initial=0.0)) > 0.0 and np.nanmax(np.abs(p)) > 0.0
         for p in pressures
     )
-    if pressures and not moving:
+    if pressures and not varies:
         return "computed", "VFR_HUD.airspeed is not of a pitot: the differential pressure never moves"
     states = [series.get(f"SYS_STATUS.onboard_control_sensors_{word}") for word in ("present", "enabled")]
     if any(s is not None and not (s.values.astype(np.int64) & PITOT_BIT).any() for s in states):
         return "computed", "VFR_HUD.airspeed is not of a pitot: SYS_STATUS has none"
-    if moving or states[0] is not None:
+    if varies or states[0] is not None:
         return "measured", ""
-    why = "no differential pressure, no SYS_STATUS"
-    return "assumed", f"nothing in the log says that a pitot measured VFR_HUD.airspeed ({why})"
+    absent = "no differential pressure, no SYS_STATUS"
+    return "assumed", f"nothing in the log says that a pitot measured VFR_HUD.airspeed ({absent})"
 
 
 def _distinct(series: TimeSeries) -> str:

@@ -26,25 +26,27 @@ class ChosenInstances:
 
 def with_primaries(series: Mapping[str, TimeSeries]) -> ChosenInstances:
     """The series with the plain name (`ARSP.Airspeed`) standing for the instance in use; each stays under its number, too."""
-    chosen = dict(series)
+    primaries = dict(series)
     notes: list[str] = []
     contradictions: list[Contradiction] = []
     for message in ALL_OF_ONE_KIND:
         instances = _instances(series, message)
         if len(instances) < 2:
             continue
-        primary, why = _primary(instances)
+        primary, reason = _primary(instances)
         first = next(iter(instances))
-        chosen |= {f"{message}[{first}].{n}": v for n, v in instances[first].items()}
+        primaries |= {f"{message}[{first}].{n}": v for n, v in instances[first].items()}
         if primary is None:
-            chosen |= {f"{message}.{n}": v for n, v in _by_time(instances).items()}
-            notes.append(f"{message}: the instance in use changes in flight ({why}); each sample is of the one in use")
+            primaries |= {f"{message}.{n}": v for n, v in _by_time(instances).items()}
+            notes.append(
+                f"{message}: the instance in use changes in flight ({reason}); each sample is of the one in use"
+            )
         elif primary != first:
-            chosen = {n: v for n, v in chosen.items() if not n.startswith(f"{message}.")}
-            chosen |= {f"{message}.{n}": v for n, v in instances[primary].items()}
-            notes.append(f"{message}: instance {primary} is taken, {why}")
-        contradictions += _disagreements(message, instances, primary, why)
-    return ChosenInstances(chosen, tuple(notes), tuple(contradictions))
+            primaries = {n: v for n, v in primaries.items() if not n.startswith(f"{message}.")}
+            primaries |= {f"{message}.{n}": v for n, v in instances[primary].items()}
+            notes.append(f"{message}: instance {primary} is taken, {reason}")
+        contradictions += _disagreements(message, instances, primary, reason)
+    return ChosenInstances(primaries, tuple(notes), tuple(contradictions))
 
 
 def _instances(series: Mapping[str, TimeSeries], message: str) -> dict[int, dict[str, TimeSeries]]:
@@ -63,21 +65,21 @@ def _instances(series: Mapping[str, TimeSeries], message: str) -> dict[int, dict
 
 def _primary(instances: Mapping[int, Mapping[str, TimeSeries]]) -> tuple[int | None, str]:
     """The instance in use and why; None where it changes, as each says at its own time."""
-    stated = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
-    if stated:
-        numbers = np.unique(np.concatenate(stated))
+    priorities = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
+    if priorities:
+        numbers = np.unique(np.concatenate(priorities))
         numbers = numbers[np.isfinite(numbers)]
-        known = [int(n) for n in numbers if int(n) in instances]
-        if len(known) == 1:
-            return known[0], f"the log names it the primary (Pri {known[0]})"
-        if known:
-            return None, f"Pri {', '.join(map(str, known))}"
+        candidates = [int(n) for n in numbers if int(n) in instances]
+        if len(candidates) == 1:
+            return candidates[0], f"the log names it the primary (Pri {candidates[0]})"
+        if candidates:
+            return None, f"Pri {', '.join(map(str, candidates))}"
     for fields, word in ((("U", "Use"), "in use"), (("H", "Health", "GH"), "healthy")):
         share = {n: mean_of_first(f, fields) for n, f in instances.items()}
-        good = [n for n, s in share.items() if s is not None and s > 0.5]
-        if good and len(good) < len(instances):
-            others = ", ".join(str(n) for n in instances if n not in good)
-            return good[0], f"{others} is not {word} by the log"
+        working = [n for n, s in share.items() if s is not None and s > 0.5]
+        if working and len(working) < len(instances):
+            unused = ", ".join(str(n) for n in instances if n not in working)
+            return working[0], f"{unused} is not {word} by the log"
     first = next(iter(instances))
     return first, "nothing in the log says which is in use"
 

@@ -85,12 +85,12 @@ class ColumnSource(_MapTable):
     def formula(self) -> str:
         """How the column is made, for a person."""
         if self.expression is not None:
-            made = self.expression if "`" in self.expression else self.expression.replace(" ", "")
+            text = self.expression if "`" in self.expression else self.expression.replace(" ", "")
         else:
-            made = "+".join(t.column if t.factor == 1 else f"{t.factor:g}*{t.column}" for t in self.parts)
-            made = made.replace("+-", "-")
-        made = f"{self.factor:g}*({made})" if self.factor != 1 else made
-        return f"-({made})" if self.sign < 0 else made
+            text = "+".join(t.column if t.factor == 1 else f"{t.factor:g}*{t.column}" for t in self.parts)
+            text = text.replace("+-", "-")
+        text = f"{self.factor:g}*({text})" if self.factor != 1 else text
+        return f"-({text})" if self.sign < 0 else text
 
 
 class Time(_MapTable):

@@ -66,7 +66,7 @@ def words(value: object) -> str:
 def dataflash_marks(rows: Mapping[str, Sequence[tuple[float, Row]]], end: float) -> Marks:
     """Marks of an ArduPilot log. rows: message -> (time [s], fields) in order; end: time of its last sample [s]."""
     messages = tuple(Mark(t, words(row.get("Message", ""))) for t, row in rows.get("MSG", ()) if row.get("Message"))
-    names = next((m for name, m in _VEHICLES.items() for said in messages if said.text.startswith(name)), PLANE)
+    names = next((m for name, m in _VEHICLES.items() for message in messages if message.text.startswith(name)), PLANE)
     modes = [(t, _mode(row, names)) for t, row in rows.get("MODE", ())]
     events = [
         *(Mark(t, "armed" if _number(row.get("ArmState")) else "disarmed") for t, row in rows.get("ARM", ())),
@@ -76,8 +76,8 @@ def dataflash_marks(rows: Mapping[str, Sequence[tuple[float, Row]]], end: float)
             for t, row in rows.get("ERR", ())
         ),
     ]
-    found = changes([t for t, _ in modes], [n for _, n in modes], end)
-    return Marks(found, tuple(sorted(events, key=lambda m: m.time)), messages)
+    changed_modes = changes([t for t, _ in modes], [n for _, n in modes], end)
+    return Marks(changed_modes, tuple(sorted(events, key=lambda m: m.time)), messages)
 
 
 def _arming(rows: Mapping[str, Sequence[tuple[float, Row]]], row: Row) -> bool:
@@ -116,5 +116,5 @@ def heartbeat_mode(vehicle: int, autopilot: int, custom: int) -> str:
 
 def armings(time: Iterable[float], armed: Iterable[bool]) -> tuple[Mark, ...]:
     """An event for each change of the state of the motors, the first included."""
-    found = changes(time, ("armed" if a else "disarmed" for a in armed), 0.0)
-    return tuple(Mark(m.start, m.name) for m in found)
+    states = changes(time, ("armed" if a else "disarmed" for a in armed), 0.0)
+    return tuple(Mark(m.start, m.name) for m in states)

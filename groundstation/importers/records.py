@@ -64,7 +64,9 @@ def _clock_runs(time: Array) -> list[slice]:
     with np.errstate(invalid="ignore"):
         falls = np.flatnonzero(np.diff(time) < -FALLS_BACK) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *falls.tolist(), time.size])]
-    damaged = any(after.stop - after.start < 2 or _ends_in_spike(time[before]) for before, after in pairwise(runs))
+    damaged = any(
+        following.stop - following.start < 2 or _ends_in_spike(time[previous]) for previous, following in pairwise(runs)
+    )
     return [slice(0, time.size)] if damaged else runs
 
 

@@ -32,15 +32,15 @@ def read_ros(path: Path) -> tuple[Log, Map]:
     series: dict[str, TimeSeries] = {}
     columns: dict[str, list[ColumnSource]] = {}
     kinds: dict[str, str] = {}
-    turned = False
+    rotated = False
     for topic in bag.topics.values():
-        made = topic.series(topic.name)
-        turned |= _standard(topic, made, columns, kinds)
-        series |= made
+        topic_series = topic.series(topic.name)
+        rotated |= _standard(topic, topic_series, columns, kinds)
+        series |= topic_series
     if not series:
         raise ImportDataError(f"{path}: no numbers in the messages of this bag")
     notes = [*bag.notes]
-    if turned:
+    if rotated:
         notes.append("messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)")
     log = Log("bag", series, notes=tuple(notes), kinds=kinds)
     return log, Map(format=1, title="bag", columns={n: tuple(s) for n, s in columns.items()})
@@ -49,12 +49,12 @@ def read_ros(path: Path) -> tuple[Log, Map]:
 def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
     """Series under the names of uORB topics; a second topic of one kind is instance 1."""
     series: dict[str, TimeSeries] = {}
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for topic in topics.values():
         match = _PX4.fullmatch(topic.kind)
         name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", match[1]).lower() if match else topic.name
-        number = seen.get(name, 0)
-        seen[name] = number + 1
+        number = counts.get(name, 0)
+        counts[name] = number + 1
         series |= topic.series(f"{name}[{number}]" if number else name, PX4_US)
     return series
 

@@ -70,17 +70,17 @@ def _records(paths: Sequence[Path], user_map: Map | None) -> list[tuple[Path, Lo
     if topics is not None:
         return [(paths[0], EVIDENCE[topics.kind](topics), _over(user_map, built_in_map("px4")))]
     records = [(file, log, mapping) for file in paths for log, mapping in read_logs(file, user_map)]
-    together = joined_topics(records)
-    return [(paths[0], *together)] if together is not None else records
+    joined_record = joined_topics(records)
+    return [(paths[0], *joined_record)] if joined_record is not None else records
 
 
 def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_implausible: bool) -> Flight:
     rate = rate_hz or mapping.rate_hz
     resampled = not log.common or rate is not None
     if resampled:
-        series, dropped = credible(log.series)
+        series, outliers = credible(log.series)
         log = replace(log, series=series)
-        log = log.with_notes(f"{dropped} samples with a time far from all others left out") if dropped else log
+        log = log.with_notes(f"{outliers} samples with a time far from all others left out") if outliers else log
     log = replace(log, contradictions=(*log.contradictions, *misnamed(log, mapping)))
     log, no_output = with_servos(log, mapping.servos)
     time = _time_base(path, log, mapping, rate)
@@ -88,13 +88,13 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
         raise ImportDataError(f"{path}: fewer than two samples with a time in it")
     with np.errstate(over="ignore", invalid="ignore"):  # what is beyond any measurement is left out just below
         imported = flight_columns(log, mapping, time, resampled)
-    columns, beyond = credible_values(imported.values)
+    columns, value_notes = credible_values(imported.values)
     if not columns:
         raise ImportDataError(
             f"{path}: nothing in it is known as a flight column; found {listed(log.series, 12)}; "
             "write a mapping file (--map)"
         )
-    notes = [*log.notes, *imported.notes, *beyond]
+    notes = [*log.notes, *imported.notes, *value_notes]
     if mapping.title.startswith(EXAMPLE):
         notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
     if no_output:
@@ -180,8 +180,8 @@ def _package_reader(path: Path) -> Callable[[Path], tuple[Log, Map]]:
     packages = entry_points(group=ENTRY_POINTS)
     package = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
     if package is None:
-        known = (*TABLES, *LOGS, *BAGS, *(f".{p.name}" for p in packages))
-        raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(known)}")
+        endings = (*TABLES, *LOGS, *BAGS, *(f".{p.name}" for p in packages))
+        raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(endings)}")
     try:
         reader: Callable[[Path], tuple[Log, Map]] = package.load()
     except (ImportError, AttributeError) as error:

@@ -78,12 +78,12 @@ def credible(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], i
         return dict(series), 0
     low, high = np.percentile(times, [2, 98])
     reach = 60.0 + (high - low)
-    kept_series, dropped = {}, 0
+    kept_series, outliers = {}, 0
     for name, item in series.items():
-        near = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
-        dropped = max(dropped, int(np.sum(~near)))
-        kept_series[name] = item if near.all() else TimeSeries(item.time[near], item.values[near])
-    return kept_series, dropped
+        plausible = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
+        outliers = max(outliers, int(np.sum(~plausible)))
+        kept_series[name] = item if plausible.all() else TimeSeries(item.time[plausible], item.values[plausible])
+    return kept_series, outliers
 
 
 def grid(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
@@ -101,8 +101,8 @@ def grid(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
             f"{stop - start:.4g} s at {rate_hz:g} Hz are more than {LONGEST_GRID} samples; check the time unit or lower --rate"
         )
     recorded = max(s.time.size for s in series.values())
-    expected = (stop - start) * min(rate_hz, max(native_rate(s) for s in series.values()) or rate_hz)
-    if expected > max(EMPTIEST * recorded, SHORT_GRID):
+    expected_samples = (stop - start) * min(rate_hz, max(native_rate(s) for s in series.values()) or rate_hz)
+    if expected_samples > max(EMPTIEST * recorded, SHORT_GRID):
         raise ImportDataError(
             f"{recorded} samples spread over {stop - start:.4g} s: most of that time is empty, so the time is damaged or of "
             "another unit"
@@ -136,11 +136,11 @@ def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
     if hold and (series.lag or interval > 0.5 * step):
         return held_at(series, time)
-    before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
+    index = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
     edge = 1e-6 * interval  # rounding of a grid that ends with the series
-    inside = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[before + 1] - t[before] <= LONGEST_STEP * interval)
+    valid = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[index + 1] - t[index] <= LONGEST_STEP * interval)
     values = _mean_over(t, y, time, step) if interval <= 0.5 * step else np.interp(time, t, y)
-    return np.where(inside, values, np.nan)
+    return np.where(valid, values, np.nan)
 
 
 def _finite_samples(series: TimeSeries) -> tuple[Array, Array]:
@@ -157,29 +157,29 @@ def held_at(series: TimeSeries, time: Array) -> Array:
     if t.size < 2:
         return np.full_like(time, np.nan)
     interval = 1.0 / native_rate(TimeSeries(t, target))
-    since = t - DATED_BACK * interval
-    latest = np.searchsorted(since, time + 1e-6 * interval, side="right") - 1
+    begins = t - DATED_BACK * interval
+    latest = np.searchsorted(begins, time + 1e-6 * interval, side="right") - 1
     k = np.clip(latest, 0, t.size - 1)
-    following = np.append(since[1:], since[-1] + interval)
-    inside = (latest >= 0) & (time <= following[-1]) & (following[k] - since[k] <= LONGEST_STEP * interval)
+    following = np.append(begins[1:], begins[-1] + interval)
+    valid = (latest >= 0) & (time <= following[-1]) & (following[k] - begins[k] <= LONGEST_STEP * interval)
     values = target[k]
     if series.lag:
-        begin = lagged(since, target, series.lag)[k]
-        values = values + (begin - values) * np.exp(-np.maximum(time - since[k], 0.0) / series.lag)
-    return np.where(inside, values, np.nan)
+        begin = lagged(begins, target, series.lag)[k]
+        values = values + (begin - values) * np.exp(-np.maximum(time - begins[k], 0.0) / series.lag)
+    return np.where(valid, values, np.nan)
 
 
 def lagged(time: Array, commanded: Array, lag: float) -> Array:
     """What a first-order servo makes of commands that hold until the next; exact between samples."""
-    followed = np.empty_like(commanded)
-    angle, last, before = math.nan, math.nan, math.nan
-    for k, (now, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
-        if math.isnan(angle) or not now >= before:
+    response = np.empty_like(commanded)
+    angle, last, previous_time = math.nan, math.nan, math.nan
+    for k, (current_time, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
+        if math.isnan(angle) or not current_time >= previous_time:
             angle = target
         elif not math.isnan(last):
-            angle = last + (angle - last) * math.exp(-(now - before) / lag)
-        followed[k], last, before = angle, target, now
-    return followed
+            angle = last + (angle - last) * math.exp(-(current_time - previous_time) / lag)
+        response[k], last, previous_time = angle, target, current_time
+    return response
 
 
 def _mean_over(t: Array, y: Array, time: Array, step: float) -> Array:

@@ -81,10 +81,10 @@ class ServoMap(BaseModel):
         if self.travel is not None or self.throw is None:
             return self
         ends = [parameter_of(self.column, e) or "" for e in ("MIN", "MAX")]
-        lacking = [e or "SERVOn_MIN and _MAX" for e in ends if e not in parameters]
-        if lacking:
+        missing = [e or "SERVOn_MIN and _MAX" for e in ends if e not in parameters]
+        if missing:
             raise ImportDataError(
-                f"[servos.{name}] has a throw and no travel, and the log does not state {lacking[0]}; write "
+                f"[servos.{name}] has a throw and no travel, and the log does not state {missing[0]}; write "
                 "travel = [[output, deflection], [output, deflection]]"
             )
         low, high = (parameters[e] for e in ends)
@@ -105,8 +105,8 @@ class ServoMap(BaseModel):
         """(N,) [rad]; NaN where the output is no position. Beyond the travel the line goes on: a servo does, too."""
         scale, _ = conversion(self.unit, "servo", "rad")
         (low, at_low), (high, at_high) = self.ends
-        below, above = at_low / (low - trim), at_high / (high - trim)
-        value = np.where(output < trim, below, above) * (output - trim) * scale
+        lower_slope, upper_slope = at_low / (low - trim), at_high / (high - trim)
+        value = np.where(output < trim, lower_slope, upper_slope) * (output - trim) * scale
         reach = BEYOND * (high - low)
         with np.errstate(invalid="ignore"):
             return np.where((output >= low - reach) & (output <= high + reach), value, np.nan)
@@ -125,10 +125,10 @@ def with_servos(log: Log, servos: dict[str, ServoMap]) -> tuple[Log, tuple[str, 
     """
     series, notes = {}, []
     present = {n: s for n, s in servos.items() if s.column in log.series}
-    for name, stated in present.items():
-        servo = stated.with_travel(name, log.parameters)
+    for name, servo_map in present.items():
+        servo = servo_map.with_travel(name, log.parameters)
         trim, note = _trim(name, servo, log)
-        if stated.travel is None:
+        if servo_map.travel is None:
             (low, _), (high, _) = servo.ends
             notes.append(f"servo {name}: travel from {low:g} to {high:g}, by the parameters of the log")
         output = log.series[servo.column]
@@ -150,10 +150,10 @@ def outputs_elsewhere(log: Log, servos: dict[str, ServoMap]) -> list[str]:
             continue
         topic, _, field = servo.column.partition(".")
         pattern = re.compile(re.escape(topic.split("[")[0]) + r"(\[\d+\])?\." + re.escape(field))
-        moving = [n for n, s in log.series.items() if n != servo.column and pattern.fullmatch(n) and _moves(s.values)]
+        active = [n for n, s in log.series.items() if n != servo.column and pattern.fullmatch(n) and _moves(s.values)]
         problem = f"servo {name}: {servo.column} {'is not in the file' if deflection is None else 'is off throughout'}"
-        if moving:
-            notes.append(f"{problem}, while {', '.join(moving)} moves: name it in the mapping")
+        if active:
+            notes.append(f"{problem}, while {', '.join(active)} moves: name it in the mapping")
         elif deflection is not None:
             notes.append(f"{problem}: no value of it is a position of this servo")
     return notes
@@ -176,8 +176,8 @@ def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
         )
     (low, _), (high, _) = servo.ends
     if logged is None:
-        lacking = f"the log has no {parameter}" if parameter else f"{servo.column} has no parameter that says it"
-        raise ImportDataError(f"[servos.{name}] has no trim and {lacking}; add trim = the output at zero deflection")
+        absent = f"the log has no {parameter}" if parameter else f"{servo.column} has no parameter that says it"
+        raise ImportDataError(f"[servos.{name}] has no trim and {absent}; add trim = the output at zero deflection")
     if not low < logged < high:
         raise ImportDataError(
             f"[servos.{name}]: {parameter} of the log, {logged:g}, does not lie between the ends of the travel, "

@@ -49,7 +49,7 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
     for name in flight.reconstructed:
         if name != "V":
             columns.pop(name, None)
-    stated = flight.provenance.detail.get(CONTRADICTIONS)
-    imported = map(from_json, stated if isinstance(stated, list | tuple) else ())
-    every = (*filter(None, imported), *contradictions_of(flight.time, columns))
-    return tuple({(c.between, c.text): c for c in every}.values())
+    entries = flight.provenance.detail.get(CONTRADICTIONS)
+    imported = map(from_json, entries if isinstance(entries, list | tuple) else ())
+    candidates = (*filter(None, imported), *contradictions_of(flight.time, columns))
+    return tuple({(c.between, c.text): c for c in candidates}.values())

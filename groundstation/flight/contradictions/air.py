@@ -55,11 +55,11 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
     ratio = ratio_of(0.5 * air * c[name] ** 2, np.where(c["p_dynamic"] > 0.0, c["p_dynamic"], np.nan))
     if ratio is None or not ratio.differs_from(1.0, PRESSURE_TOLERANCE, SIGMAS):
         return
-    favoured, why = _favoured(scale_by_ground(time, c) if name == "V" else None, name, ratio.value)
+    favoured, evidence = _favoured(scale_by_ground(time, c) if name == "V" else None, name, ratio.value)
     implied = _median(2.0 * np.where(c["p_dynamic"] > 0, c["p_dynamic"], np.nan) / c[name] ** 2)
     text = (
         f"{name} and p_dynamic contradict each other: the dynamic pressure of {name} is {ratio.value:.3g} times p_dynamic "
-        f"(density from both would be {implied:.3g} against {_median(air):.3g} kg/m3 by {source}); {why}"
+        f"(density from both would be {implied:.3g} against {_median(air):.3g} kg/m3 by {source}); {evidence}"
     )
     moves = f"every derivative by {abs(ratio.value - 1):.0%}, if p_dynamic is right"
     if favoured == name:
@@ -73,12 +73,12 @@ def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio:
         return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"
     fit = scale[0]
     evidence = f"ground velocity on several headings makes V {fit.value:.2f} +- {fit.std:.2f} times what it is"
-    expected = {name: 1.0, "p_dynamic": ratio**-0.5}
-    sigmas = {side: (fit.value - factor) / max(fit.std, 1e-6) for side, factor in expected.items()}
+    scales = {name: 1.0, "p_dynamic": ratio**-0.5}
+    sigmas = {side: (fit.value - factor) / max(fit.std, 1e-6) for side, factor in scales.items()}
     closest, further = sorted(sigmas, key=lambda side: abs(sigmas[side]))
     chi_square = sigmas[further] ** 2 - sigmas[closest] ** 2
-    tolerance = max(CREDIBLE_SCALE * expected[closest], 2.0 * fit.std)
-    if chi_square < TELLS_APART or abs(fit.value - expected[closest]) > tolerance:
+    tolerance = max(CREDIBLE_SCALE * scales[closest], 2.0 * fit.std)
+    if chi_square < TELLS_APART or abs(fit.value - scales[closest]) > tolerance:
         return "", f"{evidence}, which does not tell which is right: check the pitot's ratio and the density"
     return closest, f"{evidence}, which favours {closest}"
 

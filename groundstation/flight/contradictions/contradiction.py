@@ -39,14 +39,14 @@ def from_json(content: object) -> Contradiction | None:
     """A contradiction as a flight file carries it; None for what is none."""
     if not isinstance(content, Mapping):
         return None
-    between = tuple(one_line(name) for name in claims.texts(content.get("between")))
+    sides = tuple(one_line(name) for name in claims.texts(content.get("between")))
     text = content.get("text")
-    if not between or not isinstance(text, str):
+    if not sides or not isinstance(text, str):
         return None
     ratio, offset, std = (_number(content.get(key)) for key in ("ratio", "offset", "std"))
     unit, favoured, moves = (_word(content.get(key)) for key in ("unit", "favoured", "moves"))
     stops = content.get("stops") is True
-    return Contradiction(between, one_line(text), ratio, offset, unit, std or math.nan, favoured, moves, stops)
+    return Contradiction(sides, one_line(text), ratio, offset, unit, std or math.nan, favoured, moves, stops)
 
 
 def _number(value: object) -> float | None:

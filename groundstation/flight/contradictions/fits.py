@@ -29,14 +29,14 @@ class FitWithError:
 
 def blocks(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
     """Means over blocks of BLOCK seconds in which all is measured: window number of each block, and the means (m,) of each."""
-    good = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
-    if good.sum() < FEWEST_BLOCKS:
+    finite = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
+    if finite.sum() < FEWEST_BLOCKS:
         return np.zeros(0), tuple(np.zeros(0) for _ in signals)
-    t = time[good]
+    t = time[finite]
     number = np.floor((t - t[0]) / BLOCK).astype(np.int64)
     _, label, count = np.unique(number, return_inverse=True, return_counts=True)
     full = count >= 0.5 * np.median(count)
-    means = tuple((np.bincount(label, s[good]) / count)[full] for s in signals)
+    means = tuple((np.bincount(label, s[finite]) / count)[full] for s in signals)
     centre = (np.bincount(label, t) / count)[full]
     return np.floor((centre - t[0]) / WINDOW), means
 

@@ -55,7 +55,7 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
         for name, acceleration in zip(velocities, earth_acceleration(c), strict=True)
         for t, speed, push in windows(time, c[name], acceleration)
     ]
-    slope, agreement, pairs = max((_as_late(parts, late) for late in RECEIVER_LATE), key=lambda fit: fit[1])
+    slope, agreement, pairs = max((_as_late(parts, delay) for delay in RECEIVER_LATE), key=lambda fit: fit[1])
     if _wrong_scale(slope, agreement):
         text = (
             f"velocity by GNSS changes {slope:.3g} times as much as ax, ay, az with attitude and gravity make it: scale of "
@@ -89,8 +89,8 @@ def heading_and_course(time: Array, c: Columns) -> Iterator[Contradiction]:
         "magnetic declination, or a compass that is turned or disturbed"
     )
     moves = "wind, and the constant of a reconstructed sideslip; no derivative of a vane's"
-    between, favoured = ("psi", "vn", "ve"), "vn, ve"
-    yield Contradiction(between, text, None, turn.value, "rad", std=turn.std, favoured=favoured, moves=moves)
+    sides, favoured = ("psi", "vn", "ve"), "vn, ve"
+    yield Contradiction(sides, text, None, turn.value, "rad", std=turn.std, favoured=favoured, moves=moves)
 
 
 def command_and_surface(time: Array, c: Columns) -> Iterator[Contradiction]:

@@ -41,26 +41,26 @@ def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
             _check_header(path, header, error)
             body, units = _without_units(path, header, rows, error)
             # rows.line_num: a quoted name can stand on several lines
-            plain = plain_columns(path, header, skip_lines=1 + units) if rows.line_num <= 2 else None
-            if plain is None:
+            columns = plain_columns(path, header, skip_lines=1 + units) if rows.line_num <= 2 else None
+            if columns is None:
                 cells = np.fromiter(itertools.chain.from_iterable(_numbers(path, header, body, error)), float)
-                plain = list(cells.reshape(-1, len(header)).T)
+                columns = list(cells.reshape(-1, len(header)).T)
     except UnicodeDecodeError as reason:
         raise error(f"{path}: not a text file ({reason.reason} at byte {reason.start}); a CSV is expected") from reason
     except csv.Error as reason:
         raise error(f"{path}: not a readable CSV ({reason})") from reason
-    return {h: values for h, values in zip(header, plain, strict=True) if h}
+    return {h: values for h, values in zip(header, columns, strict=True) if h}
 
 
 def _check_length(path: Path, error: type[UserError]) -> None:
     """Raise `error` for more rows than of a Parquet file: at a microsecond a row and more, a file of two-letter lines takes
     longer than anyone waits."""
-    most, lines = max(MOST_ROWS, path.stat().st_size // 4), 0
+    limit, lines = max(MOST_ROWS, path.stat().st_size // 4), 0
     with path.open("rb") as handle:
         while block := handle.read(2**20):
             lines += block.count(b"\n")
-            if lines > most + 2:
-                raise error(f"{path}: more than {most} rows; at most {most} are read; write it in parts")
+            if lines > limit + 2:
+                raise error(f"{path}: more than {limit} rows; at most {limit} are read; write it in parts")
 
 
 def _check_header(path: Path, header: list[str], error: type[UserError]) -> None:
@@ -68,9 +68,9 @@ def _check_header(path: Path, header: list[str], error: type[UserError]) -> None
         raise error(f"{path}: the first line is not a header of column names (time,ax,ay,...)")
     if len(header) > MOST_COLUMNS:
         raise error(f"{path}: {len(header)} columns; at most {MOST_COLUMNS} are read")
-    twice = [name for name, count in Counter(header).items() if count > 1]
-    if twice:
-        raise error(f"{path}: column {plain_name(twice[0])} appears twice in the header")
+    duplicates = [name for name, count in Counter(header).items() if count > 1]
+    if duplicates:
+        raise error(f"{path}: column {plain_name(duplicates[0])} appears twice in the header")
 
 
 def _without_units(
@@ -90,10 +90,10 @@ def _without_units(
     if len(cells) != len(header) or not worded or any(map(is_number, worded)):
         return itertools.chain([first], numbered), False
     for name, cell in zip(header, cells, strict=True):
-        wanted = _UNITS.get(name) or (COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else cell)
-        if cell and cell != wanted:
+        unit = _UNITS.get(name) or (COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else cell)
+        if cell and cell != unit:
             raise error(
-                f"{path}: line 2, column {plain_name(name)}: {one_line(cell, 60)!r} is not a number, nor the unit {wanted} "
+                f"{path}: line 2, column {plain_name(name)}: {one_line(cell, 60)!r} is not a number, nor the unit {unit} "
                 "of a flight; 'sideslip import' converts a table with other units"
             )
     return numbered, True
@@ -110,9 +110,9 @@ def _numbers(
         try:
             yield [float(cell) if cell.strip() else np.nan for cell in row]
         except ValueError:
-            bad = next(i for i, cell in enumerate(row) if cell.strip() and not is_number(cell))
+            index = next(i for i, cell in enumerate(row) if cell.strip() and not is_number(cell))
             raise error(
-                f"{path}: line {number}, column {plain_name(header[bad])}: {one_line(row[bad], 60)!r} is not a number"
+                f"{path}: line {number}, column {plain_name(header[index])}: {one_line(row[index], 60)!r} is not a number"
             ) from None
 
 
@@ -172,8 +172,8 @@ def _values(column: "pa.ChunkedArray") -> Array:
 
     nan = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.full(1, np.nan))])[0]
     parts = [compute.fill_null(chunk, nan) for chunk in column.chunks if len(chunk)]
-    whole = [np.frombuffer(c.buffers()[1], np.float64)[c.offset : c.offset + len(c)] for c in parts]
-    return np.concatenate(whole) if whole else np.zeros(0)
+    buffers = [np.frombuffer(c.buffers()[1], np.float64)[c.offset : c.offset + len(c)] for c in parts]
+    return np.concatenate(buffers) if buffers else np.zeros(0)
 
 
 def _tagged_nan(source: Path | bytes) -> bool:

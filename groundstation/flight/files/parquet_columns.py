@@ -59,35 +59,35 @@ def read_parquet(
     try:
         limits = {"thrift_string_size_limit": _LONGEST_TEXT, "thrift_container_size_limit": _MOST_SCHEMA}
         file = pq.ParquetFile(io.BytesIO(data), **limits)
-        out = ParquetColumns(footer=dict(file.schema_arrow.metadata or {}))
+        content = ParquetColumns(footer=dict(file.schema_arrow.metadata or {}))
         _check_size(path, file.metadata, len(file.schema_arrow), len(data), error)
-        plain: dict[str, list[_Chunk]] = {}
+        chunks_by_name: dict[str, list[_Chunk]] = {}
         for i, chunks in enumerate(_chunks(data, len(file.schema))):
-            plain.setdefault(file.schema.column(i).path, []).extend(chunks)
+            chunks_by_name.setdefault(file.schema.column(i).path, []).extend(chunks)
         for item in file.schema_arrow:
-            if item.name not in plain or pa.types.is_nested(item.type):
-                out.words[item.name] = []
+            if item.name not in chunks_by_name or pa.types.is_nested(item.type):
+                content.words[item.name] = []
                 continue
-            _check_pages(path, data, item.name, plain[item.name], error)
+            _check_pages(path, data, item.name, chunks_by_name[item.name], error)
             text = pa.types.is_string(item.type) or pa.types.is_large_string(item.type)
             reader = pq.ParquetFile(io.BytesIO(data), read_dictionary=[item.name], **limits) if text else file
-            _keep(out, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
+            _keep(content, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
     except (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError, MemoryError) as reason:
-        said = " ".join(str(reason).split())[:200]
-        raise error(f"{path}: not a readable Parquet file ({said or type(reason).__name__})") from reason
-    lengths = {len(v) for v in (*out.numeric.values(), *out.dates.values())}
+        message = " ".join(str(reason).split())[:200]
+        raise error(f"{path}: not a readable Parquet file ({message or type(reason).__name__})") from reason
+    lengths = {len(v) for v in (*content.numeric.values(), *content.dates.values())}
     if len(lengths) > 1:
         raise error(f"{path}: damaged Parquet file: its columns have {min(lengths)} to {max(lengths)} rows")
-    return out
+    return content
 
 
 def _check_size(path: Path, metadata: Any, columns: int, size: int, error: type[UserError]) -> None:
-    most, most_rows = max(MOST_CELLS, size), max(MOST_ROWS, size // 4)
+    most_cells, most_rows = max(MOST_CELLS, size), max(MOST_ROWS, size // 4)
     if columns > MOST_COLUMNS:
         raise error(f"{path}: {columns} columns; at most {MOST_COLUMNS} are read")
-    if metadata.num_rows * columns > most or metadata.num_rows > most_rows:
+    if metadata.num_rows * columns > most_cells or metadata.num_rows > most_rows:
         raise error(
-            f"{path}: {metadata.num_rows} rows of {columns} columns; at most {most_rows} rows and {most} cells are read; "
+            f"{path}: {metadata.num_rows} rows of {columns} columns; at most {most_rows} rows and {most_cells} cells are read; "
             "write it in parts, or with fewer columns"
         )
 
@@ -103,8 +103,10 @@ def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
         out.dates[name], out.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
         return
     if pa.types.is_duration(column.type) or pa.types.is_time(column.type):
-        whole = column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
-        out.dates[name] = _floats(whole) * _SECONDS[column.type.unit]
+        integers = (
+            column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
+        )
+        out.dates[name] = _floats(integers) * _SECONDS[column.type.unit]
         return
     if pa.types.is_dictionary(column.type):
         column = column.unify_dictionaries()
@@ -133,8 +135,8 @@ def _floats(column: Any) -> Array:
 
 
 def _cells(words: list[str], column: Any) -> list[str]:
-    shown = [*words, ""]
-    return [shown[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
+    labels = [*words, ""]
+    return [labels[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
 
 
 _Chunk = tuple[int, int]
@@ -147,8 +149,8 @@ def _chunks(data: bytes, columns: int) -> list[list[_Chunk]]:
 
     Raises ValueError where the footer is none.
     """
-    at = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
-    footer = ThriftReader(data, at, max(MOST_VALUES, len(data) // 16)).struct()
+    position = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    footer = ThriftReader(data, position, max(MOST_VALUES, len(data) // 16)).struct()
     groups = [[_chunk(column, len(data)) for column in _structs(group.get(1))] for group in _structs(footer.get(4))]
     if any(len(group) != columns for group in groups):
         raise ValueError("a row group has not one chunk for each column")
@@ -177,9 +179,9 @@ def _structs(value: Any) -> list[dict[int, Any]]:
 
 def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error: type[UserError]) -> None:
     """Raise `error` when a page of a column would unpack to more than LARGEST_PAGE."""
-    for at, end in chunks:
-        while at < end:
-            reader = ThriftReader(data, at)
+    for position, end in chunks:
+        while position < end:
+            reader = ThriftReader(data, position)
             header = reader.struct()
             unpacked, packed = header.get(2), header.get(3)
             if not isinstance(unpacked, int) or not isinstance(packed, int):
@@ -188,7 +190,7 @@ def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error
                 raise error(
                     f"{path}: column {name}: a page of {unpacked} bytes unpacked; at most {LARGEST_PAGE} are read"
                 )
-            at = reader.end + packed
+            position = reader.end + packed
 
 
 class ThriftReader:

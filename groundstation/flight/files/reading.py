@@ -50,8 +50,8 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
     if segment is not None and np.any(np.abs(segment) > 2**31):
         raise FlightError(f"{path}: column segment holds {np.max(np.abs(segment)):g}; number segments from 0")
     columns = plain_names(columns)
-    columns, beyond = credible_values(columns)
-    notes += beyond
+    columns, value_notes = credible_values(columns)
+    notes += value_notes
     unknown = [c for c in columns if c not in COLUMN_BY_NAME]
     if unknown:
         notes.append(unknown_columns({c: c for c in unknown}))
@@ -69,17 +69,17 @@ def _read_csv(path: Path) -> _Read:
 
 
 def _read_parquet(path: Path) -> _Read:
-    found = read_parquet(path, FlightError)
+    content = read_parquet(path, FlightError)
     notes: list[Finding | str] = [
-        f"column {plain_name(name)} is not numeric: left out" for name in (*found.words, *found.dates)
+        f"column {plain_name(name)} is not numeric: left out" for name in (*content.words, *content.dates)
     ]
     if len(notes) > 30:
         notes = [*notes[:30], f"{len(notes) - 30} more columns are not numeric: left out"]
-    meta = found.footer.get(METADATA_NAME.encode())
-    about = json_object(meta) if meta else {}
-    if meta and not about:
+    meta = content.footer.get(METADATA_NAME.encode())
+    origin = json_object(meta) if meta else {}
+    if meta and not origin:
         notes.append("what the file says of its origin cannot be read: taken as not known")
-    return found.numeric, _provenance_from(about) if about else Provenance(), notes
+    return content.numeric, _provenance_from(origin) if origin else Provenance(), notes
 
 
 def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
@@ -116,8 +116,8 @@ def _read_mcap(path: Path) -> _Read:
     if len(flights) > 1:
         raise FlightError(f"{path}: {len(flights)} flights one behind the other in one file; calibrate each by itself")
     table = flight_rows(flight)
-    meta, text, stated = described(flight)
-    if stated != value_digest(text, table.names, table.values):
+    meta, text, digest = described(flight)
+    if digest != value_digest(text, table.names, table.values):
         raise FlightError(
             f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
         )
@@ -127,24 +127,24 @@ def _read_mcap(path: Path) -> _Read:
 
 def credible_values(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
     """The columns with NaN for what no instrument measures, and notes on it: infinities, and values beyond LARGEST."""
-    out, notes = dict(columns), []
+    credible, notes = dict(columns), []
     for name, values in columns.items():
-        for what, wrong in (
+        for problem, mask in (
             ("infinite values", np.isinf(values)),
             (f"values beyond {LARGEST:g}", np.isfinite(values) & (np.abs(values) > LARGEST)),
         ):
-            if wrong.any() and (name in COLUMN_BY_NAME or what.startswith("inf")):
-                out[name] = np.where(wrong, np.nan, out[name])
-                notes.append(f"column {name}: {int(wrong.sum())} {what} taken as not measured")
-    return out, notes
+            if mask.any() and (name in COLUMN_BY_NAME or problem.startswith("inf")):
+                credible[name] = np.where(mask, np.nan, credible[name])
+                notes.append(f"column {name}: {int(mask.sum())} {problem} taken as not measured")
+    return credible, notes
 
 
 def plain_names(columns: Mapping[str, Array]) -> dict[str, Array]:
     """The columns under names that can be shown anywhere, each of its own."""
-    out: dict[str, Array] = {}
+    renamed: dict[str, Array] = {}
     for name, values in columns.items():
-        shown = plain_name(name)
-        while shown in out:
-            shown = f"{shown[:100]}_{len(out)}"
-        out[shown] = values
-    return out
+        label = plain_name(name)
+        while label in renamed:
+            label = f"{label[:100]}_{len(renamed)}"
+        renamed[label] = values
+    return renamed

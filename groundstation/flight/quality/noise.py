@@ -35,9 +35,11 @@ def noise(values: Array) -> float | None:
 def too_slow(flight: Flight, columns: Iterable[str]) -> str:
     """Why a flight is too slow for a model that uses some columns; empty where it is not."""
     sample_rate = 1.0 / flight.sample_interval
-    used = set(columns)
+    model_columns = set(columns)
     rates = {
-        c: min(flight.native_rate(c) or sample_rate, sample_rate) for c in FAST if c in used and flight.measured(c)
+        c: min(flight.native_rate(c) or sample_rate, sample_rate)
+        for c in FAST
+        if c in model_columns and flight.measured(c)
     }
     slow = {c: rate for c, rate in rates.items() if rate < SLOWEST}
     if not slow:

@@ -101,8 +101,8 @@ def _time(time: Array, c: Columns) -> Iterator[Finding]:
         )
     elif interval < 1e-4:
         units = [u for u, scale in _LONG_UNITS.items() if _USUAL_STEP[0] <= interval * scale <= _USUAL_STEP[1]]
-        likely = " or ".join(units) if units else "min, h or days"
-        yield _suspect("time", f"{interval:.3g} s from sample to sample; is the column in {likely}?")
+        candidates = " or ".join(units) if units else "min, h or days"
+        yield _suspect("time", f"{interval:.3g} s from sample to sample; is the column in {candidates}?")
 
 
 def _shuffled(time: Array) -> bool:
@@ -136,11 +136,11 @@ def _pulled(c: Columns) -> bool:
     if not all(n in c for n in ("q", "V", "phi", "theta")):
         return False
     with np.errstate(invalid="ignore"):
-        expected = -(GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"]) + c["q"] * c["V"])
-        finite = np.isfinite(expected) & np.isfinite(c["az"])
+        normal_force = -(GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"]) + c["q"] * c["V"])
+        finite = np.isfinite(normal_force) & np.isfinite(c["az"])
     if not finite.any():
         return False
-    ratio = float(np.median(c["az"][finite])) / (float(np.median(expected[finite])) or np.nan)
+    ratio = float(np.median(c["az"][finite])) / (float(np.median(normal_force[finite])) or np.nan)
     return abs(ratio - 1.0) < PULL_AGREES
 
 
@@ -255,10 +255,10 @@ def _sideways(time: Array, c: Columns) -> Iterator[Finding]:
     if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
         units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
         if units:
-            what = (
+            text = (
                 f"{1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {' or '.join(units)}?"
             )
-            yield _suspect("V", what)
+            yield _suspect("V", text)
             return
     bank: tuple[str, ...] = ("phi", "p") if (_integral_slope(time, c["phi"], c["p"]) or 0.0) >= 0.0 else ("phi",)
     roll_sign = -1.0 if "p" in bank else 1.0
@@ -296,12 +296,12 @@ def _upwards(time: Array, c: Columns) -> Iterator[Finding]:
 def _wrong_signs(motion: str, agreement: float, reversals: Reversals) -> Iterator[Finding]:
     """The columns that, turned, would make a motion agree. agreement: share of it explained as it is. An angle and its rate that
     agree with each other, as of a left-handed roll, are turned together."""
-    fits = [(columns, others, *slope_and_agreement(pairs)) for columns, (others, pairs) in reversals.items()]
-    columns, others, slope, share = max(fits, key=lambda fit: fit[3] if abs(fit[2] - 1.0) < 0.25 else 0.0)
+    fits = [(columns, reference, *slope_and_agreement(pairs)) for columns, (reference, pairs) in reversals.items()]
+    columns, reference, slope, share = max(fits, key=lambda fit: fit[3] if abs(fit[2] - 1.0) < 0.25 else 0.0)
     if share > AGREE and abs(slope - 1.0) < 0.25 and (1.0 - share) < LEFT * (1.0 - agreement):
         question = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
-        what = f"turned, it would agree with the {motion} motion that {others} make; {question} wrong (sign = -1)?"
-        yield _suspect(columns, what)
+        text = f"turned, it would agree with the {motion} motion that {reference} make; {question} wrong (sign = -1)?"
+        yield _suspect(columns, text)
 
 
 def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:

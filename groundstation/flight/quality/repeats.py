@@ -68,22 +68,22 @@ class RepeatedValues:
 def repeats(flight: Flight, column: str) -> RepeatedValues:
     """Judge the repeated values of one column of a flight."""
     values = flight[column]
-    nothing = np.zeros(len(flight), bool)
+    no_samples = np.zeros(len(flight), bool)
     finite = values[np.isfinite(values)]
     commanded = flight.held(column) is not None  # a command rests, and is no sensor
     if finite.size < FEWEST or np.ptp(finite) == 0.0 or commanded:
-        return RepeatedValues(column, 0.0, nothing, nothing, nothing, 0.0)
+        return RepeatedValues(column, 0.0, no_samples, no_samples, no_samples, 0.0)
     step = quantum(finite)
-    same = _same(flight, values)
-    held, rate = _held(flight, values, same, step)
-    runs = _long_runs(flight, same)
-    evidence = _StuckEvidence(flight, column, same, held, step, runs)
-    stuck, at_rest = nothing.copy(), nothing.copy()
+    repeated = _same(flight, values)
+    held_samples, rate = _held(flight, values, repeated, step)
+    runs = _long_runs(flight, repeated)
+    evidence = _StuckEvidence(flight, column, repeated, held_samples, step, runs)
+    stuck, at_rest = no_samples.copy(), no_samples.copy()
     for a, b in runs:
-        resting = evidence.all_rest(a, b)
-        at_rest[a:b] |= resting
-        stuck[a:b] |= not resting and (evidence.noise_stopped() or evidence.motion_missed(a, b))
-    return RepeatedValues(column, step, held & ~stuck, stuck, at_rest, rate)
+        rests = evidence.all_rest(a, b)
+        at_rest[a:b] |= rests
+        stuck[a:b] |= not rests and (evidence.noise_stopped() or evidence.motion_missed(a, b))
+    return RepeatedValues(column, step, held_samples & ~stuck, stuck, at_rest, rate)
 
 
 def quantum(values: Array) -> float:
@@ -106,10 +106,10 @@ def span_of(values: Array) -> float:
 def _same(flight: Flight, values: Array) -> Mask:
     """(N,) whether a sample shows the value of the one before, of the same segment."""
     span = span_of(values[np.isfinite(values)])
-    same = np.zeros(values.size, bool)
+    repeated = np.zeros(values.size, bool)
     with np.errstate(invalid="ignore"):
-        same[1:] = (np.abs(np.diff(values)) <= SAME * span) & (np.diff(flight.segment) == 0)
-    return same
+        repeated[1:] = (np.abs(np.diff(values)) <= SAME * span) & (np.diff(flight.segment) == 0)
+    return repeated
 
 
 def _long_runs(flight: Flight, same: Mask) -> list[tuple[int, int]]:
@@ -128,12 +128,12 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
     jump = np.abs(np.diff(values[starts]))  # into the next value
     big = jump >= BIG * step
     # a value between two big steps: what was held there was moved meanwhile
-    between = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
-    holds = length[1:][between]
+    complete = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
+    holds = length[1:][complete]
     if holds.size < SLOW_RUNS or float(np.mean(holds >= 2)) < SLOW_SHARE:
         return none, 0.0
-    usual = float(np.median(holds))
-    if float(np.mean(np.abs(holds - usual) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * usual + 1.0)) > LATE:
+    typical = float(np.median(holds))
+    if float(np.mean(np.abs(holds - typical) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * typical + 1.0)) > LATE:
         return none, 0.0
     return same.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
 
@@ -256,13 +256,13 @@ def _p(f: Flight) -> Array:
 
 
 def _q(f: Flight) -> Array:
-    along = _angle_slope("psi", f) * np.cos(f["theta"]) * np.sin(f["phi"])
-    return _angle_slope("theta", f) * np.cos(f["phi"]) + along
+    yaw_part = _angle_slope("psi", f) * np.cos(f["theta"]) * np.sin(f["phi"])
+    return _angle_slope("theta", f) * np.cos(f["phi"]) + yaw_part
 
 
 def _r(f: Flight) -> Array:
-    along = _angle_slope("psi", f) * np.cos(f["theta"]) * np.cos(f["phi"])
-    return along - _angle_slope("theta", f) * np.sin(f["phi"])
+    yaw_part = _angle_slope("psi", f) * np.cos(f["theta"]) * np.cos(f["phi"])
+    return yaw_part - _angle_slope("theta", f) * np.sin(f["phi"])
 
 
 _ATTITUDE = ("phi", "theta", "psi")

@@ -86,16 +86,16 @@ def sample_interval(flight: Flight) -> Finding:
     steps = np.diff(flight.time)
     interval = flight.sample_interval
     steps = steps[steps <= GAP_FACTOR * interval]
-    lost = int(np.sum(np.round(steps / interval) - 1))
+    missing = int(np.sum(np.round(steps / interval) - 1))
     regular = steps[steps < 1.5 * interval]
     jitter = float(np.std(regular)) / interval if regular.size else 0.0
     sentences = []
-    if lost > 0.02 * len(flight):
-        sentences.append(f"{lost} single samples missing ({lost / len(flight):.1%})")
+    if missing > 0.02 * len(flight):
+        sentences.append(f"{missing} single samples missing ({missing / len(flight):.1%})")
     if jitter > 0.1:
         sentences.append(f"the sample interval varies by {jitter:.0%}; interpolate to an even one or record its cause")
-    good = f"{1 / interval:.2f} Hz, jitter {jitter:.1%}, {lost} single samples missing"
-    return _finding("sample interval", sentences, good)
+    summary = f"{1 / interval:.2f} Hz, jitter {jitter:.1%}, {missing} single samples missing"
+    return _finding("sample interval", sentences, summary)
 
 
 # ----------------------------------------------------------------------------------------------- values of a channel
@@ -114,18 +114,18 @@ def dropouts(flight: Flight) -> Finding:
             continue
         missing = ~np.isfinite(values)
         first, last = np.flatnonzero(~missing)[[0, -1]]
-        inside = missing[first : last + 1]
+        holes = missing[first : last + 1]
         outside = max(outside, float(flight.time[first] - flight.time[0]), float(flight.time[-1] - flight.time[last]))
-        if inside.any():
-            extent = f"{int(inside.sum())} samples ({inside.mean():.1%}), up to {longest_run(inside)} in a row"
+        if holes.any():
+            extent = f"{int(holes.sum())} samples ({holes.mean():.1%}), up to {longest_run(holes)} in a row"
             sentences.append(f"{name} has no value in {extent}")
         if name in MOVING and float(missing.mean()) > 1 / 3:
             severity = "fail"
             sentences.append(f"{name} has no value in {missing.mean():.0%} of the flight")
-    good = "every measured column has a value in every row"
+    summary = "every measured column has a value in every row"
     if outside:
-        good += f", but for up to {outside:.2f} s at the start or end of the flight"
-    return _finding("dropouts", _shortened(sentences), good, severity)
+        summary += f", but for up to {outside:.2f} s at the start or end of the flight"
+    return _finding("dropouts", _shortened(sentences), summary, severity)
 
 
 def stale_samples(flight: Flight) -> Finding:
@@ -145,20 +145,22 @@ def stale_samples(flight: Flight) -> Finding:
                 f"{name} is {finite[0]:.4g} throughout: no working sensor behind it; leave the column empty where not measured"
             )
             continue
-        same = float((np.diff(finite) == 0).mean())
+        repeat_share = float((np.diff(finite) == 0).mean())
         repeated = repeats(flight, name)
         if repeated.slow:
-            rate = (1 - same) / flight.sample_interval
-            sentences.append(f"{name} repeats {same:.0%} of its samples: new values come at about {rate:.3g} Hz only")
+            rate = (1 - repeat_share) / flight.sample_interval
+            sentences.append(
+                f"{name} repeats {repeat_share:.0%} of its samples: new values come at about {rate:.3g} Hz only"
+            )
         elif repeated.stuck.any():
             longest = longest_run(repeated.stuck) * flight.sample_interval
             sentences.append(
                 f"{name} stands still for {longest:.2g} s while it must have moved: stuck sensor or old values"
             )
-        elif same > COARSE:
+        elif repeat_share > COARSE:
             coarse.append(f"{name} in steps of {repeated.quantum:.2g} {_unit(name)}".rstrip())
-    good = "no column repeats old values" + (f"; coarse: {', '.join(coarse)}" if coarse else "")
-    return _finding("stale samples", _shortened(sentences), good, severity)
+    summary = "no column repeats old values" + (f"; coarse: {', '.join(coarse)}" if coarse else "")
+    return _finding("stale samples", _shortened(sentences), summary, severity)
 
 
 def clipping(flight: Flight) -> Finding:
@@ -175,10 +177,10 @@ def clipping(flight: Flight) -> Finding:
             continue
         inner = finite[(finite > finite.min()) & (finite < finite.max())]
         # a coarse or resting channel repeats itself everywhere; a clipped one only at the end of its range
-        usual = longest_run(np.diff(inner) == 0) + 1
+        typical = longest_run(np.diff(inner) == 0) + 1
         for extreme, side in ((finite.max(), "largest"), (finite.min(), "smallest")):
             at_end = finite == extreme
-            if longest_run(at_end) >= max(3, 2 * usual + 1) and _cut_off(flight, name, at_end):
+            if longest_run(at_end) >= max(3, 2 * typical + 1) and _cut_off(flight, name, at_end):
                 count = int(at_end.sum())
                 sentences.append(
                     f"{name} stays at its {side} value {extreme:.4g} for {count} samples: clipped or at a stop"
@@ -219,9 +221,9 @@ def _spikes(values: Array) -> NDArray[np.int64]:
     level = noise(values)
     if not level:
         return np.zeros(0, np.int64)
-    before, after = values[1:-1] - values[:-2], values[1:-1] - values[2:]
+    rise, fall = values[1:-1] - values[:-2], values[1:-1] - values[2:]
     scale = max(10 * level, 6 * float(np.nanpercentile(np.abs(np.diff(values)), 95)))
-    wild = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > scale)
+    wild = (rise * fall > 0) & (np.minimum(np.abs(rise), np.abs(fall)) > scale)
     return np.asarray(np.flatnonzero(wild) + 1)
 
 
@@ -272,8 +274,8 @@ def time_skew(flight: Flight) -> Finding:
             sentences.append(
                 f"{skew.late} follows {skew.early} by {skew.delay * 1e3:.0f} ms (+-{skew.std * 1e3:.0f}), which no servo does"
             )
-    good = ", ".join(map(_skew_words, (*attitudes, *surfaces))) or "not enough motion to tell"
-    return _finding("time skew", sentences, good)
+    summary = ", ".join(map(_skew_words, (*attitudes, *surfaces))) or "not enough motion to tell"
+    return _finding("time skew", sentences, summary)
 
 
 def _skew_words(skew: Skew) -> str:
@@ -301,8 +303,8 @@ def noise_level(flight: Flight) -> Finding:
         if level > 4 * sensor:
             times = f"{level / sensor:.0f} times the sensor's own {sensor:.2g}"
             sentences.append(f"{name}: noise {level:.2g} {_unit(name)} is {times}")
-    good = "one sigma from sample to sample: " + ", ".join(levels) if levels else "nothing to judge"
-    return _finding("noise", _shortened(sentences), good)
+    summary = "one sigma from sample to sample: " + ", ".join(levels) if levels else "nothing to judge"
+    return _finding("noise", _shortened(sentences), summary)
 
 
 def excitation(flight: Flight) -> Finding:
@@ -325,9 +327,9 @@ def excitation(flight: Flight) -> Finding:
                 f"{name} is hardly moved ({rms:.2g} deg rms): its derivatives cannot be told from this flight"
             )
     for first, second in combinations(controls, 2):
-        both = np.isfinite(flight[first]) & np.isfinite(flight[second])
-        if both.sum() > 10 and np.std(flight[first][both]) > 0 and np.std(flight[second][both]) > 0:
-            rho = float(np.corrcoef(flight[first][both], flight[second][both])[0, 1])
+        rows = np.isfinite(flight[first]) & np.isfinite(flight[second])
+        if rows.sum() > 10 and np.std(flight[first][rows]) > 0 and np.std(flight[second][rows]) > 0:
+            rho = float(np.corrcoef(flight[first][rows], flight[second][rows])[0, 1])
             if abs(rho) > 0.9:
                 sentences.append(
                     f"{first} and {second} move together (correlation {rho:+.2f}): their derivatives cannot be told apart"
@@ -344,8 +346,8 @@ def _measured(flight: Flight) -> Iterator[tuple[str, Array]]:
 
 def _counts(flight: Flight, key: str) -> dict[str, float]:
     """Numbers by instrument or column that the calibration left in the flight's provenance."""
-    stated = flight.provenance.detail.get(key, {})
-    return dict(stated) if isinstance(stated, dict) else {}
+    counts = flight.provenance.detail.get(key, {})
+    return dict(counts) if isinstance(counts, dict) else {}
 
 
 def _unit(name: str) -> str:
@@ -353,5 +355,5 @@ def _unit(name: str) -> str:
 
 
 def _shortened(sentences: list[str]) -> list[str]:
-    more = len(sentences) - MOST_SENTENCES
-    return sentences if more <= 0 else [*sentences[:MOST_SENTENCES], f"{more} more"]
+    excess = len(sentences) - MOST_SENTENCES
+    return sentences if excess <= 0 else [*sentences[:MOST_SENTENCES], f"{excess} more"]

@@ -80,8 +80,8 @@ def _delay(parts: list[tuple[Array, Array, Array, Array]], least: float) -> tupl
     for _ in range(6):
         top = bottom = 0.0
         residuals = []
-        for t, angle, turned, rate in parts:
-            shifted, slope = np.interp(t - delay, t, turned), np.interp(t - delay, t, rate)
+        for t, angle, gyro_angle, rate in parts:
+            shifted, slope = np.interp(t - delay, t, gyro_angle), np.interp(t - delay, t, rate)
             trend = np.vander((t - t.mean()) / _WINDOW, 3)
             difference, slope = (_without(trend, v) for v in (shifted - angle, slope))
             top, bottom = top + float(slope @ difference), bottom + float(slope @ slope)
@@ -120,18 +120,18 @@ def _correlation_delay(parts: list[tuple[Array, Array, Array]]) -> tuple[float, 
     lags = np.arange(-0.15, 0.4, interval / 10)
     cost = np.zeros(lags.size)
     samples, curvature = 0, 0.0
-    for t, late, early in parts:
-        scale = float(np.std(late) / np.std(early)) if np.std(early) > 0 else 1.0
+    for t, response, command in parts:
+        scale = float(np.std(response) / np.std(command)) if np.std(command) > 0 else 1.0
         for i, lag in enumerate(lags):
-            shifted = scale * np.interp(t - lag, t, early)
-            cost[i] += float(np.sum((late - late.mean() - shifted + shifted.mean()) ** 2))
+            shifted = scale * np.interp(t - lag, t, command)
+            cost[i] += float(np.sum((response - response.mean() - shifted + shifted.mean()) ** 2))
         samples += t.size
-        curvature += float(np.sum((scale * np.gradient(early, t)) ** 2))
+        curvature += float(np.sum((scale * np.gradient(command, t)) ** 2))
     lowest = int(np.argmin(cost))
     if lowest in (0, lags.size - 1) or curvature <= 0:
         return None
-    below, middle, above = cost[lowest - 1 : lowest + 2]
-    bend = below - 2 * middle + above
-    fraction = 0.5 * (below - above) / bend if bend > 0 else 0.0
+    left_cost, middle, right_cost = cost[lowest - 1 : lowest + 2]
+    bend = left_cost - 2 * middle + right_cost
+    fraction = 0.5 * (left_cost - right_cost) / bend if bend > 0 else 0.0
     sigma2 = middle / max(samples - 1, 1)
     return float(lags[lowest] + fraction * (lags[1] - lags[0])), float(np.sqrt(sigma2 / curvature))

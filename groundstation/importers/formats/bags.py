@@ -70,8 +70,8 @@ def read_bag(path: Path) -> Bag:
         head = file.read(len(SQLITE))
     bag = _sqlite(path) if head == SQLITE else _mcap(path)
     if not bag.topics:
-        why = "; ".join(f"{t}: {w}" for t, w in list(bag.unread.items())[:4]) or "it holds no messages"
-        raise ImportDataError(f"{path}: no message of this bag can be read: {why}")
+        reasons = "; ".join(f"{t}: {w}" for t, w in list(bag.unread.items())[:4]) or "it holds no messages"
+        raise ImportDataError(f"{path}: no message of this bag can be read: {reasons}")
     if bag.damaged:
         bag.notes.append(f"{bag.damaged} messages of the bag are damaged and left out")
     if bag.unread:

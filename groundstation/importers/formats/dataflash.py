@@ -138,8 +138,8 @@ def _read_binary(path: Path, data: bytes) -> Log:
             f"{path}: the beginning of this ArduPilot log is lost, and with it the descriptions of its messages (FMT): nothing "
             "of the rest can be read; copy the log from the card anew"
         )
-    lost = "; its first bytes are lost, and messages described only there" if headless else ""
-    notes = (f"{skipped} bytes of the log are damaged and left out{lost}",) if skipped or lost else ()
+    headless_note = "; its first bytes are lost, and messages described only there" if headless else ""
+    notes = (f"{skipped} bytes of the log are damaged and left out{headless_note}",) if skipped or headless_note else ()
     events: dict[str, Rows] = {}
     for message in messages.values():
         if message.name in EVENTS and message.timed:
@@ -311,14 +311,14 @@ def _text_series(name: str, message: _TextMessage) -> tuple[dict[str, TimeSeries
         return {}, 0
     numeric = [i for i, is_number in enumerate(message.numeric) if is_number]
     table = np.array([[_number(row[i]) for i in numeric] for row in message.rows])
-    sound = np.isfinite(table[:, 0])
-    columns = {message.fields[i]: np.ascontiguousarray(v) for i, v in zip(numeric, table[sound].T, strict=True)}
+    finite = np.isfinite(table[:, 0])
+    columns = {message.fields[i]: np.ascontiguousarray(v) for i, v in zip(numeric, table[finite].T, strict=True)}
     time = columns.pop(message.fields[0]) * TIME_UNITS[message.fields[0]]
     series: dict[str, TimeSeries] = {}
     for instance, use in instance_rows(name, columns.get("I", np.zeros(time.size))).items():
         seconds = time[use]
         series |= {f"{instance}.{n}": TimeSeries(seconds, values[use]) for n, values in columns.items()}
-    return series, int((~sound).sum())
+    return series, int((~finite).sum())
 
 
 def _text_events(message: _TextMessage) -> Rows:

@@ -47,25 +47,25 @@ def read_variables(path: Path) -> tuple[dict[str, Any], int]:
         raise ImportDataError(
             f"{path}: not a MATLAB 5 or 7.3 file; save it with -v7 or -v7.3 (older ones, of MATLAB 4, are not read)"
         )
-    most = max(LEAST_UNPACKED, MOST_TIMES_PACKED * len(data))
-    child = [sys.executable, "-I", str(_CHILD), str(path.absolute()), str(most)]
+    most_bytes = max(LEAST_UNPACKED, MOST_TIMES_PACKED * len(data))
+    child = [sys.executable, "-I", str(_CHILD), str(path.absolute()), str(most_bytes)]
     try:
-        done = subprocess.run(child, capture_output=True, timeout=SECONDS, check=False)
+        process = subprocess.run(child, capture_output=True, timeout=SECONDS, check=False)
     except subprocess.TimeoutExpired:
         raise ImportDataError(
             f"{path}: damaged MATLAB {version} file (no end after {SECONDS} s); save it anew"
         ) from None
-    if done.returncode == _NO_PACKAGE:
+    if process.returncode == _NO_PACKAGE:
         raise ImportDataError(
             f"{path}: reading MATLAB 7.3 files needs the package h5py; pip install 'sideslip[ground]'"
         )
-    if done.returncode < 0 and version == "5":
+    if process.returncode < 0 and version == "5":
         raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it anew")
-    if done.returncode:
+    if process.returncode:
         raise ImportDataError(
-            f"{path}: damaged MATLAB {version} file, or larger than {most} bytes when unpacked; save it anew with -v7"
+            f"{path}: damaged MATLAB {version} file, or larger than {most_bytes} bytes when unpacked; save it anew with -v7"
         )
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
+    with np.load(io.BytesIO(process.stdout), allow_pickle=False) as arrays:
         tree = json.loads(str(arrays["tree"]))
         return {n: _from_tree(v, arrays) for n, v in tree["variables"].items()}, int(tree["left_out"])
 
@@ -89,9 +89,9 @@ def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: F
     records = _records(_chosen(path, variables, layout.variable))[:MOST_RECORDS]
     tables = [table for table in (_table(record, notes) for record in records) if table.numeric]
     if not tables:
-        found = listed(map(plain_name, variables), 12) or "nothing that can be read"
+        names = listed(map(plain_name, variables), 12) or "nothing that can be read"
         raise ImportDataError(
-            f"{path}: no vectors of numbers over time in it; found {found}; tables, timetables and objects are read by MATLAB "
+            f"{path}: no vectors of numbers over time in it; found {names}; tables, timetables and objects are read by MATLAB "
             "only: save a struct of vectors, for example with table2struct(T, 'ToScalar', true)"
         )
     return tables
@@ -115,11 +115,11 @@ def _records(found: Any) -> list[Mapping[str, Any]]:
         return []
     if any(_is_vector(v) for n, v in found.items() if n not in _ASIDE):
         return [found]
-    inside = {n: v for n, v in found.items() if n not in _ASIDE and isinstance(v, (dict, list))}
-    several = [r for v in inside.values() for r in _records(v)]
-    alike = len({frozenset(r) for r in several}) == 1
+    containers = {n: v for n, v in found.items() if n not in _ASIDE and isinstance(v, (dict, list))}
+    several = [r for v in containers.values() for r in _records(v)]
+    same_fields = len({frozenset(r) for r in several}) == 1
     # structs of different fields are parts of one record, not records
-    return several if alike and several else [found]
+    return several if same_fields and several else [found]
 
 
 def _is_vector(value: Any) -> bool:
@@ -133,17 +133,17 @@ def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> ImportedTable:
         return ImportedTable({}, {})
     length = rows.most_common(1)[0][0]
     numeric: dict[str, Array] = {}
-    other = []
+    skipped = []
     for name, values in leaves.items():
         columns = _columns(name, values, length)
         if columns:
             numeric |= columns
         else:
-            other.append(plain_name(name))
+            skipped.append(plain_name(name))
     numeric = dict(list(numeric.items())[:MOST_COLUMNS])
     units = {n: u for n, u in _texts(record.get("units", {})) if n in numeric}
-    if other:
-        notes = (*notes, f"arrays that are not of {length} samples, left out: {listed(other, 12)}")
+    if skipped:
+        notes = (*notes, f"arrays that are not of {length} samples, left out: {listed(skipped, 12)}")
     return ImportedTable(
         {n: np.where(np.isinf(v), np.nan, v) for n, v in numeric.items()}, {}, units=units, notes=notes
     )

@@ -170,9 +170,9 @@ def main(path: str, most: int) -> None:
     tree = Tree(most)
     variables = hdf5_variables(path, tree) if hdf5 else v5_variables(data, tree)
     text = json.dumps({"variables": variables, "left_out": tree.left_out})
-    out = io.BytesIO()
-    np.savez(out, tree=np.array(text), **tree.arrays)
-    sys.stdout.buffer.write(out.getvalue())
+    archive = io.BytesIO()
+    np.savez(archive, tree=np.array(text), **tree.arrays)
+    sys.stdout.buffer.write(archive.getvalue())
 
 
 if __name__ == "__main__":

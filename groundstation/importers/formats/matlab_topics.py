@@ -47,33 +47,33 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
 
 def _labelled(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
     """Topic -> column -> values, of matrices with their labels beside them."""
-    out = {}
+    topics = {}
     for name, table in variables.items():
         labels = variables.get(f"{name}{_LABEL}")
         if not isinstance(table, np.ndarray) or table.ndim != 2 or not isinstance(labels, list):
             continue
         words = [str(w).strip() for w in labels]
         if table.shape[1] == len(words) and table.shape[0] >= FEWEST_ROWS:
-            out[name] = {word: np.asarray(table[:, i], float) for i, word in enumerate(words)}
-    return out
+            topics[name] = {word: np.asarray(table[:, i], float) for i, word in enumerate(words)}
+    return topics
 
 
 def _structs(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
     """The same of structs of vectors."""
-    out = {}
+    topics = {}
     for name, content in variables.items():
         if isinstance(content, Mapping):
             fields = {n: np.ravel(v).astype(float) for n, v in content.items() if isinstance(v, np.ndarray)}
             if fields and len({v.size for v in fields.values()}) == 1:
-                out[name] = fields
-    return out
+                topics[name] = fields
+    return topics
 
 
 def _series(
     topics: Mapping[str, Mapping[str, Array]], times: Mapping[str, float], *, by_instance: bool
 ) -> dict[str, TimeSeries]:
     """Series 'TOPIC.field', further instances by a field I as 'TOPIC[1].field', of the topics that have one of the times."""
-    out: dict[str, TimeSeries] = {}
+    series: dict[str, TimeSeries] = {}
     for topic, fields in topics.items():
         stamp = next((t for t in times if t in fields), None)
         if stamp is None:
@@ -81,8 +81,8 @@ def _series(
         time = fields[stamp] * times[stamp]
         number = fields["I"] if by_instance and "I" in fields else np.zeros(time.size)
         for instance, use in instance_rows(topic, number).items():
-            out |= {f"{instance}.{n}": TimeSeries(time[use], v[use]) for n, v in fields.items() if n != stamp}
-    return out
+            series |= {f"{instance}.{n}": TimeSeries(time[use], v[use]) for n, v in fields.items() if n != stamp}
+    return series
 
 
 def _by_name(series: Mapping[str, TimeSeries]) -> Map:

@@ -55,8 +55,8 @@ _MESSAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _whole(text: str, parts: tuple[str, ...]) -> str:
-    every = ("std_msgs/Header", "builtin_interfaces/Time", *parts)
-    return text + "".join(f"{_LINE}\nMSG: {n}\n{_PARTS[n]}" for n in every)
+    names = ("std_msgs/Header", "builtin_interfaces/Time", *parts)
+    return text + "".join(f"{_LINE}\nMSG: {n}\n{_PARTS[n]}" for n in names)
 
 
 STANDARD: Mapping[str, str] = {name: _whole(*made) for name, made in _MESSAGES.items()}

@@ -156,11 +156,11 @@ def _spread(seconds: Array) -> Array | None:
     counts = np.diff(np.append(begins, seconds.size))
     if counts.size < 3 or np.median(counts) < 2:
         return None
-    usual = float(np.median(counts[1:-1]))
+    typical = float(np.median(counts[1:-1]))
     row_in_second = np.arange(seconds.size) - np.repeat(begins, counts)
-    rows_per_second = np.maximum(np.repeat(counts, counts), usual)
+    rows_per_second = np.maximum(np.repeat(counts, counts), typical)
     spread = seconds + row_in_second / rows_per_second
-    spread[: counts[0]] += max(usual - counts[0], 0.0) / usual
+    spread[: counts[0]] += max(typical - counts[0], 0.0) / typical
     return np.asarray(spread)
 
 
@@ -172,9 +172,9 @@ def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], 
     if _CLOCK.fullmatch(first):
         return _clocks(path, name, cells, days)
     if time.unit != "iso" and not _is_date(first):
-        bad = next((c for c in cells if c and not is_number(c)), first)
+        word = next((c for c in cells if c and not is_number(c)), first)
         raise ImportDataError(
-            f'{path}: time column {name!r} holds {one_line(bad, 60)!r}, not a number; dates need unit = "iso"'
+            f'{path}: time column {name!r} holds {one_line(word, 60)!r}, not a number; dates need unit = "iso"'
         )
     return _dates(path, name, cells)
 
@@ -200,14 +200,14 @@ def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
         raise ImportDataError(f"{path}: time column {name!r} is empty")
     zoned = [s.tzinfo is not None for s in stamps]
     if any(zoned) and not all(zoned):
-        with_zone, without = zoned.index(True), zoned.index(False)
+        with_zone, zoneless = zoned.index(True), zoned.index(False)
         raise ImportDataError(
-            f"{path}: time column {name!r}: row {without + 1} ({one_line(cells[without], 40)}) has no time zone, row "
+            f"{path}: time column {name!r}: row {zoneless + 1} ({one_line(cells[zoneless], 40)}) has no time zone, row "
             f"{with_zone + 1} ({one_line(cells[with_zone], 40)}) has one; write the same in all rows"
         )
-    since = datetime(1970, 1, 1, tzinfo=UTC if zoned[0] else None)
+    epoch = datetime(1970, 1, 1, tzinfo=UTC if zoned[0] else None)
     seconds = np.array([(s - stamps[0]).total_seconds() for s in stamps])
-    return Stamps(seconds, origin=(stamps[0] - since).total_seconds())
+    return Stamps(seconds, origin=(stamps[0] - epoch).total_seconds())
 
 
 def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
@@ -259,10 +259,10 @@ def _records_where_set_back(stamps: Stamps) -> Stamps:
     if not any(seconds[b - 1] >= seconds[start] for (start, _), (a, b) in pairwise(runs)):
         return stamps
     row = runs[1][0]
-    more = f", and {len(runs) - 2} times more" if len(runs) > 2 else ""
+    repeats = f", and {len(runs) - 2} times more" if len(runs) > 2 else ""
     text = (
         f"the clock falls back by {seconds[row - 1] - seconds[row]:.4g} s after row {row} (t = {seconds[row - 1]:.4g} s)"
-        f"{more}: what follows is a record of its own"
+        f"{repeats}: what follows is a record of its own"
     )
     return _in_a_row(replace(stamps, notes=(*stamps.notes, text)), falls)
 

@@ -82,10 +82,10 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     text, notes = _without_cut_line(text, layout)
     first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
     last_line = text[text.rfind("\n", 0, -1) + 1 : -1]
-    above = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last_line, layout)
-    if above and not layout.header_line:
-        notes.insert(0, f"{above} lines above the column names passed over")
-    lines = itertools.islice(_lines(text), above, None)
+    preamble = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last_line, layout)
+    if preamble and not layout.header_line:
+        notes.insert(0, f"{preamble} lines above the column names passed over")
+    lines = itertools.islice(_lines(text), preamble, None)
     top = next(lines, None)
     if top is None:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
@@ -100,13 +100,13 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
     units = _unit_row(header, first_rows[0])
     decimal = layout.decimal or _decimal(delimiter, first_rows)
-    below = above + (not layout.names) + layout.skip_after_header + bool(units)
-    columns = _plain_columns(text, header, below, delimiter, decimal)
+    body_start = preamble + (not layout.names) + layout.skip_after_header + bool(units)
+    columns = _plain_columns(text, header, body_start, delimiter, decimal)
     if columns:
         numeric = {h: v for h, v in zip(header, columns, strict=True) if h}
         return ImportedTable(numeric, {}, units=units, notes=tuple(notes))
     body = itertools.chain(first_rows[1:] if units else first_rows, rows)
-    cells = _MixedColumns(path, header, decimal, above + 2 + layout.skip_after_header + bool(units), can_be_time)
+    cells = _MixedColumns(path, header, decimal, preamble + 2 + layout.skip_after_header + bool(units), can_be_time)
     cells.read(body, needs_time)
     return cells.table(units, notes)
 
@@ -154,11 +154,11 @@ class _MixedColumns:
             if needs_time and len(block) == at_once and self._row == self._first:
                 self._check_time(columns)
             for i, cells in enumerate(columns):
-                values, wrong = _numbers(cells, self._decimal)
+                values, bad_rows = _numbers(cells, self._decimal)
                 self._values[i].append(values)
-                self._wrong[i] += len(wrong)
-                if wrong and self._example[i] is None:
-                    self._example[i] = (cells[wrong[0]].strip(), self._row + wrong[0])
+                self._wrong[i] += len(bad_rows)
+                if bad_rows and self._example[i] is None:
+                    self._example[i] = (cells[bad_rows[0]].strip(), self._row + bad_rows[0])
                 if i in self._words:
                     self._words[i] += [cell.strip() for cell in cells]
             self._row += len(block)
@@ -268,9 +268,9 @@ def _check_header(path: Path, header: list[str]) -> None:
             f"{path}: the first line holds numbers, not column names; add a line of names above it (time,ax,ay,...) "
             "or give them in a mapping file: [file] names = [...]"
         )
-    twice = sorted(name for name, count in Counter(header).items() if name and count > 1)
-    if twice:
-        raise ImportDataError(f"{path}: column {plain_name(twice[0])!r} appears twice in the header")
+    duplicates = sorted(name for name, count in Counter(header).items() if name and count > 1)
+    if duplicates:
+        raise ImportDataError(f"{path}: column {plain_name(duplicates[0])!r} appears twice in the header")
 
 
 def _delimiter(line: str) -> str:
@@ -302,7 +302,7 @@ def _numbers(cells: Sequence[str], decimal: str) -> tuple[Array, list[int]]:
     """Values, NaN where empty, infinite or no number; and the rows of the cells that are no numbers."""
     if decimal == ",":
         cells = [c.replace(",", ".") for c in cells]
-    wrong: list[int] = []
+    bad_rows: list[int] = []
     try:
         values = np.array(cells, float)
     except ValueError:
@@ -311,11 +311,11 @@ def _numbers(cells: Sequence[str], decimal: str) -> tuple[Array, list[int]]:
         for i, cell in enumerate(cells):
             value = number(cell)
             if value is None:
-                wrong.append(i)
+                bad_rows.append(i)
             else:
                 values[i] = value
     values[np.isinf(values)] = np.nan
-    return values, wrong
+    return values, bad_rows
 
 
 def _number(cell: str) -> float | None:
@@ -371,12 +371,12 @@ def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
         columns = listed([*table.numeric, *table.words, *table.dates], 12)
         raise ImportDataError(f"{path}: no column 'time'; found {columns}; {NAME_THE_TIME}")
     stamps = stamps_of(path, table.numeric, table.words, table.dates, time)
-    aside = {time.column, time.date}
-    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in aside}, plain_name)
+    time_columns = {time.column, time.date}
+    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in time_columns}, plain_name)
     if stamps.record is not None:
         numeric[RECORD] = stamps.record
     series = {name: TimeSeries(stamps.seconds, values) for name, values in numeric.items()}
-    text_columns = tuple(w for w in (*table.words, *table.dates) if w not in aside)
+    text_columns = tuple(w for w in (*table.words, *table.dates) if w not in time_columns)
     units = {**_header_units(series), **table.units}
     notes = (*table.notes, *stamps.notes, *absent)
     origin = stamps.origin + table.firsts.get(time.column or "", 0.0)

@@ -90,7 +90,7 @@ def layouts() -> Mapping[int, DialectLayout]:
     """The messages of the dialect that ArduPilot and PX4 share, by id."""
     from pymavlink.dialects.v20 import ardupilotmega
 
-    out = {}
+    by_id = {}
     for number, message in ardupilotmega.mavlink_map.items():
         letters = re.findall(r"(\d*)([a-zA-Z])", message.unpacker.format)
         types: list[tuple[str, str, tuple[int, ...]]] = []
@@ -103,8 +103,8 @@ def layouts() -> Mapping[int, DialectLayout]:
             types.append((name, f"<{letter}", (elements,) if elements > 1 else ()))
             if elements <= LONGEST_ARRAY:
                 fields.append((name, elements))
-        out[number] = DialectLayout(message.msgname, np.dtype(types), tuple(fields), message.crc_extra)
-    return out
+        by_id[number] = DialectLayout(message.msgname, np.dtype(types), tuple(fields), message.crc_extra)
+    return by_id
 
 
 class TlogScan:

@@ -110,9 +110,9 @@ def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
         high = np.inf if end == clock.own.size else float(clock.place[end])
         messages = [r.part((r.rank >= low) & (r.rank < high)) for r in received]
         messages = [r for r in messages if len(r.table)]
-        late = part.offset - first_offset if part.own.size else 0.0
-        series, notes = _series(messages, component, part, late)
-        marks = _marks([r for r in messages if r.component == component], part).moved(late)
+        delay = part.offset - first_offset if part.own.size else 0.0
+        series, notes = _series(messages, component, part, delay)
+        marks = _marks([r for r in messages if r.component == component], part).moved(delay)
         boots.append(Boot(series, component, notes, tuple(_clock_rates(part)), marks))
     return [b for b in boots if b.series]
 
@@ -155,8 +155,8 @@ def _median_of_five(values: Array) -> Array:
 
 def _boot_edges(clock: _Clock) -> list[int]:
     """Where each boot begins among the messages with a time, and the end."""
-    step, passed = np.diff(clock.own), np.diff(clock.stamp)
-    anew = (step < -FALLS_BACK) | ((step > FALLS_BACK) & (passed - step > STOOD_STILL))
+    step, receiver_step = np.diff(clock.own), np.diff(clock.stamp)
+    anew = (step < -FALLS_BACK) | ((step > FALLS_BACK) & (receiver_step - step > STOOD_STILL))
     return [0, *(np.flatnonzero(anew) + 1).tolist(), clock.own.size]
 
 
@@ -170,11 +170,11 @@ def _series(
         for label, use in _instances(r):
             for name, values in _fields(r.table):
                 series[f"{head}{r.name}{label}.{name}"] = _known(r, name, time, values, use)
-    others = sorted({r.component for r in received} - {component})
-    if not others:
+    components = sorted({r.component for r in received} - {component})
+    if not components:
         return series, ()
-    names = ", ".join(map(str, others))
-    return series, (f"messages of component {names} stand under names like {others[0]}:ATTITUDE.roll",)
+    names = ", ".join(map(str, components))
+    return series, (f"messages of component {names} stand under names like {components[0]}:ATTITUDE.roll",)
 
 
 def _marks(received: Sequence[ReceivedMessages], clock: _Clock) -> Marks:
@@ -222,24 +222,24 @@ def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
 def _time(r: ReceivedMessages, component: int, clock: _Clock) -> Array:
     """Time of messages on the autopilot's clock [s]."""
     by_receiver = r.stamps - clock.offset
-    own = r.own if r.component == component else np.full(len(r.table), np.nan)
+    sender_time = r.own if r.component == component else np.full(len(r.table), np.nan)
     if clock.own.size < 2:
-        return np.where(np.isfinite(own), own, by_receiver)
-    after = np.clip(np.searchsorted(clock.place, r.rank), 1, clock.own.size - 1)
+        return np.where(np.isfinite(sender_time), sender_time, by_receiver)
+    following = np.clip(np.searchsorted(clock.place, r.rank), 1, clock.own.size - 1)
     delay = clock.stamp - clock.own
     spread = float(np.subtract(*np.percentile(delay, [95, 5])))  # a burst is late by up to its length
-    dense = np.abs(clock.own[after] - clock.own[after - 1]) < max(DENSE, spread)
+    dense = np.abs(clock.own[following] - clock.own[following - 1]) < max(DENSE, spread)
     by_order = np.interp(r.rank, clock.place, clock.own)
-    between = dense & (r.rank >= clock.place[0]) & (r.rank <= clock.place[-1])
-    return np.where(np.isfinite(own), own, np.where(between, by_order, by_receiver))
+    placeable = dense & (r.rank >= clock.place[0]) & (r.rank <= clock.place[-1])
+    return np.where(np.isfinite(sender_time), sender_time, np.where(placeable, by_order, by_receiver))
 
 
 def _known(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> TimeSeries:
     """The samples of which the definition of the message does not say that they are none."""
-    known = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
+    usable = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
     if r.name == "GPS_RAW_INT" and name in ("lat", "lon", "alt"):
-        known &= r.table["fix_type"] >= _FIX_3D
-    return TimeSeries(time, values) if known.all() else TimeSeries(time[known], values[known])
+        usable &= r.table["fix_type"] >= _FIX_3D
+    return TimeSeries(time, values) if usable.all() else TimeSeries(time[usable], values[usable])
 
 
 def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
@@ -257,5 +257,5 @@ def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
         "wrong, all rates are"
     )
     moves = f"derivatives by p, q and r by {abs(drift):.0%}"
-    between = ("receiver's clock", "aircraft's clock")
-    yield Contradiction(between, text, 1.0 + drift, moves=moves, stops=abs(drift) > 0.05)
+    sides = ("receiver's clock", "aircraft's clock")
+    yield Contradiction(sides, text, 1.0 + drift, moves=moves, stops=abs(drift) > 0.05)

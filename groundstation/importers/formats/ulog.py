@@ -63,8 +63,8 @@ def read_ulog(path: Path) -> Log:
     if scan.skipped or log.file_corruption or printed.getvalue().strip():
         notes.append(f"the ULog is damaged in places ({scan.skipped} bytes); what could be read is used")
     if scan.dropouts:
-        lost = scan.dropped_ms / 1000
-        notes.append(f"the logger of this ULog reports {scan.dropouts} dropouts, together {lost:.3g} s")
+        seconds = scan.dropped_ms / 1000
+        notes.append(f"the logger of this ULog reports {scan.dropouts} dropouts, together {seconds:.3g} s")
     system = one_line(str(log.msg_info_dict.get("ver_sw", "")), LONGEST_NAME)
     detail = {"firmware": system} if system else {}
     marks = _marks(series, scan)
