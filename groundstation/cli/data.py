@@ -245,9 +245,9 @@ def _advise(
         click.echo(
             "which surface each servo moves, with trim and travel, goes into a mapping: see the example maps in docs/import.md"
         )
-    stated = ({ending.lower(): value for ending, value in o.stated.items()} for o in outputs)
+    stated = ({ending.lower(): value for ending, value in o.parameters.items()} for o in outputs)
     servos = [
-        {"name": o.name, "low": o.low, "high": o.high, "usual": o.usual, **more}
+        {"name": o.name, "low": o.low, "high": o.high, "usual": o.median, **more}
         for o, more in zip(outputs, stated, strict=True)
     ]
     write_json(report, {**found.to_json(), "servo_outputs": servos})

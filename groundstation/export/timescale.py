@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 
 from groundstation.flight import Flight
 from groundstation.flight.tables import ColumnTable, TableColumn
-from groundstation.flight.writing import UTC_KEY, offset_in, stamps
+from groundstation.flight.writing import UTC_KEY, provenance_utc_offset, utc_stamps
 
 __all__ = ["UTC_KEY", "iso", "stamps_ns", "utc_offset", "with_utc"]
 
 
 def utc_offset(flight: Flight) -> float | None:
     """UTC minus flight time [s]; None where the flight does not know UTC."""
-    return offset_in(flight.provenance.detail)
+    return provenance_utc_offset(flight.provenance.detail)
 
 
 def stamps_ns(flight: Flight) -> NDArray[np.int64]:
     """(N,) nanoseconds: UTC since 1970 where known, else flight time; never negative, rising with the samples."""
-    return stamps(flight.time, utc_offset(flight))
+    return utc_stamps(flight.time, utc_offset(flight))
 
 
 UTC_COLUMN = "utc_time"

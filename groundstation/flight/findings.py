@@ -57,7 +57,7 @@ def as_finding(note: Finding | str) -> Finding:
     return note if isinstance(note, Finding) else Finding(FindingKind.OTHER, note)
 
 
-def texts(findings: Iterable[Finding]) -> list[str]:
+def finding_texts(findings: Iterable[Finding]) -> list[str]:
     """The sentences, as JSON has them."""
     return [finding.text for finding in findings]
 
@@ -91,7 +91,7 @@ def to_meta(findings: Iterable[Finding]) -> dict[str, Any]:
         for i, n in enumerate(notes)
         if n.kind != FindingKind.OTHER
     ]
-    return {"notes": texts(notes), **({"facts": facts} if facts else {})}
+    return {"notes": finding_texts(notes), **({"facts": facts} if facts else {})}
 
 
 def from_meta(meta: Mapping[str, Any]) -> list[Finding]:

@@ -65,7 +65,7 @@ def find_manoeuvres(
     return tuple(manoeuvres)
 
 
-def cut(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], name: str | None = None) -> Flight:
+def cut_to_manoeuvres(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], name: str | None = None) -> Flight:
     """The flight reduced to the windows, each a segment of its own, with initial states of its own in an estimate.
 
     Raises FlightError when no sample lies in a window.

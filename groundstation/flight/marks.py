@@ -63,7 +63,7 @@ class Marks:
         }
 
 
-def together(parts: Iterable[Marks]) -> Marks:
+def joined_marks(parts: Iterable[Marks]) -> Marks:
     """The marks of several records in a row."""
     records = tuple(parts)
     return Marks(
@@ -89,7 +89,7 @@ def marks_of(flight: Flight) -> Marks:
     return Marks(tuple(m for m in modes if m.start <= m.stop), events, messages)
 
 
-def changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
+def mode_changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
     """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
     pairs = list(zip(time, names, strict=True))
     begins = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]

@@ -49,7 +49,7 @@ def is_times(text: str) -> bool:
     return not text.strip() or _TIMES.fullmatch(text.strip()) is not None
 
 
-def where(flight: Flight, text: str) -> LabelledStretches:
+def stretches_where(flight: Flight, text: str) -> LabelledStretches:
     """The stretches of a flight in which a condition holds. Raises FlightError where the text is none, or names a column or a
     mode that the flight has not, and where nothing is left."""
     condition = parse_condition(text)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
-from groundstation.flight.findings import Finding, texts
+from groundstation.flight.findings import Finding, finding_texts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +71,7 @@ def flight_table(flight: FlightView) -> ColumnTable:
         "aircraft": flight.provenance.aircraft,
         "source": flight.provenance.source,
         "software": flight.provenance.software,
-        "notes": json.dumps(texts(flight.notes)),
+        "notes": json.dumps(finding_texts(flight.notes)),
     }
     columns = [TableColumn("time", flight.time, "s", "time")]
     for name, values in flight.columns.items():

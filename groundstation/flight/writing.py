@@ -106,7 +106,7 @@ def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
 
 
 def _write_mcap(flight: FlightView, path: Path) -> None:
-    with open_flight_writer(flight, path, stamps(flight.time, offset_in(flight.provenance.detail))):
+    with open_flight_writer(flight, path, utc_stamps(flight.time, provenance_utc_offset(flight.provenance.detail))):
         pass
 
 
@@ -183,13 +183,13 @@ def value_digest(provenance: str, names: Sequence[str], table: NDArray[np.float6
     return digest.hexdigest()
 
 
-def offset_in(detail: Mapping[str, Any]) -> float | None:
+def provenance_utc_offset(detail: Mapping[str, Any]) -> float | None:
     """UTC minus flight time [s] by the detail of a provenance; None where it does not say, or says what cannot be."""
     value = detail.get(UTC_KEY)
     return float(value) if isinstance(value, int | float) and 0 <= value < LAST_UTC_S else None
 
 
-def stamps(time: NDArray[np.float64], offset: float | None) -> NDArray[np.int64]:
+def utc_stamps(time: NDArray[np.float64], offset: float | None) -> NDArray[np.int64]:
     """(N,) nanoseconds: UTC since 1970 where the offset is known, else flight time; never negative, rising with the samples."""
     return np.maximum(np.round(time * 1e9).astype(np.int64) + round((offset or 0.0) * 1e9), 0)
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.flight.marks import together
+from groundstation.flight.marks import joined_marks
 from groundstation.importers.endings import BAGS, LOGS
 from groundstation.importers.formats.bags import is_bag
 from groundstation.importers.formats.dataflash import HEAD, is_text
-from groundstation.importers.functions import ENDINGS, OUTPUT, name_of
+from groundstation.importers.functions import ENDINGS, OUTPUT, function_name
 from groundstation.importers.run import read_logs
 from groundstation.importers.series import Log, native_rate
 from groundstation.importers.servos import parameter_of
@@ -55,7 +55,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "channels": [{"name": n, "unit": logs[0].units.get(n, ""), "samples": c} for n, c in counted.items()],
         "software": logs[0].detail.get("firmware", ""),
         "boots": [{"from": a, "to": b} for a, b in spans],
-        **together(log.marks for log in logs).to_json(),
+        **joined_marks(log.marks for log in logs).to_json(),
         "parameters": {n: v for log in logs for n, v in log.parameters.items()},
         "notes": [note for log in logs for note in log.notes],
     }
@@ -82,7 +82,9 @@ class ServoOutput:
     def line(self) -> str:
         """For a person."""
         text = f"{self.name}: {self.low:g} to {self.high:g}, most often {self.median:g}"
-        words = [f"{n} {v:g}" + (f" ({name_of(v)})" if n == "FUNCTION" else "") for n, v in self.parameters.items()]
+        words = [
+            f"{n} {v:g}" + (f" ({function_name(v)})" if n == "FUNCTION" else "") for n, v in self.parameters.items()
+        ]
         return f"{text}; its parameters say {', '.join(words)}" if words else text
 
 

@@ -31,8 +31,8 @@ _WRAPPED = ("phi", "psi")
 @dataclass(frozen=True, slots=True)
 class ColumnOrigin:
     """How a flight column was made. source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz],
-    None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
-    servo that follows it [s]."""
+    None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s];
+    lag: of the servo that follows it [s]."""
 
     source: ColumnSource
     kind: Kind
@@ -210,7 +210,7 @@ def _unwrapped(series: TimeSeries, name: str, scale: float) -> TimeSeries:
     return TimeSeries(series.time, values)
 
 
-def spoken(source: ColumnSource) -> str:
+def source_text(source: ColumnSource) -> str:
     """How a column was made, for the provenance."""
     if source.expression is not None:
         terms = source.expression

@@ -12,7 +12,15 @@ from daq.contract.errors import UserError
 from daq.contract.input_files import check_file, parse_toml, read_bytes
 from daq.contract.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
-from groundstation.importers.draft_names import UnitGuess, fits, meant, time_column, time_unit, unit_in_name, unit_of
+from groundstation.importers.draft_names import (
+    UnitGuess,
+    candidate_columns,
+    time_column,
+    time_unit,
+    unit_fits,
+    unit_in_name,
+    unit_of,
+)
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
@@ -99,7 +107,7 @@ def _of_table(path: Path) -> list[str]:
     time_name = header_time or time_column([*table.numeric, *table.words, *table.dates])
     time_lines, time = _time_lines(table, time_name)
     names = [n for n in table.numeric if n != time_name]
-    candidates = meant(names)
+    candidates = candidate_columns(names)
     columns = {column: labels[0] for column, labels in candidates.items()}
     lines = []
     for column, name in columns.items():
@@ -110,7 +118,7 @@ def _of_table(path: Path) -> list[str]:
             guess = UnitGuess(header_unit, f"by its header; {guess.why}", True)
         elif table.units.get(name):
             guess = UnitGuess(table.units[name], f"by the row of units; {guess.why}", True)
-        elif name_unit is not None and fits(name_unit, column):
+        elif name_unit is not None and unit_fits(name_unit, column):
             guess = UnitGuess(name_unit, f"the unit stands in its name; {guess.why}", True)
         evidence = f"{'' if guess.sure else 'CHECK: '}by its name; {guess.why}"
         if len(candidates[column]) > 1:

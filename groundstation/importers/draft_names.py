@@ -67,7 +67,7 @@ class UnitGuess:
     sure: bool = False
 
 
-def plain(name: str) -> str:
+def normalised_name(name: str) -> str:
     """A name as the table of names knows them."""
     return re.sub(r"[^a-z0-9]+", "_", _UNIT_IN_NAME.sub("", name).lower()).strip("_")
 
@@ -81,20 +81,20 @@ def unit_in_name(name: str) -> str | None:
     return word if find_unit(_SPELT.get(word, word)) is not None and word not in _SPELT else _SPELT.get(word)
 
 
-def fits(unit: str, column: str) -> bool:
+def unit_fits(unit: str, column: str) -> bool:
     """Whether a unit is one of the quantity of a flight column."""
     si_unit = find_unit(unit)
     return si_unit is not None and si_unit.si == COLUMN_BY_NAME[column].unit
 
 
-def meant(names: Sequence[str]) -> dict[str, list[str]]:
+def candidate_columns(names: Sequence[str]) -> dict[str, list[str]]:
     """Flight column -> names that may mean it, an exact one first."""
     candidates: dict[str, list[str]] = {}
     for name in names:
-        column = next((c for c, pattern in _MEANT if re.fullmatch(pattern, plain(name))), None)
+        column = next((c for c, pattern in _MEANT if re.fullmatch(pattern, normalised_name(name))), None)
         if column is not None:
             candidates.setdefault(column, []).append(name)
-    return {c: sorted(labels, key=lambda label: plain(label) != c) for c, labels in candidates.items()}
+    return {c: sorted(labels, key=lambda label: normalised_name(label) != c) for c, labels in candidates.items()}
 
 
 def time_column(names: Sequence[str]) -> str | None:

@@ -10,7 +10,7 @@ from itertools import count
 
 import numpy as np
 
-from groundstation.importers.functions import OUTPUT, name_of
+from groundstation.importers.functions import OUTPUT, function_name
 from groundstation.importers.series import Array, Log, TimeSeries, native_rate
 from groundstation.importers.servos import parameter_of
 
@@ -67,7 +67,7 @@ def drafted_servos(log: Log, rates: Mapping[str, str]) -> tuple[list[str], Share
         if part is None:
             moves = "UNKNOWN: the log does not say"
             if function is not None:
-                moves = f"{name_of(function)} by {parameter_of(column, 'FUNCTION')}"
+                moves = f"{function_name(function)} by {parameter_of(column, 'FUNCTION')}"
             extent = f"{outputs.min():g} to {outputs.max():g}"
             lines.append(f"# {column}: {extent}; {moves}; in no surface of this draft")
             continue

@@ -37,12 +37,12 @@ ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's paramete
 _UNTOLD = frozenset({1, *range(51, 67)})  # functions that pass a stick on: what it moves is not said
 
 
-def name_of(function: float) -> str:
+def function_name(function: float) -> str:
     """`elevon left` for 77; the number where it has no name here."""
     return NAMES.get(round(function), f"function {function:g}")
 
 
-def misnamed(log: Log, chosen: Map) -> Iterator[Contradiction]:
+def function_contradictions(log: Log, chosen: Map) -> Iterator[Contradiction]:
     """Surfaces that a mapping makes of outputs which, by the log's own parameters, move something else."""
     for column, sources in chosen.columns.items():
         if not column.startswith(("delta_", "cmd_")) or not sources:
@@ -55,7 +55,7 @@ def misnamed(log: Log, chosen: Map) -> Iterator[Contradiction]:
             function = log.parameters.get(parameter) if parameter else None
             if function is None or round(function) in _UNTOLD or round(function) in _BY_SURFACE.get(surface, ()):
                 continue
-            part = name_of(function)
+            part = function_name(function)
             text = (
                 f"the mapping makes {column} of {output}, which moves the {part} by {parameter} {function:g} of the log"
             )

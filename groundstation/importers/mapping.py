@@ -182,7 +182,7 @@ class Map(_MapTable):
 def load_map(path: str | Path) -> Map:
     """Read a mapping file, or an example by its name (`ardupilot-elevon`). Raises ImportDataError naming file and key."""
     path = Path(path)
-    if not path.exists() and str(path) in examples():
+    if not path.exists() and str(path) in example_maps():
         path = MAPS / f"{path}.toml"
     table = read_toml(path, "file", ImportDataError)
     try:
@@ -202,6 +202,6 @@ def built_in_map(name: str) -> Map:
 EXAMPLE = "example: "  # what the title of an example mapping begins with
 
 
-def examples() -> tuple[str, ...]:
+def example_maps() -> tuple[str, ...]:
     """Names of the example mappings for surfaces."""
     return tuple(sorted(p.stem for p in MAPS.glob("*-*.toml")))

@@ -17,7 +17,8 @@ import numpy as np
 from daq.contract.input_files import parse_toml, read_bytes, read_text
 from groundstation.flight import AIRCRAFT_FILE, Flight
 from groundstation.flight.arrays import Array
-from groundstation.flight.marks import marks_of, together
+from groundstation.flight.findings import Finding
+from groundstation.flight.marks import joined_marks, marks_of
 from groundstation.importers.attitude import with_attitudes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD, read_table, table_log
@@ -154,7 +155,7 @@ def _overlap(first: Array, second: Array) -> bool:
 # ---------------------------------------------------------------------------------------------------------- flights in a row
 
 
-def joined(flights: Sequence[Flight]) -> Flight:
+def joined_flights(flights: Sequence[Flight]) -> Flight:
     """The records one after the other. Where one does not begin after the last has ended its time is moved, and said.
 
     A column that a record lacks is NaN in it.
@@ -174,12 +175,13 @@ def joined(flights: Sequence[Flight]) -> Flight:
         end, first_segment = float(time[-1]), int(segments[-1][-1]) + 1
     names = list(dict.fromkeys(n for f in flights for n in f.columns))
     columns = {n: np.concatenate([f.columns[n] if n in f else np.full(len(f), np.nan) for f in flights]) for n in names}
-    notes = [*(n for f in flights for n in f.notes), f"{len(flights)} records in a row, each with segments of its own"]
+    notes: list[Finding | str] = [n for f in flights for n in f.notes]
+    notes.append(f"{len(flights)} records in a row, each with segments of its own")
     if shifted:
         notes.append(f"{shifted} of them begin anew in time: moved to {APART:g} s after the one before")
     provenance = flights[0].provenance
     files = {f.provenance.path: f.provenance.sha256 for f in flights}
-    detail = {**provenance.detail, **together(marks).to_json(), **({"files": files} if len(files) > 1 else {})}
+    detail = {**provenance.detail, **joined_marks(marks).to_json(), **({"files": files} if len(files) > 1 else {})}
     return Flight.build(
         flights[0].name,
         np.concatenate(times),

@@ -19,15 +19,15 @@ from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.quality.plausibility import suspicions
-from groundstation.importers.columns import ImportedColumns, flight_columns, spoken
+from groundstation.importers.columns import ImportedColumns, flight_columns, source_text
 from groundstation.importers.endings import BAGS, LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.tables import RECORD
-from groundstation.importers.functions import misnamed
+from groundstation.importers.functions import function_contradictions
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
-from groundstation.importers.records import by_boot, joined, joined_topics, topics_of_px4
-from groundstation.importers.series import Log, TimeSeries, credible, grid, native_rate
+from groundstation.importers.records import by_boot, joined_flights, joined_topics, topics_of_px4
+from groundstation.importers.series import Log, TimeSeries, even_time_base, native_rate, without_damaged_times
 from groundstation.importers.servos import outputs_elsewhere, with_servos
 
 DEFAULT_RATE = 50.0
@@ -57,7 +57,7 @@ def import_data(
     user_map = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
     for file in paths:
         check_file(file, error=ImportDataError)
-    return joined([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
+    return joined_flights([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
 
 
 def _over(user_map: Map | None, base: Map) -> Map:
@@ -78,10 +78,10 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
     rate = rate_hz or mapping.rate_hz
     resampled = not log.common or rate is not None
     if resampled:
-        series, outliers = credible(log.series)
+        series, outliers = without_damaged_times(log.series)
         log = replace(log, series=series)
         log = log.with_notes(f"{outliers} samples with a time far from all others left out") if outliers else log
-    log = replace(log, contradictions=(*log.contradictions, *misnamed(log, mapping)))
+    log = replace(log, contradictions=(*log.contradictions, *function_contradictions(log, mapping)))
     log, no_output = with_servos(log, mapping.servos)
     time = _time_base(path, log, mapping, rate)
     if np.isfinite(time).sum() < 2:
@@ -120,7 +120,7 @@ def _provenance(
     base_rate = native_rate(TimeSeries(time, time))
     detail = {
         "format": log.kind,
-        "mapping": {name: spoken(column.source) for name, column in origins.items()},
+        "mapping": {name: source_text(column.source) for name, column in origins.items()},
         CHANNELS: {name: column.to_json(base_rate) for name, column in origins.items()},
         "resampled_hz": float(1 / np.median(np.diff(time))) if resampled else None,
         "native_hz": {column.name: column.rate for column in origins.values() if column.rate is not None},
@@ -230,7 +230,7 @@ def _time_base(path: Path, log: Log, mapping: Map, rate: float | None) -> Array:
             "name columns in a mapping file (--map)"
         )
     fastest = max(native_rate(s) for s in series.values())
-    return grid(series, rate or min(DEFAULT_RATE, fastest))
+    return even_time_base(series, rate or min(DEFAULT_RATE, fastest))
 
 
 def _segment(log: Log, mapping: Map, rate: float | None) -> NDArray[np.int64] | None:

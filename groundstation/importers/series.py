@@ -69,7 +69,7 @@ def instance_rows(topic: str, number: Array) -> dict[str, Mask]:
     return {topic if n == numbers[0] else f"{topic}[{n:g}]": number == n for n in numbers}
 
 
-def credible(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
+def without_damaged_times(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
     """The series without samples whose time is far from all others (damaged stamps), and how many were left out."""
     clocks = {id(s.time): s.time for s in series.values()}  # fields of one message share their time
     times = np.concatenate(list(clocks.values())) if clocks else np.zeros(0)
@@ -86,7 +86,7 @@ def credible(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], i
     return kept_series, outliers
 
 
-def grid(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
+def even_time_base(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
     """Even time base from the earliest start to the latest end. Raises ImportDataError when that is too long."""
     if not rate_hz > 0:
         raise ImportDataError(

@@ -14,7 +14,7 @@ from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, FlightError, write_flight
 from groundstation.flight.findings import Finding
-from groundstation.flight.manoeuvres import ManoeuvreStretch, cut, find_manoeuvres
+from groundstation.flight.manoeuvres import ManoeuvreStretch, cut_to_manoeuvres, find_manoeuvres
 from groundstation.flight.quality.report import quality_report
 from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
 
@@ -94,5 +94,5 @@ def hand_over(
 def _write_manoeuvres(flight: Flight, manoeuvres: Sequence[ManoeuvreStretch], path: Path) -> Path | None:
     if not manoeuvres:
         return None
-    write_flight(cut(flight, manoeuvres, path.stem), path)
+    write_flight(cut_to_manoeuvres(flight, manoeuvres, path.stem), path)
     return path

@@ -12,8 +12,8 @@ from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.findings import (
     Finding,
     FindingKind,
+    finding_texts,
     from_meta,
-    texts,
     to_meta,
     unknown_columns,
     without_repeats,
@@ -63,8 +63,11 @@ def test_columns_that_the_model_knows_are_not_called_unknown(clean: Flight) -> N
     model = replace(lateral, inputs=(*lateral.inputs, Signal("weight", "kg")))
     added = clean.with_columns(weight=np.full(len(clean), 8.5), odd=np.ones(len(clean)))
     both = added.with_notes(unknown_columns({"weight": "Gewicht, kg: as is", "odd": "odd, too"}))
-    assert texts(prepare(lateral, both).notes)[0].endswith("Gewicht, kg: as is as weight, odd, too as odd")
-    assert texts(prepare(model, both).notes)[0] == "columns not known to Sideslip, kept as they are: odd, too as odd"
+    assert finding_texts(prepare(lateral, both).notes)[0].endswith("Gewicht, kg: as is as weight, odd, too as odd")
+    assert (
+        finding_texts(prepare(model, both).notes)[0]
+        == "columns not known to Sideslip, kept as they are: odd, too as odd"
+    )
     none_left = added.with_notes(unknown_columns({"weight": "weight"}))
     assert all(n.kind is not FindingKind.UNKNOWN_COLUMNS for n in prepare(model, none_left).notes)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from groundstation.flight.contradictions import air, motion
-from groundstation.flight.contradictions.contradiction import Contradiction, from_json
+from groundstation.flight.contradictions.contradiction import Contradiction, contradiction_from_json
 from groundstation.flight.contradictions.fits import FEWEST_BLOCKS, Array, Columns
 from groundstation.flight.flight import Flight
 
@@ -50,6 +50,6 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
         if name != "V":
             columns.pop(name, None)
     entries = flight.provenance.detail.get(CONTRADICTIONS)
-    imported = map(from_json, entries if isinstance(entries, list | tuple) else ())
+    imported = map(contradiction_from_json, entries if isinstance(entries, list | tuple) else ())
     candidates = (*filter(None, imported), *contradictions_of(flight.time, columns))
     return tuple({(c.between, c.text): c for c in candidates}.values())

@@ -35,7 +35,7 @@ class Contradiction:
         return {"between": list(self.between), **values, "std": self.std if math.isfinite(self.std) else None}
 
 
-def from_json(content: object) -> Contradiction | None:
+def contradiction_from_json(content: object) -> Contradiction | None:
     """A contradiction as a flight file carries it; None for what is none."""
     if not isinstance(content, Mapping):
         return None

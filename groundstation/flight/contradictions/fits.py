@@ -27,7 +27,7 @@ class FitWithError:
         return distance > tolerance and distance > sigmas * self.std
 
 
-def blocks(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
+def block_means(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
     """Means over blocks of BLOCK seconds in which all is measured: window number of each block, and the means (m,) of each."""
     finite = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
     if finite.sum() < FEWEST_BLOCKS:
@@ -77,7 +77,9 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError
     if not all(n in c for n in ("V", "psi", "vn", "ve")):
         return None
     speed = horizontal_airspeed(c)
-    window, (north, east, vn, ve) = blocks(time, speed * np.cos(c["psi"]), speed * np.sin(c["psi"]), c["vn"], c["ve"])
+    window, (north, east, vn, ve) = block_means(
+        time, speed * np.cos(c["psi"]), speed * np.sin(c["psi"]), c["vn"], c["ve"]
+    )
     if window.size < FEWEST_BLOCKS:
         return None
     north, east, vn, ve = within_windows(window, north, east, vn, ve)

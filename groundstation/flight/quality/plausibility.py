@@ -150,13 +150,13 @@ def _angles(time: Array, c: Columns) -> Iterator[Finding]:
             low, high = COLUMN_BY_NAME[name].plausible
             lowest, highest = float(np.nanmin(c[name])), float(np.nanmax(c[name]))
             extreme = highest if highest > -lowest else lowest
-            if (lowest < low - 1e-3 or highest > high + 1e-3) and not runs_on(time, c, name):
+            if (lowest < low - 1e-3 or highest > high + 1e-3) and not is_unwrapped(time, c, name):
                 unit = "deg" if abs(extreme) <= 370 else "cdeg or us"
                 limit = high if extreme > 0 else low
                 yield _suspect(name, f"reaches {extreme:.4g} rad, beyond {limit:.3g}; is it in {unit}?")
 
 
-def runs_on(time: Array, c: Columns, name: str) -> bool:
+def is_unwrapped(time: Array, c: Columns, name: str) -> bool:
     """Whether an angle (N,) beyond its range is one that was not wrapped: in radians by what the gyros turn.
 
     False without gyros, or where they turn too little to tell the unit.

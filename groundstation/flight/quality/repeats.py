@@ -151,7 +151,7 @@ class _StuckEvidence:
         live = ~self.still & ~held
         self.alive = self.values[live & np.isfinite(self.values)]
         self.repeated = float(np.mean(same[live])) if self.alive.size else 0.0
-        self.shadow = shadow(flight, column, ~self.still) if runs else None
+        self.shadow = predicted_channel(flight, column, ~self.still) if runs else None
         self._flicker: dict[str, float] = {}
         self.others = [c for c in SENSED if c != column and flight.measured(c)]
 
@@ -207,7 +207,7 @@ def _alternating(third: Array) -> bool:
 # ------------------------------------------------------------------------------- what the other channels say of a channel
 
 
-def shadow(flight: Flight, column: str, trusted: Mask) -> Array | None:
+def predicted_channel(flight: Flight, column: str, trusted: Mask) -> Array | None:
     """(N,) the channel as the others show it, up to constants and slow drift; None where they cannot. trusted: (N,) samples
     that may be learnt from.
 

@@ -17,7 +17,7 @@ from groundstation.flight.findings import Finding, FindingKind, Severity
 from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
 from groundstation.flight.quality.noise import noise
-from groundstation.flight.quality.plausibility import runs_on, suspicions
+from groundstation.flight.quality.plausibility import is_unwrapped, suspicions
 from groundstation.flight.quality.repeats import BIG, MOVING, quantum, repeats
 from groundstation.flight.quality.skew import Skew, attitude_skew, control_skew
 
@@ -234,7 +234,7 @@ def plausible_values(flight: Flight) -> Finding:
     sentences = [s.text for s in suspected]
     names = {name for s in suspected for name in s.columns}
     for name, values in _measured(flight):
-        if name in COLUMN_BY_NAME and name not in names and not runs_on(flight.time, flight.columns, name):
+        if name in COLUMN_BY_NAME and name not in names and not is_unwrapped(flight.time, flight.columns, name):
             low, high = COLUMN_BY_NAME[name].plausible
             outside = int(np.sum((values < low) | (values > high)))
             if outside:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flight.contradictions import Contradiction
-from groundstation.flight.marks import FlightMode, Mark, Marks, changes
-from groundstation.importers.modes import ARMED, armings, heartbeat_mode, words
+from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
+from groundstation.importers.modes import ARMED, armings, heartbeat_mode, mark_text
 from groundstation.importers.series import Array, TimeSeries
 
 LONGEST_ARRAY = 32
@@ -187,11 +187,13 @@ def _marks(received: Sequence[ReceivedMessages], clock: _Clock) -> Marks:
             continue
         time = _time(r, r.component, clock).tolist()
         if r.name == "STATUSTEXT":
-            messages += [Mark(t, words(text)) for t, text in zip(time, r.table["text"].tolist(), strict=True) if text]
+            messages += [
+                Mark(t, mark_text(text)) for t, text in zip(time, r.table["text"].tolist(), strict=True) if text
+            ]
             continue
         fields = (r.table[n].tolist() for n in ("type", "autopilot", "custom_mode"))
         names = [heartbeat_mode(*row) for row in zip(*fields, strict=True)]
-        modes = changes(time, names, max(time, default=0.0))
+        modes = mode_changes(time, names, max(time, default=0.0))
         events = armings(time, (r.table["base_mode"] & ARMED > 0).tolist())
     return Marks(modes, events, tuple(messages))
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import LONGEST_NAME, one_line
-from groundstation.flight.marks import FlightMode, Mark, Marks, changes
+from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
 from groundstation.importers.attitude import euler_from_quaternion
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.ulog_scan import MAGIC, UlogScan
-from groundstation.importers.modes import PX4_NAVIGATION, armings, words
+from groundstation.importers.modes import PX4_NAVIGATION, armings, mark_text
 from groundstation.importers.series import Log, TimeSeries
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
@@ -77,6 +77,6 @@ def _marks(series: dict[str, TimeSeries], scan: UlogScan) -> Marks:
     modes: tuple[FlightMode, ...] = ()
     if mode is not None:
         names = [PX4_NAVIGATION.get(int(n), f"mode {n:g}") if np.isfinite(n) else "unknown" for n in mode.values]
-        modes = changes(mode.time.tolist(), names, max(float(s.time[-1]) for s in series.values()))
+        modes = mode_changes(mode.time.tolist(), names, max(float(s.time[-1]) for s in series.values()))
     events = armings(arming.time.tolist(), (arming.values == PX4_ARMED).tolist()) if arming is not None else ()
-    return Marks(modes, events, tuple(Mark(t, words(text)) for t, text in scan.logged))
+    return Marks(modes, events, tuple(Mark(t, mark_text(text)) for t, text in scan.logged))

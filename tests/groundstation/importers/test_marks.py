@@ -92,7 +92,7 @@ def test_a_ulog_says_modes_messages_and_parameters(tmp_path: Path) -> None:
     key = b"float FW_AIRSPD_TRIM"
     data += ulog_message(b"P", bytes([len(key)]) + key + struct.pack("<f", 17.5))
     found = UlogScan(data)
-    assert found.logged == ((4.0, "Takeoff detected"),)
+    assert found.logged == [(4.0, "Takeoff detected")]
     assert found.parameters == {"FW_AIRSPD_TRIM": 17.5}
     path = tmp_path / "x.ulg"
     path.write_bytes(data)

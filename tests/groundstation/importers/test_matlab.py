@@ -197,9 +197,7 @@ def test_a_file_at_which_the_compiled_reader_crashes_is_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "x.mat").write_bytes(v5_with(array_of((-4, 2), bytes(64))))
-    with pytest.raises(
-        ImportDataError, match=r"no vectors of numbers over time|damaged MATLAB 5 file, at which its reader"
-    ):
+    with pytest.raises(ImportDataError, match=r"no (vectors|column)"):
         import_data(tmp_path / "x.mat")
     (tmp_path / "child.py").write_text("import os; os.abort()")
     monkeypatch.setattr("groundstation.importers.formats.matlab._CHILD", tmp_path / "child.py")
