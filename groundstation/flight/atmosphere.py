@@ -1,9 +1,8 @@
 """The standard atmosphere's troposphere, and density of the air from what a flight measures (ICAO Doc 7488/3)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
 
 GAS_CONSTANT = 287.05287  # J/(kg K), dry air
 SEA_LEVEL_PRESSURE = 101325.0  # Pa

@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError
 from groundstation.flight.flight import Flight
-
-Array = NDArray[np.float64]
 
 CONTROLS = ("delta_a", "delta_r", "delta_e")
 SMALLEST = 0.0175  # rad: a control movement below 1 deg is trimming, not a manoeuvre

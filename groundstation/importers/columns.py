@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import LONGEST_NAME, listed
+from groundstation.flight.arrays import Array
 from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
@@ -22,8 +22,6 @@ from groundstation.importers.mapping import ColumnSource, Kind, Map
 from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all
 from groundstation.importers.series import DATED_BACK, Log, TimeSeries, lagged, native_rate, resample
 from groundstation.importers.units import conversion, find_unit, known_units
-
-Array = NDArray[np.float64]
 
 _WRAPPED = ("phi", "psi")
 

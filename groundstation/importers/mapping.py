@@ -164,19 +164,10 @@ class Map(_MapTable):
 
     def over(self, base: "Map") -> "Map":
         """This mapping on top of another: columns named here replace those of the base."""
-        return base.model_copy(
-            update={
-                "title": self.title or base.title,
-                "aircraft": self.aircraft or base.aircraft,
-                "time": self.time or base.time,
-                "segment": self.segment or base.segment,
-                "segment_rows": self.segment_rows or base.segment_rows,
-                "rate_hz": self.rate_hz or base.rate_hz,
-                "file": self.file,
-                "servos": {**base.servos, **self.servos},
-                "columns": {**base.columns, **self.columns},
-            }
-        )
+        names = ("title", "aircraft", "time", "segment", "segment_rows", "rate_hz")
+        update = {name: getattr(self, name) or getattr(base, name) for name in names}
+        merged = {name: {**getattr(base, name), **getattr(self, name)} for name in ("servos", "columns")}
+        return base.model_copy(update={**update, **merged, "file": self.file})
 
 
 def load_map(path: str | Path) -> Map:

@@ -35,6 +35,10 @@ class TimeSeries:
     lag: float = 0.0
 
 
+Series = TimeSeries
+"""The name under which packages import it (docs/extending.md)."""
+
+
 @dataclass(frozen=True)
 class Log:
     """What a foreign file holds: series by name, all on one clock [s].

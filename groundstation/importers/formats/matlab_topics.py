@@ -8,16 +8,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.flight.arrays import Array
 from groundstation.importers.attitude import with_attitudes
 from groundstation.importers.formats.dataflash import TIME_UNITS, with_velocities
 from groundstation.importers.formats.matlab import FEWEST_ROWS
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
 from groundstation.importers.series import Log, TimeSeries, instance_rows
-
-Array = NDArray[np.float64]
 
 _LABEL = "_label"
 _PX4_TIME = {"timestamp": 1e-6}

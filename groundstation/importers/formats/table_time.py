@@ -51,7 +51,19 @@ def stamps_of(
 
     Raises ImportDataError naming column and cell for a time that cannot be read.
     """
-    stamps = _read(path, numeric, words, dates, time)
+    name = time.column
+    if name is None:
+        rows = len(next(iter(numeric.values()), np.zeros(0)))
+        stamps = Stamps(np.arange(rows) / float(time.rate_hz or 1.0))
+    elif name in dates:
+        stamps = Stamps(dates[name])
+    elif name in words:
+        stamps = _of_words(path, name, words[name], words.get(time.date or "", ()), time)
+    elif name in numeric:
+        stamps = _of_numbers(path, name, numeric[name], time)
+    else:
+        columns = listed([*numeric, *words, *dates], 12)
+        raise ImportDataError(f"{path}: no column {name!r} for the time; found {columns}")
     stamps = replace(stamps, seconds=stamps.seconds + time.offset)
     if not time.restarts:
         return _records_where_set_back(stamps)
@@ -61,34 +73,12 @@ def stamps_of(
     return _in_a_row(stamps, restarts)
 
 
-def _read(
-    path: Path,
-    numeric: Mapping[str, Array],
-    words: Mapping[str, Sequence[str]],
-    dates: Mapping[str, Array],
-    time: Time,
-) -> Stamps:
-    name = time.column
-    if name is None:
-        rows = len(next(iter(numeric.values()), np.zeros(0)))
-        return Stamps(np.arange(rows) / float(time.rate_hz or 1.0))
-    if name in dates:
-        return Stamps(dates[name])
-    if name in words:
-        return _of_words(path, name, words[name], words.get(time.date or "", ()), time)
-    if name not in numeric:
-        raise ImportDataError(
-            f"{path}: no column {name!r} for the time; found {listed([*numeric, *words, *dates], 12)}"
-        )
-    if time.unit == "iso":
-        raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
-    return _of_numbers(path, name, numeric[name], time)
-
-
 # ------------------------------------------------------------------------------------------------------------- numbers
 
 
 def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
+    if time.unit == "iso":
+        raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
     unit = find_unit(time.unit)
     if unit is None or unit.si != "s":
         raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h, days or iso")
