@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from daq.contract.errors import UserError
 from estimation.engine.kernel import Array
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
@@ -17,7 +18,6 @@ from estimation.models.base import Model
 from groundstation.flight import Flight
 from groundstation.flight.arrays import integral
 from groundstation.flight.findings import Finding, FindingKind
-from groundstation.flight.quality.plausibility import GRAVITY
 
 KINEMATIC = "beta_kinematic"
 MODELS = ("lateral", "lateral-simple")

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Any, Literal
 
 from daq.contract.plain_words import one_line
-from daq.contract.recordings import claims
+from daq.contract.recordings.flight_rows import as_mapping, as_texts
 
 Severity = Literal["ok", "note", "warn", "fail"]
 _SEVERITIES: tuple[Severity, ...] = ("ok", "note", "warn", "fail")
@@ -96,12 +96,12 @@ def to_meta(findings: Iterable[Finding]) -> dict[str, Any]:
 
 def from_meta(meta: Mapping[str, Any]) -> list[Finding]:
     """Findings of a flight file. A kind that is not known here, of a newer file, is `OTHER`."""
-    notes = [as_finding(one_line(text)) for text in claims.texts(meta.get("notes"))]
+    notes = [as_finding(one_line(text)) for text in as_texts(meta.get("notes"))]
     known_kinds = {kind.value: kind for kind in FindingKind}
     facts = meta.get("facts")
-    for fact in map(claims.mapping, facts if isinstance(facts, list) else ()):
+    for fact in map(as_mapping, facts if isinstance(facts, list) else ()):
         index = fact.get("note")
-        pairs = [claims.texts(pair) for pair in fact.get("columns") or () if isinstance(pair, list)]
+        pairs = [as_texts(pair) for pair in fact.get("columns") or () if isinstance(pair, list)]
         if isinstance(index, int) and 0 <= index < len(notes):
             kind = known_kinds.get(str(fact.get("kind")), FindingKind.OTHER)
             columns, labels = (tuple(pair[i] for pair in pairs if len(pair) == 2) for i in (0, 1))

@@ -4,6 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from groundstation.flight.arrays import Array
 
 
@@ -13,7 +14,6 @@ class ByName(Protocol):
     def __getitem__(self, column: str) -> Array: ...
 
 
-GRAVITY = 9.80665  # m/s2
 GYROS = {"phi": "p", "theta": "q", "psi": "r"}  # angle of attitude -> the gyro that turns it most
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import RADIAN
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, finding_texts
@@ -159,7 +160,7 @@ def plot_flight(flight: FlightView, columns: Sequence[str], ax: Any = None) -> A
     for axis, name in zip(axes, names, strict=True):
         channel = COLUMN_BY_NAME.get(name)
         unit = channel.unit if channel else ""
-        factor, label_unit = (np.degrees(1.0), unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
+        factor, label_unit = (RADIAN, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
         for rows in flight.segments:
             axis.plot(flight.time[rows], factor * flight.columns[name][rows], color="C0", linewidth=1.0)
         axis.set_ylabel(f"{name} [{label_unit}]" if label_unit else name)

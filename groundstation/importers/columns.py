@@ -9,9 +9,9 @@ from itertools import count
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.plain_words import LONGEST_NAME, listed
 from groundstation.flight.arrays import Array
-from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
 from groundstation.flight.findings import Finding, FindingKind, unknown_columns

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import RADIAN
 from groundstation.flight.arrays import Array, Mask, longest_run, true_runs
 from groundstation.flight.contradictions import contradictions
 from groundstation.flight.findings import Finding, FindingKind, Severity
@@ -35,10 +36,8 @@ ATTITUDE_LATE = 0.025
 """Delay of an attitude behind the gyro [s] worth a warning; slow corrections of its filter look like up to 15 ms."""
 COARSE = 0.2  # share of samples that equal the one before from which a channel's step is told
 MOST_SENTENCES = 6  # of one check; how many more there are is told
-STILL_DEG = 0.1  # rms of a control that moves less than this tells nothing
+STILLRADIAN = 0.1  # rms of a control that moves less than this tells nothing
 MOVED = 10.0  # rms movement, in noise levels, that counts though it stays within 1 deg
-
-_DEG = float(np.degrees(1.0))
 
 
 def quality_report(flight: Flight) -> tuple[Finding, ...]:
@@ -320,9 +319,9 @@ def excitation(flight: Flight) -> Finding:
     sentences, movements = [], []
     for name in controls:
         count = sum(name in m.controls for m in manoeuvres)
-        rms = float(np.nanstd(flight[name])) * _DEG
+        rms = float(np.nanstd(flight[name])) * RADIAN
         movements.append(f"{name} {count} manoeuvres, {rms:.2g} deg rms")
-        if not count and rms < max(STILL_DEG, MOVED * _DEG * (noise(flight[name]) or 0.0)):
+        if not count and rms < max(STILLRADIAN, MOVED * RADIAN * (noise(flight[name]) or 0.0)):
             sentences.append(
                 f"{name} is hardly moved ({rms:.2g} deg rms): its derivatives cannot be told from this flight"
             )
