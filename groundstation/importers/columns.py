@@ -1,4 +1,4 @@
-"""Flight columns from the series of a log: combined, in SI, on one time base, with whence each comes."""
+"""Flight columns from the series of a log: combined, in SI, on one time base, each with its origin."""
 
 import re
 import unicodedata
@@ -28,7 +28,7 @@ _WRAPPED = ("phi", "psi")
 
 @dataclass(frozen=True, slots=True)
 class ColumnOrigin:
-    """How a flight column was made. source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz],
+    """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: its own [Hz],
     None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s];
     lag: of the servo that follows it [s]."""
 
@@ -97,7 +97,7 @@ def chosen_source(log: Log, sources: Iterable[ColumnSource]) -> ColumnSource | N
 
 
 def flight_kind(log: Log, source: ColumnSource) -> Kind:
-    """Whence a source is: of an expression that of its first column, which the others correct; of several, the worst."""
+    """Whether a source is measured, computed or assumed: of an expression that of its first column, which the others correct; of several, the worst."""
     if source.kind is not None:
         return source.kind
     parts = [t.column for t in source.parts]

@@ -98,7 +98,7 @@ def _toml_value(value: object) -> str:
 
 
 def _of_table(path: Path) -> list[str]:
-    """A table, whose columns are told by their names and values."""
+    """A table, whose columns are recognised by their names and values."""
     from groundstation.importers.formats.tables import header_map
 
     table = _table(path)

@@ -20,7 +20,8 @@ _DIFFERENTIAL = ("SCALED_PRESSURE.press_diff", "HIGHRES_IMU.diff_pressure", "RAW
 
 
 def of_ardupilot(log: Log) -> Log:
-    """A dataflash log with the sensors in use under the plain names, without fixes that are none, and with whence airspeed is."""
+    """A dataflash log with the sensors in use under the plain names, without samples that have no fix, and with the origin of
+    its airspeed."""
     primaries = with_primaries(log.series)
     series, notes = dict(primaries.series), [*primaries.notes]
     for prefix in _prefixes(series, "GPS", "Status"):
@@ -63,7 +64,7 @@ def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, Ti
 
 
 def of_px4(log: Log) -> Log:
-    """A ULog without fixes that are none, and with whence the validated airspeed is."""
+    """A ULog without samples that have no fix, and with the origin of the validated airspeed."""
     series, notes, kinds = dict(log.series), [], dict(log.kinds)
     has_pitot = any(n.startswith(("differential_pressure.", "airspeed.")) for n in series)
     for prefix in (p for topic in ("vehicle_gps_position", "sensor_gps") for p in _prefixes(series, topic, "fix_type")):
@@ -89,7 +90,7 @@ def of_px4(log: Log) -> Log:
 
 
 def of_mavlink(log: Log) -> Log:
-    """A telemetry log with whence VFR_HUD.airspeed is: a pitot's pressure that moves, or what the autopilot says it has."""
+    """A telemetry log with the origin of VFR_HUD.airspeed: a pitot's pressure that moves, or what the autopilot says it has."""
     series, notes, kinds = dict(log.series), [], dict(log.kinds)
     for prefix in _prefixes(series, "GPS_RAW_INT", "fix_type"):
         notes += _without_fix(series, prefix, "fix_type", ("vel", "cog"))

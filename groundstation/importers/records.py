@@ -38,7 +38,7 @@ _STAMP = b"timestamp,"
 def by_boot(log: Log) -> list[Log]:
     """A log for each run of the clock, in the order of the file; the log itself where it never falls back.
 
-    Messages that were not written in every run cannot be told apart by their order: they are left out, and said.
+    Messages that were not written in every run cannot be assigned by their order: they are left out, with a note.
     """
     clocks = {id(s.time): s.time for s in log.series.values()}
     runs = {key: _clock_runs(time) for key, time in clocks.items()}
@@ -156,7 +156,7 @@ def _overlap(first: Array, second: Array) -> bool:
 
 
 def joined_flights(flights: Sequence[Flight]) -> Flight:
-    """The records one after the other. Where one does not begin after the last has ended its time is moved, and said.
+    """The records one after the other. Where one does not begin after the last has ended its time is moved, with a note.
 
     A column that a record lacks is NaN in it.
     """

@@ -33,7 +33,7 @@ from groundstation.importers.servos import outputs_elsewhere, with_servos
 DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
 _NEEDED_BY_NONE = frozenset({"mx", "my", "mz"})
-"""Columns that no model and no reconstruction reads: odd values of theirs are told, and stop nothing."""
+"""Columns that no model and no reconstruction reads: odd values of theirs become notes, and stop nothing."""
 ENTRY_POINTS = "sideslip.importers"
 
 

@@ -165,7 +165,7 @@ def _moves(values: Array) -> bool:
 
 
 def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
-    """The output at which the surface stands at zero, and what is to be told of it."""
+    """The output at which the surface stands at zero, and a note where a person should know of it."""
     parameter = parameter_of(servo.column, "TRIM")
     logged = log.parameters.get(parameter) if parameter else None
     if servo.trim is not None:

@@ -16,7 +16,7 @@ FAST = ("p", "q", "r", "ax", "ay", "az", "phi", "theta", "alpha", "beta", "delta
 SLOWEST = 5.0
 """Samples a second below which roll damping and short period pass between two of them: their time constants are 0.05 to 0.5 s.
 Telemetry of 4 Hz gave derivatives hundreds of bounds off, of 10 Hz right ones."""
-GOOD = 20.0  # [Hz] from which roll damping of a light aircraft is told well
+GOOD = 20.0  # [Hz] from which the roll damping of a light aircraft can be identified well
 
 
 def noise(values: Array) -> float | None:

@@ -1,4 +1,4 @@
-"""Repeated values of a channel, told apart by what the motion must have done to it: a coarse step, a slow sensor, a stuck one.
+"""Repeated values of a channel, classified by what the motion must have done to it: a coarse step, a slow or a stuck sensor.
 
 A quantised channel repeats while the aircraft hardly moves it; a slow one repeats in step, and jumps by many quanta where
 a new value comes; a stuck one repeats though its own noise, or the motion that the other channels show, must have moved it

@@ -103,7 +103,7 @@ def sample_interval(flight: Flight) -> Finding:
 def dropouts(flight: Flight) -> Finding:
     """Stretches without a value in columns that are otherwise measured; fail when a third of a moving column is gone.
 
-    Values that begin late or end early (sensors starting up) are told, but are no dropout.
+    Values that begin late or end early (sensors starting up) are reported, but are no dropout.
     """
     sentences: list[str] = []
     severity: Severity = "warn"
@@ -130,7 +130,7 @@ def dropouts(flight: Flight) -> Finding:
 def stale_samples(flight: Flight) -> Finding:
     """Columns slower than their clock, and sensors stuck while the motion must have moved them (see `quality.repeats`).
 
-    Fails when a column that moves in flight never changes. A coarse step in steady flight is no fault, and only told.
+    Fails when a column that moves in flight never changes. A coarse step in steady flight is no fault, and only reported.
     """
     sentences, coarse = [], []
     severity: Severity = "warn"
@@ -307,7 +307,7 @@ def noise_level(flight: Flight) -> Finding:
 
 
 def excitation(flight: Flight) -> Finding:
-    """Whether the controls were moved enough, and independently, for their derivatives to be told.
+    """Whether the controls were moved enough, and independently, to identify their derivatives.
 
     Warns for a control that stays within 1 deg of trim and moves by less than ten times its noise (a large aeroplane
     answers to half a degree), and for two that move in proportion (correlation beyond 0.9).

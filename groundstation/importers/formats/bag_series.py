@@ -24,7 +24,7 @@ class Topic:
     time: list[float] = field(default_factory=list)
     columns: dict[str, list[float]] = field(default_factory=dict)
 
-    def add(self, time: float, row: Mapping[str, float]) -> None:
+    def add_message(self, time: float, row: Mapping[str, float]) -> None:
         """Keep a message; NaN where it lacks a field that others have."""
         count = len(self.time)
         for name, value in row.items():

@@ -61,7 +61,7 @@ class Bag:
             if not isinstance(error, _DAMAGE):
                 self.unread.setdefault(name, type(error).__name__)
             return
-        self.topics.setdefault(name, Topic(name, kind)).add(time_ns * 1e-9, row)
+        self.topics.setdefault(name, Topic(name, kind)).add_message(time_ns * 1e-9, row)
 
 
 def read_bag(path: Path) -> Bag:

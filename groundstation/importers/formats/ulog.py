@@ -39,7 +39,7 @@ def read_ulog(path: Path) -> Log:
     scan = UlogScan(data)
     printed = io.StringIO()
     try:
-        # pyulog prints about damage; it is told in the notes instead
+        # pyulog prints about damage; the notes say it instead
         with contextlib.redirect_stdout(printed):
             log = ULog(io.BytesIO(scan.stream))
     except (*_DAMAGE, ULogException, ULogIncompatibleFlagException) as error:
