@@ -28,9 +28,9 @@ _WRAPPED = ("phi", "psi")
 
 @dataclass(frozen=True, slots=True)
 class ColumnOrigin:
-    """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: its own [Hz],
-    None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s];
-    lag: of the servo that follows it [s]."""
+    """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: its own
+    [Hz], None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its
+    records [s]; lag: of the servo that follows it [s]."""
 
     source: ColumnSource
     kind: Kind
@@ -97,7 +97,8 @@ def chosen_source(log: Log, sources: Iterable[ColumnSource]) -> ColumnSource | N
 
 
 def flight_kind(log: Log, source: ColumnSource) -> Kind:
-    """Whether a source is measured, computed or assumed: of an expression that of its first column, which the others correct; of several, the worst."""
+    """Whether a source is measured, computed or assumed: an expression as its first column, which the others correct; several
+    columns as the worst of them."""
     if source.kind is not None:
         return source.kind
     parts = [t.column for t in source.parts]

@@ -48,7 +48,7 @@ def within_windows(window: Array, *values: Array) -> tuple[Array, ...]:
 
 
 def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Array] | None:
-    """Coefficients (k,) and their covariance (k, k), widened by the colour of the residuals; None where the data do not determine them.
+    """Coefficients (k,) and their covariance (k, k), widened by the colour of the residuals; None where undetermined.
 
     windows: how many constants have been taken out before.
     """
