@@ -79,7 +79,7 @@ def _imported(
 
 def _read(path: Path, mapping: Path | None, aircraft: str | None) -> "Flight":
     """A flight as it stands, a raw recording calibrated, or somebody else's log imported."""
-    from groundstation.importers.aircraft import with_aircraft
+    from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
 
     if path.suffix.lower() in READY and mapping is None:

@@ -104,7 +104,7 @@ def import_log(
 
     mapping: a file as for `import --map`. aircraft: a built-in name, or a file, which then travels with the flight.
     """
-    from groundstation.importers.aircraft import with_aircraft
+    from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
 
     flight = import_data(Path(path), None if mapping is None else Path(mapping), rate_hz=rate_hz)

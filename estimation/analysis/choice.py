@@ -9,10 +9,10 @@ import numpy as np
 from estimation.session.flights import select_segments
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
-from groundstation.flight.airborne import airborne
 from groundstation.flight.errors import FlightError
-from groundstation.flight.manoeuvres import CONTROLS, ManoeuvreStretch, cut, find_manoeuvres
+from groundstation.flight.manoeuvres import CONTROLS, ManoeuvreStretch, cut_to_manoeuvres, find_manoeuvres
 from groundstation.flight.marks import marks_of
+from groundstation.flight.stretches import airborne
 
 BY_HAND = ("MANUAL",)
 """Modes in which the pilot alone moves the surfaces: elsewhere an autopilot moves them with the motion, which hides damping."""
@@ -79,7 +79,7 @@ def choose_stretches(flight: Flight) -> ChosenStretches:
     whole = flight if flown.flying.all() else flight.part(flown.flying)
     found = find_manoeuvres(whole)
     if found and sum(m.stop - m.start for m in found) < MOSTLY * _duration(whole):
-        return ChosenStretches(cut(whole, found, flight.name), _times(found), notes, hint)
+        return ChosenStretches(cut_to_manoeuvres(whole, found, flight.name), _times(found), notes, hint)
     return ChosenStretches(whole, "all that was flown", notes, hint)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from estimation.compatibility.result import Compatibility, FactorEstimate
     from estimation.resolve import AnyAircraft, Flights
     from groundstation.flight import Flight
-    from groundstation.flight.quality.report import Finding
+    from groundstation.flight.findings import Finding
 
 
 @single_threaded
@@ -68,11 +68,11 @@ def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ..
     """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
-    from groundstation.flight.quality.report import Finding
+    from groundstation.flight.findings import Finding
 
     if aircraft is None and not flight.provenance.aircraft:
         why = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
-        return (Finding(CHECK, "ok", why),)
+        return (Finding(CHECK, why, "ok"),)
     return tuple(excitation_findings(predicted_bounds(flight, aircraft_of([flight], aircraft))))
 
 
@@ -121,7 +121,7 @@ class Check(Answer):
     @property
     def passed(self) -> bool:
         """Whether no finding is a failure, and every reconstruction converged."""
-        from groundstation.flight.quality.report import worst
+        from groundstation.flight.findings import worst
 
         failed = any(worst(findings) == "fail" for findings in self.quality.values())
         return not failed and all(r.converged for _, r in self.named)
@@ -181,7 +181,7 @@ class Check(Answer):
             yield ""
             yield from published_lines()
         for name, findings in self.quality.items():
-            yield from ("", f"quality of {name}", *(f"  {f.verdict:<5}{f.check}: {f.text}" for f in findings))
+            yield from ("", f"quality of {name}", *(f"  {f.severity:<5}{f.kind}: {f.text}" for f in findings))
 
     def plot(self, ax: Any = None) -> Any:
         """Measured and reconstructed motion of the first flight, one axes a channel; gives the axes."""
@@ -213,7 +213,7 @@ class Check(Answer):
 
     def headline(self) -> str:
         """Flights, and the worst verdict on them."""
-        verdicts = {v for findings in self.quality.values() for v in (f.verdict for f in findings)}
+        verdicts = {v for findings in self.quality.values() for v in (f.severity for f in findings)}
         verdict = next((v for v in ("fail", "warn", "ok") if v in verdicts), "ok")
         return f"Check of {', '.join(self.quality)}: {verdict}"
 

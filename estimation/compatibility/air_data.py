@@ -38,7 +38,7 @@ from estimation.compatibility.records import attitude_errors
 from estimation.engine.derived import with_derived
 from estimation.errors import DataError
 from groundstation.flight import RECONSTRUCTED, Flight
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 
 Array = NDArray[np.float64]
 
@@ -168,12 +168,13 @@ def with_air(flight: Flight, air: AirData) -> Flight:
     stated = detail.get("uncertainty")
     detail["uncertainty"] = {**(stated if isinstance(stated, dict) else {}), **typical}
     said = ", ".join(filled)
-    note = Note(
-        NoteKind.DERIVED, f"{said} reconstructed from velocity fixes, IMU and {air.airspeed}: {sentence(air, filled)}"
+    note = Finding(
+        FindingKind.DERIVED,
+        f"{said} reconstructed from velocity fixes, IMU and {air.airspeed}: {sentence(air, filled)}",
     )
     share = 2.0 * typical["V"] / float(np.nanmedian(air.values["V"]))
     common = f"V off by its uncertainty moves every derivative by {share:.1%}, which the corrected bounds of an estimate count"
-    notes: list[Note | str] = [note, common, *([GUSTS_UNSEEN] if len(filled) > 1 else []), *air.notes]
+    notes: list[Finding | str] = [note, common, *([GUSTS_UNSEEN] if len(filled) > 1 else []), *air.notes]
     provenance = replace(flight.provenance, detail=detail)
     return replace(flight.with_columns(**columns).with_notes(*notes), provenance=provenance)
 

@@ -13,6 +13,7 @@ from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
 from estimation.errors import DataError
 from estimation.signals.preprocess import noise_level
 from groundstation.flight import Flight
+from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
 
@@ -45,19 +46,17 @@ def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], lis
     jumps = sorted(attitude_jumps(flight))
     fixes, speeds = fresh(flight, FIX), fresh_values(flight, "V", airspeed)
     found, notes = [], []
-    for part in flight.segments:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
-        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
-            inside = [j for j in jumps if a < j < b]
-            for first, last in zip([a, *inside], [*inside, b], strict=True):
-                rows = slice(int(first), int(last))
-                if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
-                    notes.append(
-                        f"{last - first} samples from t = {flight.time[first]:g} s left out: too short a stretch, or no "
-                        "velocity fix or airspeed in it"
-                    )
-                    continue
-                found.append(_stretch(flight, rows, airspeed, fixes, speeds))
+    for a, b in true_runs(usable, flight.segments):
+        inside = [j for j in jumps if a < j < b]
+        for first, last in zip([a, *inside], [*inside, b], strict=True):
+            rows = slice(int(first), int(last))
+            if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
+                notes.append(
+                    f"{last - first} samples from t = {flight.time[first]:g} s left out: too short a stretch, or no "
+                    "velocity fix or airspeed in it"
+                )
+                continue
+            found.append(_stretch(flight, rows, airspeed, fixes, speeds))
     if not found:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(INERTIAL)} all measured and "

@@ -24,8 +24,9 @@ from estimation.estimators.uncertainty import STILL, TIED, estimates, input_move
 from estimation.models import load_model
 from estimation.models.base import Model
 from groundstation.flight import Flight, MissingColumnError
+from groundstation.flight.findings import Finding
 from groundstation.flight.quality.noise import noise
-from groundstation.flight.quality.report import SENSOR_NOISE, Finding
+from groundstation.flight.quality.report import SENSOR_NOISE
 
 Array = NDArray[np.float64]
 
@@ -92,13 +93,13 @@ def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...
     for prediction in predictions:
         if prediction.why:
             # the quality report has its own warning for missing and unmoved controls
-            found.append(Finding(CHECK, "ok", f"{prediction.model}: not judged: {prediction.why}"))
+            found.append(Finding(CHECK, f"{prediction.model}: not judged: {prediction.why}", "ok"))
             continue
         told = [b for b in prediction.bounds if b.can_tell]
         if told:
             words = ", ".join(f"{b.name} {_size(b)}" for b in told)
             found.append(
-                Finding(CHECK, "ok", f"{prediction.model}: can tell (bound predicted from the prior model): {words}")
+                Finding(CHECK, f"{prediction.model}: can tell (bound predicted from the prior model): {words}", "ok")
             )
         groups: dict[tuple[str, str], list[str]] = {}
         for b in prediction.bounds:
@@ -106,7 +107,7 @@ def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...
                 groups.setdefault((b.reason, b.manoeuvre), []).append(f"{b.name} ({_size(b)})")
         for (reason, manoeuvre), names in groups.items():
             text = f"{prediction.model}: cannot tell {', '.join(names)}: {reason}; would tell it: {manoeuvre}"
-            found.append(Finding(CHECK, "warn", text))
+            found.append(Finding(CHECK, text, "warn"))
     return tuple(found)
 
 

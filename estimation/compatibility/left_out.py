@@ -5,13 +5,12 @@ from estimation.compatibility.records import COLUMNS, shows_motion
 from estimation.engine.conditioned import Conditioned, conditioned, repaired
 from estimation.models.kinematic import MEASUREMENTS
 from groundstation.flight import Array, Flight
-from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.quality.report import Finding
+from groundstation.flight.findings import Finding, FindingKind
 
 CHECK = "left out"
 
 
-def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Note, ...]]:
+def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Finding, ...]]:
     """The flight as a check compares it, and what was left out of it.
 
     Outputs are NaN where they only repeat themselves; inputs, which are integrated, run on straight lines there.
@@ -30,19 +29,19 @@ def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tu
     return outputs.flight.with_columns(**columns), tuple(notes)
 
 
-def _compared(told: Conditioned, name: str) -> tuple[Array, list[Note]]:
+def _compared(told: Conditioned, name: str) -> tuple[Array, list[Finding]]:
     values, said = told.compared(name)
     return values, [
-        n for n in said if n.kind is not NoteKind.NOT_MEASURED
+        n for n in said if n.kind is not FindingKind.NOT_MEASURED
     ]  # gaps of a channel are the quality report's
 
 
-def _not_compared(flight: Flight, name: str) -> Note:
+def _not_compared(flight: Flight, name: str) -> Finding:
     if flight.measured(name):
-        return Note(NoteKind.STUCK, f"{name} is constant: not compared", ((name, name),))
-    return Note(NoteKind.NOT_MEASURED, f"{name} not measured: not compared", ((name, name),))
+        return Finding(FindingKind.STUCK, f"{name} is constant: not compared", columns=(name,))
+    return Finding(FindingKind.NOT_MEASURED, f"{name} not measured: not compared", columns=(name,))
 
 
-def left_out_findings(notes: tuple[Note, ...]) -> tuple[Finding, ...]:
+def left_out_findings(notes: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """One entry of the quality report for each thing left out."""
-    return tuple(Finding(CHECK, "ok" if n.kind is NoteKind.NOT_MEASURED else "warn", n.text) for n in notes)
+    return tuple(Finding(CHECK, n.text, "ok" if n.kind is FindingKind.NOT_MEASURED else "warn") for n in notes)

@@ -13,6 +13,7 @@ from estimation.models.base import Model
 from estimation.models.kinematic import ATTITUDE
 from estimation.signals.preprocess import noise_level
 from groundstation.flight import Flight
+from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
 
@@ -59,23 +60,19 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
     usable = whole & _flying(flight, notes)
     jumps = attitude_jumps(flight)
     found = []
-    for part in flight.segments:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
-        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
-            inside = [j for j in sorted(jumps) if a < j < b]
-            for first, last in zip([a, *inside], [*inside, b], strict=True):
-                if first in jumps:
-                    notes.append(
-                        f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
-                        "do not: the attitude filter was set anew; split there"
-                    )
-                begin = _begin(model, flight, z, slice(first, last), notes)
-                if last - begin >= SHORTEST:
-                    found.append(FilterRecord(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
-                else:
-                    notes.append(
-                        f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch"
-                    )
+    for a, b in true_runs(usable, flight.segments):
+        inside = [j for j in sorted(jumps) if a < j < b]
+        for first, last in zip([a, *inside], [*inside, b], strict=True):
+            if first in jumps:
+                notes.append(
+                    f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
+                    "do not: the attitude filter was set anew; split there"
+                )
+            begin = _begin(model, flight, z, slice(first, last), notes)
+            if last - begin >= SHORTEST:
+                found.append(FilterRecord(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
+            else:
+                notes.append(f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch")
     if not found:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(COLUMNS)} all measured"

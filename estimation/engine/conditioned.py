@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from estimation.engine.kernel import Array
 from estimation.engine.plausible import refuse_other_time_unit, wild
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import RepeatedValues, repeats
 
 KEEP = "--keep-held keeps them"
@@ -26,7 +26,7 @@ class Conditioned:
 
     flight: Flight
     found: Mapping[str, RepeatedValues]
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
     between: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def fresh(self, column: str) -> NDArray[np.bool_]:
@@ -40,23 +40,23 @@ class Conditioned:
         """(N,) samples at which a column's sensor is stuck."""
         return self.found[column].stuck if column in self.found else np.zeros(len(self.flight), bool)
 
-    def compared(self, column: str) -> tuple[Array, list[Note]]:
+    def compared(self, column: str) -> tuple[Array, list[Finding]]:
         """The column as an output: NaN where it shows no measurement; and what was left out, one note a reason."""
         values, notes = self.flight[column].copy(), []
         missing = int((~np.isfinite(values)).sum())
         if missing:
             text = f"{column} not measured at {missing} samples: not compared there"
-            notes.append(Note(NoteKind.NOT_MEASURED, text, ((column, column),)))
+            notes.append(Finding(FindingKind.NOT_MEASURED, text, columns=(column,)))
         notes += self.of_slow(column, "repeats are not compared")
         if column in self.between:
             count = int((np.isfinite(values) & ~self.between[column]).sum())
             text = f"{column} was logged more slowly: compared at {count} samples of its own, not at those drawn between them"
-            notes.append(Note(NoteKind.HELD, text, ((column, column),)))
+            notes.append(Finding(FindingKind.HELD, text, columns=(column,)))
         notes += self.of_stuck(column, f"not compared there; {KEEP}")
         values[~self.fresh(column) | self.stuck(column)] = np.nan
         return values, notes
 
-    def of_slow(self, column: str, what: str) -> list[Note]:
+    def of_slow(self, column: str, what: str) -> list[Finding]:
         """The note on a slow sensor, if it is one."""
         if column not in self.found or not self.found[column].slow:
             return []
@@ -65,9 +65,9 @@ class Conditioned:
             f"{column} is slower than the samples: new values come at {self.found[column].rate:.3g} Hz, {held} of "
             f"{len(self.flight)} samples repeat the last: {what}; {KEEP}"
         )
-        return [Note(NoteKind.HELD, text, ((column, column),))]
+        return [Finding(FindingKind.HELD, text, columns=(column,))]
 
-    def of_stuck(self, column: str, what: str) -> list[Note]:
+    def of_stuck(self, column: str, what: str) -> list[Finding]:
         """The note on a stuck sensor, if it is one."""
         still = self.stuck(column)
         if not still.any():
@@ -76,7 +76,7 @@ class Conditioned:
             f"{column} repeats one value for {int(still.sum())} samples from t = {self.flight.time[still][0]:g} s on, while "
             f"its noise or the other channels say that it must have moved: {what}"
         )
-        return [Note(NoteKind.STUCK, text, ((column, column),))]
+        return [Finding(FindingKind.STUCK, text, columns=(column,))]
 
 
 def conditioned(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> Conditioned:
@@ -159,11 +159,11 @@ def repaired(flight: Flight, columns: Iterable[str], *, keep_held: bool = False)
     return Conditioned(told.flight.with_columns(**changed), told.found, tuple(notes), told.between)
 
 
-def _wild_note(flight: Flight, name: str, off: NDArray[np.bool_]) -> Note:
+def _wild_note(flight: Flight, name: str, off: NDArray[np.bool_]) -> Finding:
     at = np.flatnonzero(off)
     count = f"{at.size} wild values" if at.size > 1 else "a wild value"
     text = (
         f"{name}: {count} left out, far beyond all others: {flight[name][at[0]]:.3g} at t = {flight.time[at[0]]:g} s"
         + (" first" if at.size > 1 else "")
     )
-    return Note(NoteKind.OUTLIER, text, ((name, name),))
+    return Finding(FindingKind.OUTLIER, text, columns=(name,))

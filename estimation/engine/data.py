@@ -20,7 +20,8 @@ from estimation.errors import DataError
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import denoise_many, noise_level
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind, once, unknown_columns
+from groundstation.flight.arrays import true_runs
+from groundstation.flight.findings import Finding, FindingKind, unknown_columns, without_repeats
 
 SHORTEST_SEGMENT = 8  # samples
 LONGEST_BRIDGE = 3  # missing input samples that a straight line may bridge
@@ -66,7 +67,7 @@ class FlightData:
     segments: tuple[Segment, ...]
     states: Array
     noise: Mapping[str, tuple[float, float]]
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
     absent_outputs: tuple[str, ...]
     errors: NDArray[np.float32] | None = None
 
@@ -124,7 +125,7 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     )
     if not segments:
         raise DataError(_nothing_left(model, flight))
-    return FlightData(flight.name, len(flight), segments, states, noise, once(notes), absent, errors)
+    return FlightData(flight.name, len(flight), segments, states, noise, without_repeats(notes), absent, errors)
 
 
 def _looked_at(model: Model) -> list[str]:
@@ -133,12 +134,16 @@ def _looked_at(model: Model) -> list[str]:
     return [*(s.source for s in (*model.inputs, *model.outputs, *model.states) if not s.computed), *starts]
 
 
-def _less_used(note: Note, model: Model) -> Note | None:
+def _less_used(note: Finding, model: Model) -> Finding | None:
     """The note on unknown columns without those that the model knows; None where none is left."""
-    if note.kind is not NoteKind.UNKNOWN_COLUMNS:
+    if note.kind is not FindingKind.UNKNOWN_COLUMNS:
         return note
     used = {s.source for s in (*model.states, *model.inputs, *model.outputs)}
-    left = {column: label for column, label in note.columns if column not in used}
+    left = {
+        column: label
+        for column, label in zip(note.columns, note.labels or note.columns, strict=True)
+        if column not in used
+    }
     return unknown_columns(left) if left else None
 
 
@@ -155,7 +160,7 @@ def _missing_optional(flight: Flight, signal: Signal) -> bool:
     return signal.optional and not flight.measured(signal.source)
 
 
-def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[Note]) -> list[tuple[int, int]]:
+def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[Finding]) -> list[tuple[int, int]]:
     """Index ranges without a gap, a segment border or a long hole in an input."""
     usable = np.ones(len(flight), bool)
     for signal in inputs:
@@ -166,18 +171,17 @@ def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[Note]) -> list
             holes = _long_holes(~np.isfinite(flight[source]), flight.segment)
             if holes.any():
                 notes.append(
-                    Note(NoteKind.LEFT_OUT, f"{source} not measured at {int(holes.sum())} samples: those left out")
+                    Finding(
+                        FindingKind.LEFT_OUT, f"{source} not measured at {int(holes.sum())} samples: those left out"
+                    )
                 )
             usable &= ~holes
-    ranges = []
-    for part in flight.segments:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
-        ranges += [(part.start + int(a), part.start + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    ranges = true_runs(usable, flight.segments)
     short = [(a, b) for a, b in ranges if b - a < SHORTEST_SEGMENT]
     if short:
         lost = sum(b - a for a, b in short)
         text = f"{len(short)} stretches shorter than {SHORTEST_SEGMENT} samples left out ({lost} samples)"
-        notes.append(Note(NoteKind.LEFT_OUT, text))
+        notes.append(Finding(FindingKind.LEFT_OUT, text))
     return [r for r in ranges if r not in short]
 
 
@@ -186,8 +190,7 @@ def _long_holes(missing: np.ndarray, segment: np.ndarray) -> np.ndarray:  # type
     if not missing.any():
         return missing
     result = np.zeros_like(missing)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
+    for a, b in true_runs(missing):
         at_border = a == 0 or b == missing.size or segment[a - 1] != segment[b]
         if b - a > LONGEST_BRIDGE or at_border:
             result[a:b] = True
@@ -200,7 +203,7 @@ def _inputs(
     pieces: list[tuple[int, int]],
     preparation: Preparation,
     noise: dict[str, tuple[float, float]],
-    notes: list[Note],
+    notes: list[Finding],
 ) -> tuple[Array, NDArray[np.float32] | None]:
     """(samples, nu) inputs, de-noised piece by piece, NaN outside the pieces; and `FlightData.errors`."""
     flight = told.flight
@@ -210,7 +213,7 @@ def _inputs(
     ] = {}  # of each measured input: the samples of each piece that were measured
     for i, signal in enumerate(model.inputs):
         if _missing_optional(flight, signal):
-            notes.append(Note(NoteKind.NOT_MEASURED, f"{signal.source} not measured: taken as zero"))
+            notes.append(Finding(FindingKind.NOT_MEASURED, f"{signal.source} not measured: taken as zero"))
             u[:, i] = 0.0
         elif flight.measured(signal.source):
             rows[i] = [_rows(told, signal.source, a, b) for a, b in pieces]
@@ -227,7 +230,7 @@ def _inputs(
     errors = np.zeros((*u.shape, draws), np.float32)
     rng = np.random.default_rng(SEED)
     if not preparation.denoise:
-        notes.append(Note(NoteKind.OTHER, "measured inputs taken with their noise"))
+        notes.append(Finding(FindingKind.OTHER, "measured inputs taken with their noise"))
         _draw_noise(u, errors, rows, pieces, names, noise, rng)
         return u, errors if draws else None
     for order in (1, 2):
@@ -242,7 +245,7 @@ def _without_noise(flight: Flight, signal: Signal) -> bool:
     return signal.computed or flight.held(signal.source) is not None
 
 
-def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]) -> list[Note]:
+def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]) -> list[Finding]:
     """A note on the inputs that lack samples between others of a piece, those that lack as many together."""
     lacking: dict[int, list[str]] = {}
     for column, values in columns:
@@ -250,8 +253,8 @@ def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]
     lacking.pop(0, None)
     every = sum(b - a for a, b in pieces)
     return [
-        Note(
-            NoteKind.NOT_MEASURED,
+        Finding(
+            FindingKind.NOT_MEASURED,
             f"{', '.join(names)} not measured at {absent} samples here and there ({100.0 * absent / every:.2g}%): "
             "taken on straight lines",
         )
@@ -325,7 +328,7 @@ def _denoise_columns(
 
 
 def _outputs(
-    model: Model, told: Conditioned, pieces: list[tuple[int, int]], notes: list[Note]
+    model: Model, told: Conditioned, pieces: list[tuple[int, int]], notes: list[Finding]
 ) -> tuple[Array, tuple[str, ...]]:
     flight = told.flight
     z = np.full((len(flight), len(model.outputs)), np.nan)
@@ -337,13 +340,13 @@ def _outputs(
         elif signal.source in DERIVED and not _missing_optional(flight, signal):
             z[:, i] = derived(flight, signal.source, pieces, notes)
         else:
-            notes.append(Note(NoteKind.NOT_MEASURED, f"{signal.source} not measured: not compared"))
+            notes.append(Finding(FindingKind.NOT_MEASURED, f"{signal.source} not measured: not compared"))
             absent.append(signal.name)
             continue
         finite = z[np.isfinite(z[:, i]), i]
         if finite.size > SHORTEST_SEGMENT and np.ptp(finite) <= FLAT:
             text = f"{signal.source} stands still at {finite[0]:g}: a dead channel, not compared"
-            notes.append(Note(NoteKind.STUCK, text))
+            notes.append(Finding(FindingKind.STUCK, text))
             absent.append(signal.name)
             z[:, i] = np.nan
     if len(absent) == len(model.outputs):

@@ -11,7 +11,7 @@ from estimation.errors import DataError
 from estimation.signals.preprocess import denoise
 from groundstation.flight import Flight
 from groundstation.flight.atmosphere import density, density_at_altitude, density_at_pressure, is_of_the_air
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 
 
 def bridged(values: Array) -> Array:
@@ -52,7 +52,7 @@ def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
     return flight.with_columns(**{n: derived(flight, n, segments, []) for n in lacking}) if lacking else flight
 
 
-def derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: list[Note]) -> Array:
+def derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: list[Finding]) -> Array:
     """(N,) the column made piece by piece in the best way there is, NaN outside the pieces; said in `notes`.
 
     Raises MissingColumnError naming the ways where the flight has no columns for any, DataError where what comes out cannot be
@@ -68,7 +68,7 @@ def derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: lis
         result[a:b] = way.build(flight.time[a:b], *(flight[n][a:b] for n in way.needs))
     origin = " and ".join(way.needs)
     _refuse_impossible_result(flight, name, origin, result)
-    notes.append(Note(NoteKind.DERIVED, f"{name} derived from {origin}"))
+    notes.append(Finding(FindingKind.DERIVED, f"{name} derived from {origin}"))
     return result
 
 

@@ -13,7 +13,7 @@ from daq.contract.constants import RADIAN
 from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import STUCK_SAMPLES, repeats, span_of
 
 FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
@@ -38,7 +38,7 @@ SAME_UNITS = {
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6}
 
 
-def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[Note]) -> None:
+def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[Finding]) -> None:
     """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
 
     driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
@@ -84,13 +84,13 @@ def _plain_unit(unit: str) -> str:
     return SAME_UNITS.get(text, text)
 
 
-def _angle(flight: Flight, name: str, values: Array, notes: list[Note]) -> None:
+def _angle(flight: Flight, name: str, values: Array, notes: list[Finding]) -> None:
     size = float(np.quantile(np.abs(values), 0.99))
     if name in FOLDED:
         _refuse_degrees(flight, name, size, 0.5 * np.pi, "rad")
         if name != "theta" and size > LARGE:
             text = f"{name} reaches {size:.2g} rad ({size * RADIAN:.0f} deg): make sure that it is in radians"
-            notes.append(Note(NoteKind.UNLIKELY, text))
+            notes.append(Finding(FindingKind.UNLIKELY, text))
     elif name in TURNING and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
         _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
 

@@ -19,7 +19,7 @@ from estimation.engine.edges import clocked_controls
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Estimate, Result, finite
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this
 INTERVALS = 0.5  # of a sample interval: what an edge on the clock leaves open
@@ -99,7 +99,7 @@ def in_own_terms(result: Result, model: Model) -> Result:
     if not names:
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
-    notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
+    notes = tuple(Finding(FindingKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
     stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
     return without(stated, model, set(e) - set(model.free_names), {"input_paths": paths})
 

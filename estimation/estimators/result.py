@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimation.estimators.gauss_newton import Status
 from estimation.models.base import Model
 from estimation.signals.goodness_of_fit import ChannelFit
-from groundstation.flight.notes import Note
+from groundstation.flight.findings import Finding
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class FlightFit:
     initial_states: tuple[Array, ...]
     local: Mapping[str, Estimate]
     fit: Mapping[str, ChannelFit]
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)

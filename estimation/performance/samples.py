@@ -16,6 +16,7 @@ from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.signals.preprocess import denoise, noise_level
 from groundstation.flight import Flight
+from groundstation.flight.arrays import true_runs
 
 NEEDED = ("V", "alpha", "ax", "az", "rho")
 CLOSED = 0.02  # of the throttle's range: dead band of a stick and rounding of PWM
@@ -115,8 +116,7 @@ def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
 
 def _runs(told: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
     """Stretches of enough samples in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], told[start:stop], [False]]).astype(int)))
-    return [slice(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]
+    return [slice(a, b) for a, b in true_runs(told, [slice(start, stop)]) if b - a >= LEAST]
 
 
 def _stretch(

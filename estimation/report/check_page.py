@@ -19,7 +19,7 @@ from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, 
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
-    from groundstation.flight.quality.report import Finding
+    from groundstation.flight.findings import Finding
 
 UNITS = {"V": "m/s"}
 RECONSTRUCTED = "#0072B2"
@@ -46,7 +46,7 @@ def write_check_report(
     findings = [(f.name, list(found)) for f, found in zip(flights, quality, strict=True)]
     told = [r.flights[0] for r in own]
     write_all(list(tables.values()), folder / "tables")
-    counts = [f.verdict for _, found in findings for f in found]
+    counts = [f.severity for _, found in findings for f in found]
     return write_page(
         folder / "index.html",
         "check.html.j2",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimation.engine.data import SHORTEST_SEGMENT
 from estimation.errors import EstimationError
 from groundstation.flight import Flight
-from groundstation.flight.stretches import is_times, where
+from groundstation.flight.stretches import is_times, stretches_where
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:
@@ -46,7 +46,7 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
     if text is None:
         return flight
     if not is_times(text):
-        found = where(flight, text)
+        found = stretches_where(flight, text)
         return _cut(flight, found.label, found.notes)
     label = np.full(len(flight), -1, np.int64)
     for i, (part, (a, b)) in enumerate(spans_of(text).items()):

@@ -11,7 +11,7 @@ from estimation.models.library import BUILDERS
 from estimation.session.verdict import TRUSTED_RECONSTRUCTED
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import Contradiction, contradictions
-from groundstation.flight.quality.rates import too_slow
+from groundstation.flight.quality.noise import too_slow
 
 RECONSTRUCTION = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "vn", "ve", "vd")
 """Needed for `sideslip reconstruct`, with one of AIRSPEED."""

@@ -22,9 +22,9 @@ from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import contradictions
+from groundstation.flight.quality.noise import too_slow
 from groundstation.flight.quality.plausibility import suspicions
-from groundstation.flight.quality.rates import too_slow
-from groundstation.flight.quality.same_record import one_record_twice
+from groundstation.flight.quality.repeats import one_record_twice
 
 Outcome = Result | UserError | NumericalFailure
 """What a method leaves of one flight: an answer, or why there is none."""

@@ -15,7 +15,7 @@ from estimation.session.verdict import Verdict
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import StructureTest
 from groundstation.flight import Flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import finding_texts
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,10 @@ class FlightEstimates:
     def notes(self) -> tuple[str, ...]:
         """Sentences on what was done to the data, and on what of the first method's answer asks for a second look."""
         first = self._first
-        return (*texts((self.flight if first is None else first.flights[0]).notes), *(d.text for d in self.doubts))
+        return (
+            *finding_texts((self.flight if first is None else first.flights[0]).notes),
+            *(d.text for d in self.doubts),
+        )
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:

@@ -16,8 +16,8 @@ from estimation.estimators.arithmetic import NumericalFailure, numerical_failure
 from estimation.estimators.equation_error import equation_error
 from estimation.models.base import Model
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.windows import summed
+from groundstation.flight.arrays import integral
+from groundstation.flight.findings import Finding, FindingKind
 
 KINEMATIC = "beta_kinematic"
 MODELS = ("lateral", "lateral-simple")
@@ -47,7 +47,7 @@ def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequ
         replace(s, start=0.0) if s.source in columns and s.start is None and not s.held else s for s in model.states
     )
     stated = [
-        f.with_notes(*(Note(NoteKind.NOT_MEASURED, LACKING[n]) for n in names)) if names else f
+        f.with_notes(*(Finding(FindingKind.NOT_MEASURED, LACKING[n]) for n in names)) if names else f
         for f, names in zip(flights, absent, strict=True)
     ]
     slim = replace(model, outputs=outputs, states=states)
@@ -80,7 +80,7 @@ def kinematic_sideslip(flight: Flight) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = p * np.sin(alpha) - r * np.cos(alpha) + (ay + GRAVITY * np.cos(theta) * np.sin(phi)) / V
         if rate.size > 2 and np.isfinite(rate).all():
-            beta[part] = detrend(summed(flight.time[part], rate))
+            beta[part] = detrend(integral(flight.time[part], rate))
     return beta
 
 

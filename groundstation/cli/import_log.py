@@ -77,7 +77,7 @@ def import_(
         raise click.UsageError("Missing option '-o' / '--output'")
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible)
     if aircraft is not None:
-        from groundstation.importers.aircraft import with_aircraft
+        from groundstation.importers.records import with_aircraft
 
         flight = with_aircraft(flight, aircraft)
         if output.suffix.lower() == ".csv":
@@ -100,7 +100,7 @@ def _advise(
     services: "Services", data: tuple[Path, ...], mapping: Path | None, rate: float | None, report: Path | None
 ) -> None:
     """Print what can be done with a log, and its servo outputs; report: a JSON to write."""
-    from groundstation.importers.recipe import servo_outputs
+    from groundstation.importers.about import servo_outputs
     from groundstation.importers.run import import_data
 
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=True)
@@ -114,9 +114,9 @@ def _advise(
         click.echo(
             "which surface each servo moves, with trim and travel, goes into a mapping: see the example maps in docs/import.md"
         )
-    parameters = ({ending.lower(): value for ending, value in o.stated.items()} for o in outputs)
+    parameters = ({ending.lower(): value for ending, value in o.parameters.items()} for o in outputs)
     servos = [
-        {"name": o.name, "low": o.low, "high": o.high, "usual": o.usual, **stated_parameters}
+        {"name": o.name, "low": o.low, "high": o.high, "usual": o.median, **stated_parameters}
         for o, stated_parameters in zip(outputs, parameters, strict=True)
     ]
     write_json(report, {**advice.to_json(), "servo_outputs": servos})

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from daq.contract.durable import whole
 from groundstation.flight import Array, Flight, FlightError
 from groundstation.flight.tables import ColumnTable, TableColumn
-from groundstation.flight.utc import offset_in, stamps
+from groundstation.flight.writing import provenance_utc_offset, utc_stamps
 
 
 def utc_offset(flight: Flight) -> float | None:
     """UTC minus flight time [s]; None where the flight does not know UTC."""
-    return offset_in(flight.provenance.detail)
+    return provenance_utc_offset(flight.provenance.detail)
 
 
 def stamps_ns(flight: Flight) -> NDArray[np.int64]:
     """(N,) nanoseconds: UTC since 1970 where known, else flight time; never negative, rising with the samples."""
-    return stamps(flight.time, utc_offset(flight))
+    return utc_stamps(flight.time, utc_offset(flight))
 
 
 UTC_COLUMN = "utc_time"

@@ -13,8 +13,9 @@ from daq.contract.recordings.recording import RecordingError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import Flight, FlightError, write_flight
-from groundstation.flight.manoeuvres import ManoeuvreStretch, cut, find_manoeuvres
-from groundstation.flight.quality.report import Finding, quality_report
+from groundstation.flight.findings import Finding
+from groundstation.flight.manoeuvres import ManoeuvreStretch, cut_to_manoeuvres, find_manoeuvres
+from groundstation.flight.quality.report import quality_report
 from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Handover:
         seconds = self.flight.time[-1] - self.flight.time[0]
         lines = [f"flight {self.path}: {len(self.flight)} samples, {seconds:.1f} s, from {self.origin}"]
         lines += [f"  manoeuvre {m.start:7.1f} to {m.stop:7.1f} s  {m.title}" for m in self.manoeuvres]
-        lines += [f"  {f.verdict}: {f.check}: {f.text}" for f in self.findings if f.verdict != "ok"]
+        lines += [f"  {f.severity}: {f.kind}: {f.text}" for f in self.findings if f.severity != "ok"]
         return lines
 
 
@@ -87,7 +88,7 @@ def hand_over(
     write_flight(flight, path)
     manoeuvres_path = folder / f"{name}_manoeuvres.mcap" if manoeuvres else None
     if manoeuvres_path is not None:
-        write_flight(cut(flight, manoeuvres, manoeuvres_path.stem), manoeuvres_path)
+        write_flight(cut_to_manoeuvres(flight, manoeuvres, manoeuvres_path.stem), manoeuvres_path)
     handover = Handover(path, manoeuvres_path, flight, manoeuvres, findings, origin)
     summary = {"flight": str(path), "origin": origin, "manoeuvres": listed, "quality": [f.to_json() for f in findings]}
     write_json(summary, folder / f"{name}.json")

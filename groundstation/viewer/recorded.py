@@ -14,7 +14,7 @@ from daq.identification.airframe import EQUATIONS
 from groundstation.calibration.recording import calibrate_opened, is_raw, open_flight, open_recording
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.marks import marks_of
-from groundstation.flight.rerun_file import rerun_file
+from groundstation.flight.writing import rerun_file
 from groundstation.identification.history import history_of
 from groundstation.live.readouts import READOUTS
 from groundstation.viewer import entities as e

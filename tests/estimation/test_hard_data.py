@@ -21,7 +21,7 @@ from estimation.session.flights import select_segments, separated
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import finding_texts
 
 LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]
@@ -165,7 +165,7 @@ def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:
     column = LATERAL.input_names.index("delta_a")
     assert np.array_equal(data.segments[0].u[:, column], made_flights[0]["delta_a"])
     assert data.noise["delta_a"][0] > 0.0
-    assert "measured inputs taken with their noise" in texts(data.notes)
+    assert "measured inputs taken with their noise" in finding_texts(data.notes)
 
 
 def test_noise_left_in_inputs_is_in_the_corrected_bound(made_flights: list[Flight]) -> None:
@@ -250,7 +250,7 @@ def density_found(flight: Flight, **columns: np.ndarray) -> tuple[np.ndarray, li
     air = ("rho", "altitude", "p_dynamic", "p_static", "temperature")
     rest = {n: v for n, v in flight.columns.items() if n not in air}
     data = prepare(LATERAL, Flight.build("climb", flight.time, {**rest, **columns}))
-    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), texts(data.notes)
+    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), finding_texts(data.notes)
 
 
 def test_density_comes_from_pressure_and_temperature_before_the_standard_atmosphere(made_flights: list[Flight]) -> None:

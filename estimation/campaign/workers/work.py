@@ -111,7 +111,7 @@ def _bad_quality(flight: Flight) -> str:
     """What of the data is not usable at all, empty where nothing is."""
     from groundstation.flight.quality.report import quality_report
 
-    words = [f"{f.check}: {f.text}" for f in quality_report(flight) if f.verdict == "fail"]
+    words = [f"{f.kind}: {f.text}" for f in quality_report(flight) if f.severity == "fail"]
     return f"{flight.name}: {'; '.join(words)}" if words else ""
 
 

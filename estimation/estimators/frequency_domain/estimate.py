@@ -26,7 +26,7 @@ from estimation.estimators.uncertainty import estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 
 NAME = "ml-frequency"
 LOW = 0.1  # Hz; below, gusts and drifts are larger than what manoeuvres of a few seconds leave
@@ -102,7 +102,7 @@ def _long_enough(flight: FlightData, band: Band) -> FlightData:
     if len(kept) == len(flight.segments):
         return flight
     text = f"{len(flight.segments) - len(kept)} stretches too short to be transformed: left out by ml-frequency"
-    return replace(flight, segments=kept, notes=(*flight.notes, Note(NoteKind.LEFT_OUT, text)))
+    return replace(flight, segments=kept, notes=(*flight.notes, Finding(FindingKind.LEFT_OUT, text)))
 
 
 def _enough(problem: FrequencyProblem) -> None:

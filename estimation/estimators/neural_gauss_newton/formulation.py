@@ -25,7 +25,7 @@ from estimation.estimators.neural_gauss_newton.samples import (
 )
 from estimation.models.base import Model
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.findings import Finding, FindingKind
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -104,7 +104,7 @@ class TrainingRows:
     z: torch.Tensor
     held_out: torch.Tensor
     block: Index
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
 
     @classmethod
     def build(cls, axis: Axis, flights: Sequence[Flight], form: Form) -> "TrainingRows":
@@ -116,7 +116,7 @@ class TrainingRows:
         found: list[SampleStretch] = []
         owner: list[int] = []
         notes = [
-            Note(NoteKind.NOT_MEASURED, f"{c} is not measured, or not throughout: the network does without it")
+            Finding(FindingKind.NOT_MEASURED, f"{c} is not measured, or not throughout: the network does without it")
             for c in missing
         ]
         for i, flight in enumerate(flights):
@@ -147,14 +147,14 @@ class TrainingRows:
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
 
 
-def _unused(flight: Flight, found: Sequence[SampleStretch]) -> list[Note]:
+def _unused(flight: Flight, found: Sequence[SampleStretch]) -> list[Finding]:
     """A note where much of a flight cannot be used."""
     used = sum(len(s.u) + max(s.window, 1) for s in found)
     if used >= (1.0 - COSTLY) * len(flight):
         return []
     return [
-        Note(
-            NoteKind.LEFT_OUT,
+        Finding(
+            FindingKind.LEFT_OUT,
             f"{flight.name}: the networks saw {used} of {len(flight)} samples; elsewhere a channel is missing, or the "
             f"stretch is shorter than {SHORTEST}",
         )

@@ -22,7 +22,7 @@ from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
 from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note
+from groundstation.flight.findings import Finding
 
 if TYPE_CHECKING:
     from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution
@@ -92,7 +92,7 @@ def _flight(
     index: int,
     unknowns: FlightUnknowns,
     solution: "NeuralSolution",
-    notes: tuple[Note, ...],
+    notes: tuple[Finding, ...],
 ) -> FlightFit:
     own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
     names = tuple(unknowns.names[i] for i in own)

@@ -22,6 +22,7 @@ from estimation.errors import DataError
 from estimation.estimators.neural_gauss_newton.axes import Axis, dynamic_pressure
 from estimation.signals.preprocess import denoise_many
 from groundstation.flight import Flight
+from groundstation.flight.arrays import true_runs
 
 Array = NDArray[np.float64]
 Form = Literal["point", "interval"]
@@ -101,7 +102,7 @@ def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -
     known = np.asarray(np.isfinite(table).all(axis=1))
     found = []
     for part in flight.segments:
-        for start, stop in _runs(known[part]):
+        for start, stop in true_runs(known[part]):
             if stop - start >= SHORTEST:
                 rows = slice(part.start + start, part.start + stop)
                 signals = {c: flight[c][rows] for c in columns}
@@ -112,11 +113,6 @@ def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -
             "Neural Gauss-Newton needs one"
         )
     return found
-
-
-def _runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _stretch(

@@ -30,7 +30,7 @@ from estimation.gap.significance.omnibus import restless_times
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance, write_flight
-from groundstation.flight.quality.same_record import one_record_twice
+from groundstation.flight.quality.repeats import one_record_twice
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
 
