@@ -188,7 +188,7 @@ def test_received_recording(card: MountedCard) -> None:
         recorder.write()
         for n in range(20, 40):
             recorder.complete(encode_scan(make_scan(n)))
-        recorder.journal.flush()
+        recorder.journal.file.flush()
 
     def check(folder: Path, finished: bool) -> None:
         with pytest.raises(OSError):
