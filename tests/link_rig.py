@@ -158,7 +158,7 @@ class Rig:
         """Let the ground take what has arrived."""
         return self.ground.poll()
 
-    def findings(self, kind: ev.FindingKind) -> list[ev.ReceptionFinding]:
+    def findings(self, kind: ev.ReceptionFindingKind) -> list[ev.ReceptionFinding]:
         return [e for e in self.events if isinstance(e, ev.ReceptionFinding) and e.kind is kind]
 
     def fly(self, scans: int, make: Callable[[int], Scan]) -> None:

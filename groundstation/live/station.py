@@ -108,7 +108,7 @@ class Station:
             case ev.ScanFetched(session=session, data=data):
                 self.identifications.take_fetched(session, data, self.monitor(session.system))
             case ev.ReceptionFinding(system=system) if system not in self.monitors:
-                if event.kind is not ev.FindingKind.REFUSED:
+                if event.kind is not ev.ReceptionFindingKind.REFUSED:
                     source = f"aircraft {system}" if system else "ground station"
                     self._note(f"{'':10}    {source}  WARN {event.text}")
             case ev.StatusText() | ev.CommandResult() | ev.ManoeuvreSent() | ev.ReceptionFinding():

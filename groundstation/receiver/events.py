@@ -178,7 +178,7 @@ class ManoeuvreSent:
     received_ns: int
 
 
-class FindingKind(StrEnum):
+class ReceptionFindingKind(StrEnum):
     """Why something that came is not used, or not trusted (`groundstation.receiver.findings`)."""
 
     REFUSED = "refused"
@@ -196,7 +196,7 @@ class ReceptionFinding:
     first: nothing had been reported of it before.
     """
 
-    kind: FindingKind
+    kind: ReceptionFindingKind
     system: int
     subject: str
     detail: str
@@ -208,11 +208,11 @@ class ReceptionFinding:
     @property
     def text(self) -> str:
         match self.kind:
-            case FindingKind.REFUSED:
+            case ReceptionFindingKind.REFUSED:
                 return f"refused {self.count} x {self.subject}: {self.detail}"
-            case FindingKind.DOUBTED:
+            case ReceptionFindingKind.DOUBTED:
                 return f"not believed: {self.count} {self.subject}"
-            case FindingKind.QUARANTINED:
+            case ReceptionFindingKind.QUARANTINED:
                 return f"{self.subject} not used: {self.detail}"
         fate = "both are used" if self.used else f"{self.count} frames not used"
         return (

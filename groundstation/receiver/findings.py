@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from daq.contract.plain_words import one_line
 from groundstation.receiver import events as ev
-from groundstation.receiver.events import FindingKind
+from groundstation.receiver.events import ReceptionFindingKind
 from groundstation.receiver.timeline import NS
 
 REPORT_EVERY_NS = 5 * NS
@@ -52,36 +52,38 @@ class ReceptionFindings:
     """Counts by kind, system id and subject; each is in a report sooner or later, at most every five seconds."""
 
     def __init__(self) -> None:
-        self._rows: dict[FindingKind, dict[tuple[int, str], _FindingRow]] = {kind: {} for kind in FindingKind}
+        self._rows: dict[ReceptionFindingKind, dict[tuple[int, str], _FindingRow]] = {
+            kind: {} for kind in ReceptionFindingKind
+        }
         self._second_senders: Counter[int] = Counter()
 
     def doubt(self, system: int, what: str, count: int = 1) -> None:
         """Something was not believed; with count 0 nothing was."""
         if count:
-            self._count(FindingKind.DOUBTED, system, what, what, "", count)
+            self._count(ReceptionFindingKind.DOUBTED, system, what, what, "", count)
 
     def refuse(self, system: int, component: int, message: str, why: str) -> None:
         """A frame that is not used because of its signature."""
-        rows, key = self._rows[FindingKind.REFUSED], f"{component} {why}"
+        rows, key = self._rows[ReceptionFindingKind.REFUSED], f"{component} {why}"
         if (system, key) in rows or len(rows) < _MAX_REFUSED:
-            self._count(FindingKind.REFUSED, system, key, message, why).subject = message
+            self._count(ReceptionFindingKind.REFUSED, system, key, message, why).subject = message
 
     def contest(self, system: int, sender: str, heard_from: str, *, used: bool) -> None:
         """A frame of a second sender. used: all the same, because it came by another port."""
-        if (system, sender) not in self._rows[FindingKind.CONTESTED]:
+        if (system, sender) not in self._rows[ReceptionFindingKind.CONTESTED]:
             if self._second_senders[system] < _MAX_SECOND_SENDERS:
                 self._second_senders[system] += 1
             else:
                 sender = "further senders"
-        row = self._count(FindingKind.CONTESTED, system, sender, sender, heard_from)
+        row = self._count(ReceptionFindingKind.CONTESTED, system, sender, sender, heard_from)
         row.detail, row.used = heard_from, used
 
     def quarantine(self, system: int, what: str, why: str) -> None:
         """Something of a sender that is not used, and why; reported the first time that it comes."""
-        rows, key = self._rows[FindingKind.QUARANTINED], one_line(what, LONGEST_WHY)
+        rows, key = self._rows[ReceptionFindingKind.QUARANTINED], one_line(what, LONGEST_WHY)
         if (system, key) not in rows and len(rows) >= MAX_NAMES:
             key, why = OTHERS, f"more than {MAX_NAMES} of them were refused"
-        self._count(FindingKind.QUARANTINED, system, key, key, one_line(why, LONGEST_WHY))
+        self._count(ReceptionFindingKind.QUARANTINED, system, key, key, one_line(why, LONGEST_WHY))
 
     def quarantine_error(self, system: int, what: str, error: Exception) -> None:
         """Something of a sender at which our own work failed."""
@@ -96,14 +98,14 @@ class ReceptionFindings:
             self.quarantine_error(system, what, error)
 
     def _count(
-        self, kind: FindingKind, system: int, key: str, subject: str, detail: str, count: int = 1
+        self, kind: ReceptionFindingKind, system: int, key: str, subject: str, detail: str, count: int = 1
     ) -> _FindingRow:
         row = self._rows[kind].setdefault((system, key), _FindingRow(subject, detail))
         row.count += count
         row.unreported += count
         return row
 
-    def reports(self, now_ns: int, *kinds: FindingKind) -> list[ev.ReceptionFinding]:
+    def reports(self, now_ns: int, *kinds: ReceptionFindingKind) -> list[ev.ReceptionFinding]:
         """What is due to be reported."""
         reports = []
         for kind in kinds:
@@ -112,7 +114,7 @@ class ReceptionFindings:
                     continue
                 first = row.reported_ns is None
                 if row.reported_ns is not None and (
-                    kind is FindingKind.QUARANTINED or now_ns - row.reported_ns < REPORT_EVERY_NS
+                    kind is ReceptionFindingKind.QUARANTINED or now_ns - row.reported_ns < REPORT_EVERY_NS
                 ):
                     continue
                 reports.append(
@@ -125,16 +127,16 @@ class ReceptionFindings:
 
     def total_doubted(self, what: str) -> int:
         """How often a kind of doubt has come."""
-        return sum(row.count for (_, key), row in self._rows[FindingKind.DOUBTED].items() if key == what)
+        return sum(row.count for (_, key), row in self._rows[ReceptionFindingKind.DOUBTED].items() if key == what)
 
     def doubted(self) -> list[dict[str, str | int]]:
         """All doubts, as `ground --json` lists them."""
-        rows = self._rows[FindingKind.DOUBTED].items()
+        rows = self._rows[ReceptionFindingKind.DOUBTED].items()
         return [{"system": system, "what": what, "count": row.count} for (system, what), row in rows]
 
     def quarantined(self) -> list[dict[str, str | int]]:
         """All quarantined things, as `ground --json` lists them."""
-        rows = self._rows[FindingKind.QUARANTINED].items()
+        rows = self._rows[ReceptionFindingKind.QUARANTINED].items()
         return [{"system": s, "what": what, "why": row.detail, "count": row.count} for (s, what), row in rows]
 
     def second_senders(self, aircraft: int) -> list[dict[str, str | int | bool]]:
@@ -147,7 +149,7 @@ class ReceptionFindings:
                 "used": row.used,
                 "frames": 0 if row.used else row.count,
             }
-            for (system, sender), row in self._rows[FindingKind.CONTESTED].items()
+            for (system, sender), row in self._rows[ReceptionFindingKind.CONTESTED].items()
             if system == aircraft
         ]
 

@@ -22,7 +22,7 @@ from groundstation.receiver.aircraft import TrackedAircraft
 from groundstation.receiver.backfill import Mode
 from groundstation.receiver.commands import Commander
 from groundstation.receiver.downloads import LogFetcher
-from groundstation.receiver.events import FindingKind
+from groundstation.receiver.events import ReceptionFindingKind
 from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import FrameInput, Sender
 from groundstation.receiver.link_quality import counters
@@ -95,11 +95,11 @@ class Receiver:
                     self._take_frame(frame, sender, now_ns, utc, events)
                 except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
                     self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
-            events += [*self.findings.reports(now_ns, FindingKind.REFUSED), *self._contests(now_ns)]
+            events += [*self.findings.reports(now_ns, ReceptionFindingKind.REFUSED), *self._contests(now_ns)]
             self._record(events)
             with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
                 self._send_due(now_ns, events)
-            events += self.findings.reports(now_ns, FindingKind.DOUBTED, FindingKind.QUARANTINED)
+            events += self.findings.reports(now_ns, ReceptionFindingKind.DOUBTED, ReceptionFindingKind.QUARANTINED)
             return events + self.faults.changes(now_ns)
 
     @property
@@ -176,7 +176,7 @@ class Receiver:
 
     def _contests(self, now_ns: int) -> list[ev.ReceptionFinding]:
         """Second senders that are to be reported; the first time of each is put into the recording."""
-        reports = self.findings.reports(now_ns, FindingKind.CONTESTED)
+        reports = self.findings.reports(now_ns, ReceptionFindingKind.CONTESTED)
         for report in reports:
             aircraft = self._aircraft[report.system]
             accounting = aircraft.decoder.accounting

@@ -55,7 +55,7 @@ def test_one_forged_number_costs_nothing_and_the_aircraft_goes_on(tmp_path: Path
     assert books.lost == []
     assert books.unknown == []
     assert summary["scans_doubted"] == 1
-    assert [e.count for e in rig.findings(ev.FindingKind.DOUBTED)] == [1]
+    assert [e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)] == [1]
     rig.close()
 
 
@@ -138,7 +138,7 @@ def test_runs_of_scans_that_nobody_contradicts_are_bounded_too(tmp_path: Path) -
             rig.events += rig.look()
     made = list(tmp_path.glob("*.journal"))
     assert 8 <= len(made) <= 8 + 1 + 240 // 60
-    assert any(e.subject.startswith("restarts") for e in rig.findings(ev.FindingKind.DOUBTED))
+    assert any(e.subject.startswith("restarts") for e in rig.findings(ev.ReceptionFindingKind.DOUBTED))
     rig.close()
 
 
@@ -155,7 +155,7 @@ def test_reports_and_maps_of_numbers_out_of_reach_are_not_believed(tmp_path: Pat
     rig.rest(12)
     (books,) = rig.ground.accounting()
     assert (books.last, books.lost, books.unknown) == (199, [], [])
-    assert sum(e.count for e in rig.findings(ev.FindingKind.DOUBTED)) >= 3000
+    assert sum(e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)) >= 3000
     rig.close()
 
 
@@ -170,7 +170,7 @@ def test_floods_of_events_and_texts_are_cut_and_counted(tmp_path: Path) -> None:
     kept = [e for e in rig.events if isinstance(e, ev.EventMarked | ev.StatusText)]
     assert len(kept) <= 120
     fly(rig, 200)
-    assert sum(e.count for e in rig.findings(ev.FindingKind.DOUBTED)) == 10_000 - len(kept)
+    assert sum(e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)) == 10_000 - len(kept)
     rig.close()
 
 
@@ -182,7 +182,7 @@ def test_systems_beyond_what_can_be_served_are_refused_and_told(tmp_path: Path) 
     fly(rig, 20)
     assert len(rig.ground.systems) == MAX_OF_ONE_SENDER
     assert 1 in rig.ground.systems
-    assert sum(e.count for e in rig.findings(ev.FindingKind.DOUBTED)) == 249 - MAX_OF_ONE_SENDER
+    assert sum(e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)) == 249 - MAX_OF_ONE_SENDER
     rig.close()
 
 

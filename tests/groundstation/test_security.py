@@ -170,7 +170,7 @@ def test_forged_frames_do_nothing_at_the_ground_and_every_one_is_told_of(tmp_pat
     fly(2)
     rig._ground.write(FrameEncoder(1, 1).message("STATUSTEXT", severity=0, text="once more"))
     fly(160)
-    refused = rig.findings(ev.FindingKind.REFUSED)
+    refused = rig.findings(ev.ReceptionFindingKind.REFUSED)
     assert sum(e.count for e in refused) == rig.ground.summary()["unsigned_rejected"]
     told = {why: sum(e.count for e in refused if e.detail == why) for why in {e.detail for e in refused}}
     assert (told["unsigned"], told["badly signed"]) == (8, 7)
