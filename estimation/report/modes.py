@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.constants import SEA_LEVEL_DENSITY
+from estimation.engine.derived import with_derived
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
@@ -44,7 +45,8 @@ def state_matrix(model: Model, values: Mapping[str, float], state: Array, inputs
 
 
 def trim(model: Model, flight: Flight) -> tuple[Array, Array]:
-    """State (nx,) and inputs (nu,) of straight flight: medians of the measured columns."""
+    """State (nx,) and inputs (nu,) of straight flight: medians of the measured columns, density from air data or height."""
+    flight = with_derived(flight, ("rho",))
 
     def usual(name: str, source: str) -> float:
         return 0.0 if name in AT_REST or not flight.measured(source) else float(np.nanmedian(flight[source]))

@@ -162,5 +162,4 @@ def test_dutch_rolls_of_the_page_on_the_citation(tmp_path: Path, rng: np.random.
     assert "is the sign of delta_r turned" not in printed
     table = list(csv.DictReader((tmp_path / "citation-report" / "tables" / "modes.csv").read_text().splitlines()))
     rolls = [float(row["natural frequency [rad/s]"].split(" ± ")[0]) for row in table if row["mode"] == "Dutch roll"]
-    # 17 % too high as it stands, which the page says; true is 2.55
-    assert rolls == pytest.approx([2.55, 2.55], rel=0.2)
+    assert rolls == pytest.approx([2.55, 2.55], rel=0.05)
