@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from estimation.aircraft import Aircraft, load_aircraft
-    from estimation.engine.data import Preparation
     from estimation.engine.simulate import simulate, simulate_with_sensitivities
     from estimation.estimators.estimator import Estimator, Extra, Look, Task
     from estimation.estimators.gauss_newton import LoopOptions
@@ -26,11 +25,12 @@ if TYPE_CHECKING:
         read_model,
         write_model,
     )
+    from estimation.prepare.flight_data import Preparation
 
 _HOMES = {
     "Aircraft": "estimation.aircraft",
     "load_aircraft": "estimation.aircraft",
-    "Preparation": "estimation.engine.data",
+    "Preparation": "estimation.prepare.flight_data",
     "simulate": "estimation.engine.simulate",
     "simulate_with_sensitivities": "estimation.engine.simulate",
     "LoopOptions": "estimation.estimators.gauss_newton",

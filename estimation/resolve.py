@@ -16,7 +16,7 @@ from estimation.estimators.estimator import Estimator
 from estimation.estimators.registry import find
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
-from estimation.session.flights import select_segments, separated, unique_names
+from estimation.prepare.stretches import select_segments, separated, unique_names
 from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, settled
 from groundstation.flight import Flight, read_flight
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.session.flights import select_segments
+from estimation.prepare.stretches import select_segments
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
 from groundstation.flight.airborne import airborne

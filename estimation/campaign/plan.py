@@ -66,7 +66,7 @@ class RecordConditions(_CampaignTable):
     @field_validator("segments")
     @classmethod
     def _stretches(cls, text: str) -> str:
-        from estimation.session.flights import spans_of
+        from estimation.prepare.stretches import spans_of
         from groundstation.flight.expression import parse_condition
         from groundstation.flight.stretches import is_times
 

@@ -34,8 +34,8 @@ from estimation.compatibility.air_nodes import (
     stretches_of,
 )
 from estimation.compatibility.records import attitude_errors
-from estimation.engine.derived import with_derived
 from estimation.errors import DataError
+from estimation.prepare.columns import with_derived
 from groundstation.flight import RECONSTRUCTED, Flight
 from groundstation.flight.notes import Note, NoteKind
 

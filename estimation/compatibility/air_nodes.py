@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
 from estimation.errors import DataError
-from estimation.signals.preprocess import noise_level
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

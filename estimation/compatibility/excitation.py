@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.engine.data import FlightData, prepare
-from estimation.engine.prepared import PIECES, cut
 from estimation.engine.simulate import simulate_with_sensitivities
 from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.uncertainty import STILL, TIED, estimates, input_movement
 from estimation.models import load_model
 from estimation.models.base import Model
+from estimation.prepare.flight_data import PIECES, FlightData, cut_into_pieces
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, MissingColumnError
 from groundstation.flight.quality.noise import noise
 from groundstation.flight.quality.report import SENSOR_NOISE, Finding
@@ -196,7 +196,7 @@ def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightD
     Sensitivities along a motion that has run away promise bounds no flight could give.
     """
     for seconds in (None, *PIECES):
-        tried = data if seconds is None else cut(data, seconds)
+        tried = data if seconds is None else cut_into_pieces(data, seconds)
         y, by_parameter, by_state = simulate_with_sensitivities(model, tried)
         if _near(y, tried, sigma):
             return tried, by_parameter, by_state

@@ -2,8 +2,8 @@
 are not measured or never change."""
 
 from estimation.compatibility.records import COLUMNS, shows_motion
-from estimation.engine.conditioned import Conditioned, conditioned, repaired
 from estimation.models.kinematic import MEASUREMENTS
+from estimation.prepare.conditioned import ConditionedFlight, condition, repair
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
 from groundstation.flight.quality.report import Finding
@@ -17,8 +17,8 @@ def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tu
     Outputs are NaN where they only repeat themselves; inputs, which are integrated, run on straight lines there.
     Raises DataError where time is in another unit.
     """
-    inputs = repaired(flight, COLUMNS, keep_held=keep_held)
-    outputs = conditioned(inputs.flight, MEASUREMENTS, keep_held=keep_held)
+    inputs = repair(flight, COLUMNS, keep_held=keep_held)
+    outputs = condition(inputs.flight, MEASUREMENTS, keep_held=keep_held)
     notes = [*inputs.notes, *outputs.notes]
     columns = {}
     for name in MEASUREMENTS:
@@ -30,8 +30,8 @@ def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tu
     return outputs.flight.with_columns(**columns), tuple(notes)
 
 
-def _compared(told: Conditioned, name: str) -> tuple[Array, list[Note]]:
-    values, said = told.compared(name)
+def _compared(told: ConditionedFlight, name: str) -> tuple[Array, list[Note]]:
+    values, said = told.as_output(name)
     return values, [
         n for n in said if n.kind is not NoteKind.NOT_MEASURED
     ]  # gaps of a channel are the quality report's

@@ -13,7 +13,7 @@ from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLev
 from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
 from estimation.models.base import Model
 from estimation.models.kinematic import FILTER_ERRORS
-from estimation.signals.preprocess import noise_level
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from estimation.compatibility.kalman import FilterRecord
 from estimation.errors import DataError
 from estimation.models.base import Model
 from estimation.models.kinematic import ATTITUDE
-from estimation.signals.preprocess import noise_level
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

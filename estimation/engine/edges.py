@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 
 FEWEST_EDGES = 4  # from which the scatter of a share says something: four at random are as alike in one of fifty
 ALIKE = 0.2  # scatter of the share over its mean; 0.58 where edges come at any time of an interval

@@ -11,12 +11,13 @@ from typing import Literal
 import numpy as np
 
 from estimation.engine.compiled import compile_kernel
-from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, prepare
 from estimation.engine.kernel import Array, Kernel, SegmentInputs, SegmentMotion, SensitivityColumns
 from estimation.engine.transforms import acting_on, apply_transforms, transform_derivatives
 from estimation.models.base import Model
 from estimation.models.parts import ModelStructure
-from estimation.signals.monotone_cubic import half_way, inner_slopes
+from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, Segment
+from estimation.prepare.pipeline import prepare
+from estimation.signals.curves import half_way, inner_slopes
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "never"]

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.errors import EstimationError
 from estimation.estimators.coloured import Spectrum, coloured_noise, square_root
@@ -23,6 +22,7 @@ from estimation.estimators.output_error import STANDARD, Fit, OutputErrorOptions
 from estimation.estimators.result import Bootstrap, Result, Spread
 from estimation.estimators.uncertainty import noise_spectra
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 from groundstation.flight import Flight
 
 FEWEST = 10  # replicates

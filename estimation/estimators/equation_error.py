@@ -15,9 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FOR_REGRESSION, FlightData
 from estimation.engine.kernel import Array
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator, simulate
 from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
@@ -27,6 +25,8 @@ from estimation.estimators.result import FlightFit, Result
 from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models import load_model
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
 from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
 
@@ -88,7 +88,7 @@ def equation_error(
     the model is not measured.
     """
     chosen = load_model(model)
-    chosen, data = compared(chosen, prepared(chosen, flights, FOR_REGRESSION))
+    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, FOR_REGRESSION))
     if not states_measured(data):
         raise DataError(f"model {chosen.name}: equation error needs every state measured; use method ml")
     simulator = Simulator.build(chosen)

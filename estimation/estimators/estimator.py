@@ -9,8 +9,8 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 
 if TYPE_CHECKING:
-    from estimation.engine.data import FlightData
     from estimation.estimators.result import Result
+    from estimation.prepare.flight_data import FlightData
     from groundstation.flight import Flight
 
 
@@ -92,7 +92,8 @@ class Task:
 
     def _prepared(self, feedback: bool) -> "list[FlightData]":
         """Each flight, once for all methods and fits of a session that see the same signals in it."""
-        from estimation.engine.data import Preparation, prepare
+        from estimation.prepare.flight_data import Preparation
+        from estimation.prepare.pipeline import prepare
 
         way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback)
         found = []
@@ -106,10 +107,10 @@ class Task:
     @property
     def repaired(self) -> "Sequence[Flight]":
         """The flights for a method that reads their columns itself, without wild values and repeats."""
-        from estimation.engine.conditioned import repaired
+        from estimation.prepare.conditioned import repair
 
         columns = [s.source for s in (*self.model.inputs, *self.model.outputs, *self.model.states)]
-        return [repaired(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
+        return [repair(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
 
 
 @dataclass(frozen=True)

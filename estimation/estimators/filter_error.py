@@ -17,9 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, SegmentMotion
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
 from estimation.estimators.frequency_domain.linearised import matrices
@@ -38,6 +36,8 @@ from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
 from estimation.models.driven import force_states
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Flight
 from groundstation.flight.quality.noise import noise as noise_of
 
@@ -151,7 +151,7 @@ def filter_error(
     nothing because its filter is not stable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
     chosen = load_model(model).with_starts(start or {})
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
     return in_own_terms(_by_free_gain(with_paths(chosen, data) if options.paths else chosen, data, options), chosen)
 
 
@@ -199,7 +199,7 @@ def process_noise_error(
     of `filter_error`.
     """
     chosen = load_model(model).with_starts(start or {})
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
     full = with_paths(chosen, data) if options.paths else chosen
     first = output_error(full, data, options=replace(options, paths=False))
     if first.status is Status.DIVERGED:

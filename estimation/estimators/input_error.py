@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.engine.data import Segment, draws_for
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, Spectrum, white_products
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.models.base import Model
+from estimation.prepare.flight_data import Segment, draws_for
 
 EDGE = 0.08  # of the bend (second difference), rms over servo lags of 0.4 to 2 samples and all phases of an edge
 SHIFT = 0.035  # of the time between samples; 2 ms at 20 Hz is hard to do better

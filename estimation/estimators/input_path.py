@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.edges import clocked_controls
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Estimate, Result, finite
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
+from estimation.prepare.flight_data import FlightData
 from groundstation.flight.notes import Note, NoteKind
 
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this

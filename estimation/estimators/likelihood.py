@@ -12,12 +12,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import FlightBlocks, SegmentBlocks, pseudo_inverse
 from estimation.estimators.gauss_newton import SolverStep
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 
 Noise = Literal["diagonal", "full"]
 LARGEST_SLOPE = 1e60  # of an output with respect to an unknown

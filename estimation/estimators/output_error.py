@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import AS_USUAL, FlightData, Preparation
 from estimation.engine.kernel import Array
-from estimation.engine.prepared import PIECES, compared, cut, prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import start_values
@@ -25,6 +23,15 @@ from estimation.estimators.result import Estimate, FlightFit, Result
 from estimation.estimators.uncertainty import ParameterEffect, effects_of, estimates, uncertainty
 from estimation.models import load_model
 from estimation.models.base import Model
+from estimation.prepare.flight_data import (
+    AS_USUAL,
+    PIECES,
+    FlightData,
+    Preparation,
+    cut_into_pieces,
+    without_absent_outputs,
+)
+from estimation.prepare.pipeline import prepare_all
 from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
 
@@ -76,7 +83,7 @@ def output_error(
     that cannot feed the model; a fit that fails is a Result whose status says so.
     """
     chosen = load_model(model).with_starts(start or {})
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
     full = with_paths(chosen, data) if options.paths else chosen
     problem = build_problem(full, data, options)
     _enough(problem)
@@ -147,7 +154,7 @@ def _rescued(
     An unstable aircraft cannot be simulated for long from anywhere; short pieces can, and their estimates are good.
     """
     for seconds in PIECES:
-        pieces = [cut(d, seconds) for d in data]
+        pieces = [cut_into_pieces(d, seconds) for d in data]
         if all(len(p.segments) == len(d.segments) for p, d in zip(pieces, data, strict=True)):
             continue
         short = build_problem(model, pieces, options)
@@ -228,7 +235,7 @@ def reopened(
 ) -> tuple[OutputErrorProblem, Fit]:
     """The problem of an earlier fit at its optimum, in the same pieces and steps."""
     chosen = load_model(model).with_starts(result.fitted_model.starts())
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
     data = in_pieces_of(data, result)
@@ -241,7 +248,7 @@ def reopened(
 def in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
     """Prepared flights in the segments in which a result was fitted."""
     wanted = [len(f.initial_states) for f in result.flights]
-    for pieces in (data, *([cut(d, seconds) for d in data] for seconds in PIECES)):
+    for pieces in (data, *([cut_into_pieces(d, seconds) for d in data] for seconds in PIECES)):
         if [len(p.segments) for p in pieces] == wanted:
             return pieces
     raise DataError(f"{data[0].name}: not in the segments of the fit: give the flights that were fitted")

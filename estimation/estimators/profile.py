@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.errors import EstimationError
 from estimation.estimators.gauss_newton import minimise
@@ -20,6 +19,7 @@ from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.estimators.output_error import STANDARD, Fit, OutputErrorOptions, build_problem, reopened
 from estimation.estimators.result import Profile, Result
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 from groundstation.flight import Flight
 
 ROOT_95 = 1.959963984540054  # square root of the 95 % point of chi-square, one degree of freedom

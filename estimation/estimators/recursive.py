@@ -14,15 +14,15 @@ from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe,
 from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
-from estimation.engine.data import FOR_REGRESSION, FlightData
-from estimation.engine.derived import with_derived
-from estimation.engine.prepared import compared, prepared
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
+from estimation.prepare.columns import with_derived
+from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import GAP_FACTOR, Flight
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Re
     airframe = airframe_of(model, aircraft)
     for flight in flights:
         flight.require([s for s in SIGNALS if s != "rho"], "method live")
-    chosen, data = compared(model, prepared(model, flights, FOR_REGRESSION))
+    chosen, data = without_absent_outputs(model, prepare_all(model, flights, FOR_REGRESSION))
     run = _fed(airframe, [with_derived(f, ["rho"]) for f in flights])
     return _result(chosen, data, run)
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 

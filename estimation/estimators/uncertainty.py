@@ -12,7 +12,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.coloured import (
     ResidualSegment,
@@ -37,6 +36,7 @@ from estimation.estimators.result import Estimate, correlation
 from estimation.estimators.together import moving_together, text_of
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import products_in
+from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 

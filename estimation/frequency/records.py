@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.conditioned import conditioned
 from estimation.errors import DataError
-from estimation.signals.fourier import FEWEST, curve
-from estimation.signals.preprocess import noise_level
+from estimation.prepare.conditioned import condition
+from estimation.signals.curves import FEWEST, curve
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
     wanted = (name, output, *(with_ or ()))
     for flight in flights:
         flight.require([name, output, *(with_ or ())], f"the frequency response of {output} to {name}")
-    looked_at = [conditioned(f, (*wanted, *CONTROLS), keep_held=True) for f in flights]
+    looked_at = [condition(f, (*wanted, *CONTROLS), keep_held=True) for f in flights]
     flights = [told.flight for told in looked_at]
     for flight in flights:
         _refuse_endless(flight, wanted)

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from estimation.engine.data import FlightData
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Array, Result
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 from estimation.session.flown import Beyond, beyond
 from estimation.signals.goodness_of_fit import ChannelFit, to_json
 from groundstation.flight import Flight

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimation.aircraft import load_aircraft
-from estimation.engine.derived import DERIVED
 from estimation.estimators import registry
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
+from estimation.prepare.columns import DERIVED
 from estimation.session.verdict import TRUSTED_RECONSTRUCTED
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import Contradiction, contradictions

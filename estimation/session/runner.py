@@ -11,8 +11,8 @@ from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
 from estimation.models.base import Model
+from estimation.prepare.stretches import unique_names
 from estimation.session.airspeed_error import with_airspeed_error
-from estimation.session.flights import unique_names
 from estimation.session.joint import joint_model
 from estimation.session.of_aircraft import of_aircraft
 from estimation.session.scatter import scatter

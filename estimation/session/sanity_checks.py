@@ -8,7 +8,7 @@ import numpy as np
 from estimation.estimators.result import Result
 from estimation.models.base import ParameterRole
 from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
-from estimation.signals.preprocess import noise_level
+from estimation.signals.denoise import noise_level
 
 UNEXPLAINED = 0.5  # r2 below which a channel is not explained
 AUDIBLE = 3.0  # residual in units of the channel's white noise from which that is no matter of noise

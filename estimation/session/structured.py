@@ -9,8 +9,6 @@ from dataclasses import replace
 from enum import Enum
 
 from daq.contract.errors import UserError
-from estimation.engine.data import FlightData
-from estimation.engine.prepared import compared
 from estimation.errors import EstimationError
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.estimator import Task
@@ -18,6 +16,7 @@ from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.models.library import WHOLE
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.joint import joint_model
 from estimation.session.session import EstimationSession
 from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
@@ -128,7 +127,7 @@ def _of_basis(
         return StructureTest((), (), why_not="not tested: no fit to test"), ()
     basis = next((usable[m] for m in ("ml", *FILTERS) if m in usable), None)
     model = session.model
-    _, ready = compared(session.model, replace(task, model=session.model).data)
+    _, ready = without_absent_outputs(session.model, replace(task, model=session.model).data)
     if basis is None:
         basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
     found, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)

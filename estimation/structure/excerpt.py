@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.engine.data import FlightData, Segment
 from estimation.estimators.result import FlightFit, Result
+from estimation.prepare.flight_data import FlightData, Segment
 
 MOST_SAMPLES = 16_000
 """Of one flight: 80 s at 200 Hz, a quarter of an hour at 20 Hz. With some 50 columns and as many draws of the inputs that is

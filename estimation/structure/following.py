@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.estimators.result import Result
 from estimation.models.driven import force_states
+from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 

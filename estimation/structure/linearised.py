@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, noise_spectrum, white_products, without_nuisance
@@ -29,6 +28,7 @@ from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, white_responses
+from estimation.prepare.flight_data import FlightData
 from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
 
 Array = NDArray[np.float64]

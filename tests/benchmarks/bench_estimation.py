@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimation.engine.data import FlightData, prepare
 from estimation.engine.simulate import Compile, simulate_with_sensitivities
 from estimation.estimators.output_error import OutputErrorOptions, build_problem, optimum, output_error
 from estimation.models import load_model
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import write_flight
 from tests.estimation.truth import NOISE, STRONG, Case, fly
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from estimation.engine.data import Preparation, prepare
 from estimation.engine.kernel import Array
 from estimation.models import load_model
-from estimation.signals.feedback import ControlStretch, following, gains
-from estimation.signals.preprocess import denoise
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
+from estimation.signals.controls import ControlStretch, following, gains
+from estimation.signals.denoise import denoise
 from groundstation.flight import Flight
 
 NOISE, GAIN = 0.001, 0.1

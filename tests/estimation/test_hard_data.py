@@ -11,13 +11,14 @@ from click.testing import CliRunner, Result
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.commands.estimate import estimate
-from estimation.engine.data import Preparation, prepare
-from estimation.engine.plausible import stuck
 from estimation.errors import DataError, ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
+from estimation.prepare.plausible import stuck
+from estimation.prepare.stretches import select_segments, separated
 from estimation.session import runner
-from estimation.session.flights import select_segments, separated
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight

@@ -10,7 +10,6 @@ from scipy.linalg import cho_factor, eigh, solve_discrete_are
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
@@ -22,6 +21,7 @@ from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
+from estimation.prepare.pipeline import prepare_all
 from estimation.session import runner
 from estimation.session.structured import StructureWish
 from groundstation.flight import Flight
@@ -200,7 +200,7 @@ def test_estimates_that_are_no_numbers_have_not_converged() -> None:
 
 def _filter_problem(law: GainLaw) -> ProcessNoiseProblem:
     flight, model = _sound()
-    data = prepared(model, flight)
+    data = prepare_all(model, flight)
     extended = model.with_starts(TRUE).plus(parameters=[Parameter("noise_beta", start=1.0, lower=0.0)])
     problem = ProcessNoiseProblem(extended, data, Simulator.build(extended), noise="full")
     problem.noises, problem.law = ["noise_beta"], law

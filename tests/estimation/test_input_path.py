@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from estimation.engine.data import Segment, prepare
 from estimation.engine.edges import clocked_controls
 from estimation.engine.simulate import Simulator
 from estimation.estimators.filter_error import filter_error
@@ -15,6 +14,8 @@ from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import InputTransform, Parameter
+from estimation.prepare.flight_data import Segment
+from estimation.prepare.pipeline import prepare
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")

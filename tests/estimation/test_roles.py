@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from estimation.aircraft import load_aircraft
-from estimation.engine.data import prepare
 from estimation.engine.simulate import simulate
 from estimation.errors import ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import Model, Parameter, ParameterRole, load_model, read_model, write_model
 from estimation.models.kinematic import FACTORS, compatibility_model
+from estimation.prepare.pipeline import prepare
 from estimation.report.drawing.estimate_figures import scatter_figure
 from estimation.session import runner
 from groundstation.flight import Flight

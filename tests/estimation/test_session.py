@@ -15,8 +15,8 @@ from estimation.commands.estimate import estimate
 from estimation.commands.match import match
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
+from estimation.prepare.stretches import select_segments
 from estimation.session import runner
-from estimation.session.flights import select_segments
 from estimation.session.proof_of_match import predict
 from estimation.session.scatter import scatter
 from estimation.signals.goodness_of_fit import autocorrelation, channel_fit

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.engine.data import prepare
 from estimation.models import Signal, load_model
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.notes import Note, NoteKind, from_meta, once, texts, to_meta, unknown_columns
 from groundstation.flight.quality.report import time_order

@@ -23,13 +23,13 @@ from estimation.campaign.aerodynamics.terms import (
 )
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.pooling import LEVEL, t_quantile
-from estimation.engine.data import AS_USUAL, FlightData, Preparation
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.estimators.output_error import STANDARD, OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models.base import Model
-from estimation.session.flights import unique_names
+from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from estimation.prepare.stretches import unique_names
 from estimation.session.flown import flown
 from estimation.session.runner import joint_model
 from groundstation.flight import Flight
@@ -117,7 +117,7 @@ def global_model(
     tried = candidates(base, [v for v in POWERS if _in_all(flights, v)])
     wide = with_terms(base, tried, reference)
     tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
-    slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
+    slim, data = without_absent_outputs(wide, prepare_all(wide, flights, AS_USUAL))
     fit = _Fit(base, flights, data, slim, Simulator.build(slim), tried, reference)
     result, gains = output_error(base, flights), tuple[TermGain, ...]()
     for wave in ([t for t in tried if t.first], tried):

@@ -102,7 +102,7 @@ def _flight(work: Work) -> Iterator[Row]:
 
 
 def _parts(flight: Flight, work: Work) -> list[Flight]:
-    from estimation.session.flights import separated
+    from estimation.prepare.stretches import separated
 
     return separated(flight) if work.each_segment else [flight]
 
@@ -233,7 +233,7 @@ def _covariance(result: Result, name: str) -> Row:
 
 
 def _joint(work: Work) -> Iterator[Row]:
-    from estimation.session.flights import unique_names
+    from estimation.prepare.stretches import unique_names
     from estimation.session.runner import joint_model, run_method
 
     flights = unique_names([part for s in work.subjects for part in _parts(read_subject(s), work)])
@@ -300,7 +300,7 @@ _KINDS = {"flight": _flight, "joint": _joint, "envelope": _envelope, "match": _m
 
 def read_subject(subject: Subject) -> Flight:
     """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
-    from estimation.session.flights import select_segments
+    from estimation.prepare.stretches import select_segments
 
     source = subject.source
     if source.path and source.data is None:

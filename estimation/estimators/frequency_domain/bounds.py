@@ -15,7 +15,7 @@ from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem, SegmentRows
 from estimation.estimators.input_error import disturbed
 from estimation.estimators.uncertainty import TIED
-from estimation.signals.fourier import Complex
+from estimation.signals.curves import Complex
 
 SMOOTHED = 4  # bins to either side over which the spectra of residuals are averaged
 LEAST_LEFT = (

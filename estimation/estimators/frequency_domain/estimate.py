@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
 from estimation.estimators.equation_error import simulated_fits, start_values
@@ -25,6 +23,8 @@ from estimation.estimators.result import FlightFit, Result
 from estimation.estimators.uncertainty import estimates
 from estimation.models import load_model
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Flight
 from groundstation.flight.notes import Note, NoteKind
 
@@ -59,7 +59,7 @@ def frequency_output_error(
     Raises DataError or MissingColumnError for a flight that cannot feed the model; a fit that fails is a Result that says so.
     """
     chosen = load_model(model)
-    chosen, data = compared(chosen, prepared(chosen, flights))
+    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights))
     band = _band(data, options)
     data = [_long_enough(d, band) for d in data]
     simulator = Simulator.build(chosen)

@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import SegmentBlocks
 from estimation.estimators.frequency_domain.transformed import Band, SpectralResponse, SpectralSegment
 from estimation.estimators.likelihood import DEFINITELY_ZERO, LikelihoodPoint, OutputErrorProblem
-from estimation.signals.fourier import Complex
+from estimation.prepare.flight_data import FlightData
+from estimation.signals.curves import Complex
 
 
 @dataclass

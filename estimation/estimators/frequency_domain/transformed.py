@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from estimation.engine.data import FlightData, Segment
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
 from estimation.engine.transforms import apply_transforms, transform_derivatives
 from estimation.estimators.frequency_domain.linearised import linearised
-from estimation.signals.fourier import Complex, curve, fine_times, finite_transform, longest_hole
+from estimation.prepare.flight_data import FlightData, Segment
+from estimation.signals.curves import Complex, curve, fine_times, finite_transform, longest_hole
 
 SINGULAR = 1e10  # condition of A from which the means say nothing (a free integrator)
 NYQUIST = 0.5  # periods of the highest frequency that a hole in an output may last

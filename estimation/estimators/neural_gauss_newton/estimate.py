@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from estimation.aircraft import Aircraft
-from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
 from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
@@ -28,6 +27,7 @@ from estimation.estimators.neural_gauss_newton.present import describe
 from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
 from estimation.estimators.result import Result
 from estimation.models.base import Model
+from estimation.prepare.columns import with_derived
 from groundstation.flight import Flight
 
 

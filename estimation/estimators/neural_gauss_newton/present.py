@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import simulate
 from estimation.estimators.bootstrap import PERCENTILES
 from estimation.estimators.gauss_newton import Status
@@ -20,6 +18,8 @@ from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns
 from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread
 from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
 from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
 from groundstation.flight.notes import Note
@@ -43,7 +43,7 @@ def describe(
     bootstrap: whether its replicates are wanted in the result.
     """
     rows, unknowns = problem.rows, problem.unknowns
-    model, data = compared(model, prepared(model, flights))
+    model, data = without_absent_outputs(model, prepare_all(model, flights))
     shared = [i for i, f in enumerate(unknowns.owner) if f < 0]
     names = tuple(unknowns.names[i] for i in shared)
     pick = np.ix_(shared, shared)

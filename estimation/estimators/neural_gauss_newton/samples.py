@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import DataError
 from estimation.estimators.neural_gauss_newton.axes import Axis, dynamic_pressure
-from estimation.signals.preprocess import denoise_many
+from estimation.signals.denoise import denoise_many
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
-from estimation.signals.monotone_cubic import half_way, inner_slopes
+from estimation.signals.curves import half_way, inner_slopes
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
 from estimation.estimators.equation_error import start_values
 from estimation.gap.likelihood.fitting import LikelihoodProblem, cost_at
+from estimation.prepare.flight_data import FlightData
 
 
 def first_values(problem: LikelihoodProblem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:

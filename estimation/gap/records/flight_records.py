@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData, prepare
-from estimation.engine.followed import pitches
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
@@ -19,8 +17,11 @@ from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.lost_rows import unseen_paths
 from estimation.gap.records.stretches import stretches
 from estimation.models.base import Model, Signal
-from estimation.signals.preprocess import noise_level
-from estimation.signals.raw_steps import noise_between_steps, with_raw_steps
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.inputs import pitches
+from estimation.prepare.pipeline import prepare
+from estimation.signals.controls import noise_between_steps, with_raw_steps
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 PATHS = 20  # of the random stream of paths across samples that a control lacks

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import LONGEST_BRIDGE
 from estimation.gap.criteria import Criteria
+from estimation.prepare.pipeline import LONGEST_BRIDGE
 from groundstation.flight import Flight
 from groundstation.flight.quality.repeats import runs_of
 

@@ -23,8 +23,8 @@ from estimation.gap.tests_of_fit.pitch_kinematics import pitch_kinematic_model
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
 from estimation.models.load import load_model
-from estimation.signals.preprocess import noise_level
-from estimation.signals.raw_steps import around, near_steps, with_raw_steps
+from estimation.signals.controls import around, near_steps, with_raw_steps
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 from tests.estimation.gap.candidates_by_hand import candidate
 from tests.studies import gap_benchmark

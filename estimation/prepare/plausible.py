@@ -173,7 +173,7 @@ def _other_time(flight: Flight, unit: str, why: str) -> str:
     )
 
 
-def wild(values: Array) -> NDArray[np.bool_]:
+def wild_values(values: Array) -> NDArray[np.bool_]:
     """Single values so far from both neighbours that no motion makes them; (N,) bool.
 
     Off the median of the five values around by more than `WILD` times the range of the channel, or not a number a sensor can

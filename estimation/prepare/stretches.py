@@ -1,4 +1,4 @@
-"""Which flights, and which stretches of them, one call works on."""
+"""Which flights, and which stretches of them, one call works on; runs of samples without a gap."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,10 +6,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import SHORTEST_SEGMENT
 from estimation.errors import EstimationError
+from estimation.prepare.flight_data import SHORTEST_SEGMENT
 from groundstation.flight import Flight
+from groundstation.flight.quality.repeats import Mask, runs_of
 from groundstation.flight.stretches import is_times, where
+
+
+def runs_in_segments(flight: Flight, usable: Mask) -> list[tuple[int, int]]:
+    """[start, stop) of each run of usable samples (N,) that no border of a segment cuts."""
+    return [(part.start + a, part.start + b) for part in flight.segments for a, b in runs_of(usable[part])]
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:
