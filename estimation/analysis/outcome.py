@@ -58,7 +58,7 @@ class Analysis(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Derivatives relative to their size, with the corrected bound; gives the axes."""
-        from estimation.answers.notebook import panels
+        from estimation.answers.answer import panels
 
         (axes,) = panels(ax, 1)
         told = {n: p for n, p in parameters(self.content["estimate"]).items() if p.get("identifiable")}

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows, picture_writers, rounded, table_writers
-from estimation.answers.notebook import Figures, plot_reconstructed
+from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_reconstructed, rounded, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimation.compatibility.result import Compatibility, FactorEstimate
+    from estimation.compatibility.reconstruction import Compatibility, FactorEstimate
     from estimation.resolve import AnyAircraft, Flights
     from groundstation.flight import Flight
     from groundstation.flight.quality.report import Finding
@@ -34,8 +33,8 @@ def check(
 
     joint: also one set of factors that several flights share. aircraft: whose derivatives predict what each flight can tell.
     """
-    from estimation.compatibility.left_out import left_out_findings, measurements
     from estimation.compatibility.reconstruction import compatibility
+    from estimation.compatibility.records import left_out_findings, measurements
     from estimation.resolve import read_flights
     from groundstation.flight.quality.report import quality_report
 

@@ -121,7 +121,7 @@ class DesignAnswer(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Commands over time, one axes a control [deg]; gives the axes."""
-        from estimation.answers.notebook import panels
+        from estimation.answers.answer import panels
 
         time, commands = self.design.best.motion.time, self.design.best.commands
         axes = panels(ax, commands.shape[1])

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows, table_writers
-from estimation.answers.notebook import Figures, plot_scores
+from estimation.answers.answer import Answer, Figures, Rows, plot_scores, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -151,7 +150,7 @@ class GapAnswer(Answer):
         return ("effect", "", "score", "threshold", "closed"), rows
 
     def _repr_html_(self) -> str:
-        from estimation.answers.notebook import table
+        from estimation.answers.answer import table
 
         return table(f"{self.headline()}. {self.result.text}", *self.rows())
 

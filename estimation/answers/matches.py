@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.contract.plain_words import comma_separated
-from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
-from estimation.answers.notebook import Figures, plot_proof
+from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_proof, table_writers
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 from estimation.threads import single_threaded
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
-from estimation.answers.notebook import Figures, panels
+from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:

@@ -86,7 +86,7 @@ class Reconstruction(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Air data over time, one axes a quantity; angles in degrees; gives the axes."""
-        from estimation.answers.notebook import panels
+        from estimation.answers.answer import panels
         from estimation.report.names import face
 
         axes = panels(ax, len(self.air.values))

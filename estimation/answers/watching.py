@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows
-from estimation.answers.notebook import Figures, plot_watched
+from estimation.answers.answer import Answer, Figures, Rows, plot_watched
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:

@@ -172,7 +172,7 @@ class CampaignPlan(_CampaignTable):
     @model_validator(mode="after")
     def _replicates_can_be_had(self) -> "CampaignPlan":
         if self.bootstrap:
-            from estimation.estimators.bootstrap import check_replicates
+            from estimation.estimators.refits import check_replicates
 
             with _as_value_error():
                 check_replicates(self.bootstrap)

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.compatibility.air_filter import (
     ATTITUDE,
@@ -36,10 +35,8 @@ from estimation.compatibility.air_nodes import (
 from estimation.compatibility.records import attitude_errors
 from estimation.errors import DataError
 from estimation.prepare.columns import with_derived
-from groundstation.flight import RECONSTRUCTED, Flight
+from groundstation.flight import RECONSTRUCTED, Array, Flight
 from groundstation.flight.notes import Note, NoteKind
-
-Array = NDArray[np.float64]
 
 AIR = ("alpha", "beta", "V")
 

@@ -11,9 +11,7 @@ from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
 from estimation.errors import DataError
 from estimation.signals.denoise import noise_level
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array, Flight
 
 INERTIAL = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
 FIX = ("vn", "ve", "vd")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import savgol_filter
 
+from estimation.compatibility.reconstruction import Compatibility
 from estimation.compatibility.records import with_rate_derivatives
-from estimation.compatibility.result import Compatibility
 from groundstation.flight import Flight
 
 

@@ -17,17 +17,15 @@ from numpy.typing import NDArray
 from estimation.aircraft import Aircraft
 from estimation.engine.simulate import simulate_with_sensitivities
 from estimation.errors import DataError
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.uncertainty import STILL, TIED, estimates, input_movement
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import PIECES, FlightData, cut_into_pieces
 from estimation.prepare.pipeline import prepare
-from groundstation.flight import Flight, MissingColumnError
+from groundstation.flight import Array, Flight, MissingColumnError
 from groundstation.flight.quality.noise import noise
 from groundstation.flight.quality.report import SENSOR_NOISE, Finding
-
-Array = NDArray[np.float64]
 
 CHECK = "excitation of derivatives"
 USUAL_WIDENING = 2.0

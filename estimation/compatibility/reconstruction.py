@@ -1,29 +1,68 @@
-"""Maximum-likelihood estimation of instrument factors from the innovations of the kinematic filter.
-
-One flight or several with shared factors. Noise of the inputs is read off the flight itself; that of the outputs, and
-the turbulence that moves the air under the aircraft, are estimated with the factors (relaxation). Gauss-Newton with
-step halving on the innovations; bounds from their information, and corrected for whatever colour is left in them.
-"""
+"""What a data-compatibility check finds: factors with bounds, and the motion the flight's own inputs make."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.compatibility.bounds import USEFUL, autocorrelation, coloured, normal, refuse_singular
-from estimation.compatibility.integrate import integrated
-from estimation.compatibility.kalman import Run
-from estimation.compatibility.left_out import measurements
-from estimation.compatibility.problem import CompatibilityProblem
-from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, shows_motion
-from estimation.compatibility.result import Compatibility, FactorEstimate, ReconstructedFlight
+from estimation.compatibility.kalman import Run, integrated
+from estimation.compatibility.problem import (
+    USEFUL,
+    CompatibilityProblem,
+    autocorrelation,
+    coloured,
+    normal,
+    refuse_singular,
+)
+from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, measurements, shows_motion
 from estimation.errors import DataError
 from estimation.models.base import Model
 from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
-from groundstation.flight import Flight, MissingColumnError
+from groundstation.flight import Array, Flight, MissingColumnError
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class FactorEstimate:
+    """One instrument factor. std: bound from the information of the innovations; std_coloured: corrected for the colour
+    left in them. Where the channel it belongs to is not measured, all three are NaN and `why` says so."""
+
+    name: str
+    unit: str
+    estimate: float
+    std: float
+    std_coloured: float
+    identifiable: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class ReconstructedFlight:
+    """measured: (N, ny), NaN where not measured or left out; reconstructed: (N, ny) motion integrated from accelerations
+    and rates with the factors, NaN outside the records; noise: of each output; whiteness: lag-one autocorrelation of the
+    normalised innovations per output."""
+
+    name: str
+    time: Array
+    measured: Array
+    reconstructed: Array
+    outputs: tuple[str, ...]
+    noise: Mapping[str, float]
+    whiteness: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Compatibility:
+    """Factors of one flight, or shared by several."""
+
+    factors: Mapping[str, FactorEstimate]
+    correlation: Array
+    flights: tuple[ReconstructedFlight, ...]
+    converged: bool
+    text: str
+    iterations: int
+    turbulence: float  # m/s per root second
+    known: Mapping[str, float] = field(default_factory=dict)  # factors held at values given
 
 
 def compatibility(

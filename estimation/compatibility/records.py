@@ -10,11 +10,12 @@ from daq.contract.channels import COLUMN_BY_NAME
 from estimation.compatibility.kalman import FilterRecord
 from estimation.errors import DataError
 from estimation.models.base import Model
-from estimation.models.kinematic import ATTITUDE
+from estimation.models.kinematic import ATTITUDE, MEASUREMENTS
+from estimation.prepare.conditioned import ConditionedFlight, condition, repair
 from estimation.signals.denoise import noise_level
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array, Flight
+from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.quality.report import Finding
 
 SHORTEST = 40  # samples
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
@@ -160,12 +161,12 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
         if not flight.measured(name):
             continue
         for part in flight.segments:
-            for row, size in _steps(flight.time[part], flight[name][part], rate[part]):
+            for row, size in _lasting_steps(flight.time[part], flight[name][part], rate[part]):
                 found.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
     return {row: f"attitude jumps ({', '.join(words)})" for row, words in found.items()}
 
 
-def _steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
+def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
     """(row, size) of lasting steps between neighbouring measured samples."""
     known = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
     if known.size < 8:
@@ -227,3 +228,43 @@ def _output(flight: Flight, name: str) -> Array:
     unwrapped = values.copy()
     unwrapped[known] = np.unwrap(values[known])
     return unwrapped
+
+
+CHECK = "left out"
+
+
+def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Note, ...]]:
+    """The flight as a check compares it, and what was left out of it.
+
+    Outputs are NaN where they only repeat themselves; inputs, which are integrated, run on straight lines there.
+    Raises DataError where time is in another unit.
+    """
+    inputs = repair(flight, COLUMNS, keep_held=keep_held)
+    outputs = condition(inputs.flight, MEASUREMENTS, keep_held=keep_held)
+    notes = [*inputs.notes, *outputs.notes]
+    columns = {}
+    for name in MEASUREMENTS:
+        if not shows_motion(outputs.flight, name):
+            notes.append(_not_compared(flight, name))
+            continue
+        columns[name], said = _compared(outputs, name)
+        notes += said
+    return outputs.flight.with_columns(**columns), tuple(notes)
+
+
+def _compared(told: ConditionedFlight, name: str) -> tuple[Array, list[Note]]:
+    values, said = told.as_output(name)
+    return values, [
+        n for n in said if n.kind is not NoteKind.NOT_MEASURED
+    ]  # gaps of a channel are the quality report's
+
+
+def _not_compared(flight: Flight, name: str) -> Note:
+    if flight.measured(name):
+        return Note(NoteKind.STUCK, f"{name} is constant: not compared", ((name, name),))
+    return Note(NoteKind.NOT_MEASURED, f"{name} not measured: not compared", ((name, name),))
+
+
+def left_out_findings(notes: tuple[Note, ...]) -> tuple[Finding, ...]:
+    """One entry of the quality report for each thing left out."""
+    return tuple(Finding(CHECK, "ok" if n.kind is NoteKind.NOT_MEASURED else "warn", n.text) for n in notes)

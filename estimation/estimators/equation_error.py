@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator, simulate
 from estimation.errors import DataError
-from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, score_covariance
 from estimation.estimators.gauss_newton import Status
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import FlightFit, Result
 from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models import load_model

@@ -1,29 +1,24 @@
-"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error gives nonsense slowly.
+"""The gain of a steady-state Kalman filter from process noise, for filter error in its published form.
 
-The model is driven by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman
-filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right
-model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. Two forms:
-
-- `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
-  process-noise model: asymptotically the same estimate without a Riccati equation.
-- `process_noise_error`: the published form. Unknown is the process noise of each state that forces drive; the gain follows
-  from it by the Riccati equation of the model linearised where it flew (`kalman_gain`), anew at the estimates. Few unknowns, and
-  stable always: where the air is calm a free gain can find a filter that blows up, and this one ends at output error.
+Small motion about a point of flight, dx = (A x + w) dt, y = C x + v, sampled every `dt`: Phi = exp(A dt), P the covariance of
+the prediction from the discrete Riccati equation, K = P C' (C P C' + R)^-1 the correction x <- x + K (z - y) (Maine and Iliff,
+NASA RP-1168, section 6; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Such a filter is stable whatever
+the noise, which a free gain is not, and a handful of standard deviations make it up.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import expm, solve_discrete_are
 
 from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
-from estimation.estimators.frequency_domain.linearised import matrices
+from estimation.estimators.frequency_domain.transformed import matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
 from estimation.estimators.input_path import in_own_terms, with_paths, without
-from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.estimators.output_error import (
     STANDARD,
@@ -35,11 +30,69 @@ from estimation.estimators.output_error import (
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Flight
 from groundstation.flight.quality.noise import noise as noise_of
+
+STEP = 1e-4  # of a noise, for the slope of the gain
+
+
+@dataclass(frozen=True)
+class GainLaw:
+    """transition: Phi (nx, nx); C: (ny, nx); noise: (ny,) std of the measurements; unit: (n,) what 1 means for each unknown, as
+    the std that a state gathers in a sample interval; states: (n,) the state each is of."""
+
+    transition: Array
+    C: Array
+    noise: Array
+    unit: Array
+    states: tuple[int, ...]
+
+    def gain(self, relative: Array) -> Array:
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where the filter has no steady state that
+        can be calculated, as where the model grows or decays beyond all numbers within a sample interval."""
+        Q = np.zeros(self.transition.shape)
+        for state, unit, size in zip(self.states, self.unit, relative, strict=True):
+            Q[state, state] = (unit * size) ** 2
+        P = self._prediction(Q)
+        S = self.C @ P @ self.C.T + np.diag(self.noise**2)
+        return np.asarray(np.linalg.solve(S, self.C @ P).T)
+
+    def slopes(self, relative: Array) -> Array:
+        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. LinAlgError as of `gain`."""
+        found = []
+        for i in range(relative.size):
+            up, down = relative.copy(), relative.copy()
+            up[i] += STEP
+            down[i] = max(down[i] - STEP, 0.0)
+            found.append((self.gain(up) - self.gain(down)) / (up[i] - down[i]))
+        return np.array(found).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
+
+    def _prediction(self, Q: Array) -> Array:
+        """Covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
+        if not (np.isfinite(self.transition).all() and np.isfinite(self.C).all() and np.isfinite(Q).all()):
+            raise np.linalg.LinAlgError("the linearised motion grows beyond all numbers within one sample interval")
+        R = np.diag(self.noise**2)
+        # a state that nothing disturbs and that does not decay is known for good: its filter has no steady state but zero gain
+        floor = TINY * max(float(Q.max()), float(R.min())) * np.eye(len(Q))
+        try:
+            return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
+        except ValueError as error:  # scipy's word for infinite intermediate results
+            raise np.linalg.LinAlgError("the Riccati equation of its filter has no finite solution") from error
+
+
+TINY = 1e-12  # of the largest process noise, or of the smallest noise of measurement
+
+
+def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
+    """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # what grows beyond all numbers is refused where the gain is asked for
+        return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
+
 
 FIRST_GAIN = 0.2  # of each measured state on itself: a filter that follows from the first step
 LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, Spectrum, white_products
 from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.models.base import Model
 from estimation.prepare.flight_data import Segment, draws_for
 

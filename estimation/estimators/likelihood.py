@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import FlightBlocks, SegmentBlocks, pseudo_inverse
 from estimation.estimators.gauss_newton import SolverStep
+from estimation.estimators.normal_equations import FlightBlocks, SegmentBlocks, pseudo_inverse
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData
 

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe, Belief, Sample
 from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
@@ -23,9 +22,7 @@ from estimation.models.base import Model, Parameter
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
-from groundstation.flight import GAP_FACTOR, Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import GAP_FACTOR, Array, Flight
 
 EVERY = 0.5  # s between two entries of the history
 DOUBTED = 0.5  # of a believed value: its standard deviation where the aircraft file states none

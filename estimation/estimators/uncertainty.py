@@ -12,7 +12,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.coloured import (
     ResidualSegment,
     Spectrum,
@@ -32,6 +31,7 @@ from estimation.estimators.input_error import (
     evidence,
 )
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
+from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
 from estimation.estimators.result import Estimate, correlation
 from estimation.estimators.together import moving_together, text_of
 from estimation.models.base import Model, Parameter

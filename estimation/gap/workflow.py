@@ -37,7 +37,7 @@ from estimation.gap.tests_of_fit.nulls import input_errors, with_errors
 from estimation.gap.verdict.conclusion import concluded
 from estimation.gap.verdict.turned_signs import turned_signs
 from estimation.models.base import Model
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from groundstation.flight import Flight
 
 

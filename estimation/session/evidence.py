@@ -1,16 +1,15 @@
 """Numbers that tell whether something drives an aircraft that the model does not know of: read off residuals of results."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.estimators.result import Result
-from estimation.models.base import Model
-from estimation.models.driven import force_states
-
-Array = NDArray[np.float64]
+from estimation.estimators.result import Estimate, Result
+from estimation.models.base import Model, ParameterRole
+from estimation.models.dependence import force_states
+from groundstation.flight import RECONSTRUCTED, Array, Flight
 
 CHANCE = 0.999  # probability at which a gain is believed
 FEWEST = 20  # samples of a channel from which its residuals tell anything
@@ -101,3 +100,84 @@ def predictability(result: Result) -> float:
     told = driven(result.model)
     rho = np.clip(np.array([v for n, v in neighbours(result).items() if n in told]), -0.999, 0.999)
     return float(np.mean(-np.log(1.0 - rho**2))) if rho.size else 0.0
+
+
+POWER = 2.0
+"""Of V in the dynamic pressure."""
+
+
+def with_airspeed_error(result: Result, flights: Sequence[Flight]) -> Result:
+    """The result with the common error of reconstructed airspeeds in the corrected bounds of derivatives."""
+    share = float(np.mean([_share(f) for f in flights])) if flights else 0.0
+    if share == 0.0:
+        return result
+    derivatives = set(result.model.free_of(ParameterRole.DERIVATIVE))
+    wider = {n: _wider(e, share) if n in derivatives else e for n, e in result.parameters.items()}
+    return replace(result, parameters=wider)
+
+
+def _wider(estimate: Estimate, share: float) -> Estimate:
+    return replace(estimate, std_coloured=math.hypot(estimate.std_coloured, share * estimate.estimate))
+
+
+def _share(flight: Flight) -> float:
+    """Relative 1 sigma of every derivative by the airspeed of a flight; 0 where it was measured, or nothing is stated."""
+    if "V" not in flight.reconstructed or not flight.measured("V"):
+        return 0.0
+    stated = flight.provenance.detail.get(RECONSTRUCTED)
+    stds = stated.get("std") if isinstance(stated, Mapping) else None
+    std = stds.get("V") if isinstance(stds, Mapping) else None
+    if not isinstance(std, int | float) or not 0.0 < std < math.inf:
+        return 0.0
+    return POWER * float(std) / float(np.nanmedian(flight["V"]))
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One parameter over flights. std: sample standard deviation; bound: rms of the flights' corrected bounds;
+    ratio: std/bound; probability: of a chi-square as large, were the bounds right (None with fewer than two flights)."""
+
+    mean: float
+    std: float
+    bound: float
+    ratio: float
+    probability: float | None
+    count: int
+    trim: bool = False  # a constant that differs from flight to flight with trim and sensor offsets
+
+    @property
+    def text(self) -> str:
+        """The verdict on the bounds, empty where scatter and bounds agree."""
+        if self.trim or self.probability is None or self.probability > 0.01:
+            return ""
+        return f"scatter over {self.count} flights is {self.ratio:.1f} times the bounds: these bounds are too small"
+
+
+def scatter(results: Sequence[Result]) -> dict[str, Scatter]:
+    """Mean and scatter of each parameter over the flights that could tell it, against their bounds."""
+    from scipy.special import chdtrc  # here: whoever only describes a session needs no scipy
+
+    table = {}
+    for name in results[0].parameters:
+        usable = [r.parameters[name] for r in results if r.converged and name in r.parameters]
+        told = [e for e in usable if e.identifiable]
+        if not told:
+            continue
+        x = np.array([e.estimate for e in told])
+        bounds = np.array([e.std_coloured for e in told])
+        std = float(np.std(x, ddof=1)) if x.size > 1 else math.nan
+        bound = float(np.sqrt(np.mean(bounds**2)))
+        probability = None
+        if x.size > 1 and np.all(bounds > 0):
+            weighted = np.sum(x / bounds**2) / np.sum(1 / bounds**2)
+            probability = float(chdtrc(x.size - 1, np.sum(((x - weighted) / bounds) ** 2)))
+        table[name] = Scatter(
+            float(x.mean()),
+            std,
+            bound,
+            std / bound if bound > 0 else math.nan,
+            probability,
+            x.size,
+            results[0].model.parameter(name).role is ParameterRole.CONSTANT,
+        )
+    return table

@@ -12,12 +12,10 @@ from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.prepare.stretches import unique_names
-from estimation.session.airspeed_error import with_airspeed_error
-from estimation.session.joint import joint_model
-from estimation.session.of_aircraft import of_aircraft
-from estimation.session.scatter import scatter
+from estimation.session.aircraft_review import of_aircraft
+from estimation.session.evidence import scatter, with_airspeed_error
 from estimation.session.session import EstimationSession, FlightEstimates
-from estimation.session.structured import StructureWish, structured
+from estimation.session.structured import StructureWish, joint_model, structured
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
@@ -214,7 +212,7 @@ def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
     """EstimationError before any work is done for extras that cannot be had."""
     check_extras(extras.asked, chosen)
     if extras.bootstrap:
-        from estimation.estimators.bootstrap import check_replicates
+        from estimation.estimators.refits import check_replicates
 
         check_replicates(extras.bootstrap)
     if extras.seed < 0:

@@ -9,8 +9,8 @@ from estimation.aircraft import Aircraft
 from estimation.estimators.registry import names
 from estimation.estimators.result import Result, finite
 from estimation.models.base import Model
+from estimation.session.evidence import Scatter
 from estimation.session.sanity_checks import Doubt, doubts_of
-from estimation.session.scatter import Scatter
 from estimation.session.verdict import Verdict
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import StructureTest

@@ -1,8 +1,4 @@
-"""The structure test beside the fits of a session, and fits again with what the model turns out to lack.
-
-Each flight's fit is tested, and the joint one. The whole linear model is the built-in models' own: derivatives that the data
-tell are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
-"""
+"""The model of a joint fit."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -14,18 +10,24 @@ from estimation.estimators.arithmetic import NumericalFailure, numerical_failure
 from estimation.estimators.estimator import Task
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
-from estimation.models.base import Model
+from estimation.models.base import Model, ParameterRole
 from estimation.models.library import WHOLE
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
-from estimation.session.joint import joint_model
 from estimation.session.session import EstimationSession
 from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
-from estimation.structure.excerpt import excerpt
-from estimation.structure.following import follows_controls
 from estimation.structure.linearised import linearise
-from estimation.structure.odd_flights import OddFlight, odd_flights
+from estimation.structure.odd_flights import OddFlight, excerpt, follows_controls, odd_flights
 from estimation.structure.score_test import Lack, StructureTest, structure_of
 from groundstation.flight import Flight
+
+
+def joint_model(model: Model) -> Model:
+    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
+
+    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
+    """
+    return model.with_local(*model.free_of(ParameterRole.CONSTANT))
+
 
 ROUNDS = 4  # of adding: a model that lacks more is another model
 MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test

@@ -15,11 +15,10 @@ import numpy as np
 
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
-from estimation.session.evidence import ProcessNoise, gain_of_filter, predictability
-from estimation.session.of_aircraft import NOTHING, OfAircraft
+from estimation.session.aircraft_review import NOTHING, OfAircraft
+from estimation.session.evidence import ProcessNoise, gain_of_filter, predictability, scatter
 from estimation.session.plausible_derivatives import implausible
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible
-from estimation.session.scatter import scatter
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import Lack, StructureTest
 

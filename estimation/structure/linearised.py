@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, noise_spectrum, white_products, without_nuisance
 from estimation.estimators.input_error import (
     LEAST_NOISE,
@@ -25,6 +24,7 @@ from estimation.estimators.input_error import (
 )
 from estimation.estimators.input_path import at_paths_of
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, white_responses

@@ -1,24 +1,100 @@
-"""Which flight of a joint fit differs from the others, in what, and how likely that is chance: leave-one-out.
-
-Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not,
-what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
-coefficient, one derivative, or one of the things tested beside every fit.
-"""
+"""Long flights, tested by their first part: what a model lacks shows in minutes, and an hour would take longer than its fit."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.result import Result, finite
+from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.result import FlightFit, Result, finite
 from estimation.models.base import ParameterRole
+from estimation.models.dependence import force_states
+from estimation.prepare.flight_data import FlightData, Segment
 from estimation.structure.candidates import CandidateKind, force_lines
 from estimation.structure.linearised import LinearisedFit
 
+MOST_SAMPLES = 16_000
+"""Of one flight: 80 s at 200 Hz, a quarter of an hour at 20 Hz. With some 50 columns and as many draws of the inputs that is
+130 MB."""
+
+
+def excerpt(result: Result, data: list[FlightData]) -> tuple[Result, list[FlightData]]:
+    """A result and its flights, of each no more than MOST_SAMPLES from its beginning."""
+    if all(d.used <= MOST_SAMPLES for d in data) or any(
+        len(d.segments) != len(f.initial_states) for d, f in zip(data, result.flights, strict=True)
+    ):
+        return result, data
+    parts = [_part(d, f) for d, f in zip(data, result.flights, strict=True)]
+    return replace(result, flights=tuple(f for _, f in parts)), [d for d, _ in parts]
+
+
+def _part(data: FlightData, fit: FlightFit) -> tuple[FlightData, FlightFit]:
+    segments: list[Segment] = []
+    room = MOST_SAMPLES
+    for s in data.segments:
+        if room < 8:
+            break
+        taken = min(len(s), room)
+        segments.append(s if taken == len(s) else s.part(0, taken, np.array(s.x0)))
+        room -= taken
+    kept = fit.initial_states[: len(segments)]
+    return replace(data, segments=tuple(segments)), replace(fit, initial_states=kept)
+
+
 Array = NDArray[np.float64]
+
+STEPS = 8  # samples of the past that count: what lacks shows within half a second of a movement
+FOLLOWS = 0.08
+"""Share of the innovations of one output that past movements of the controls foretell: 0.03 at most in plain and gusty
+flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random aeroplanes, docs/validation.md)."""
+FOLLOWS_BY_CHANCE = 1e-6  # probability of so much by chance
+
+
+def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
+    """A sentence on the output whose innovations follow the controls most; empty where none does beyond FOLLOWS.
+
+    result: of a filter error; data: its flights, prepared for its model.
+    """
+    from scipy.stats import chi2
+
+    controls = [i for i, s in enumerate(result.model.inputs) if s.control]
+    kinematic = set(result.model.state_names) - set(force_states(result.model, result.model.free_names))
+    worst, name = 0.0, ""
+    for c, output in enumerate(result.model.output_names):
+        if output in kinematic or not controls:
+            continue
+        past, rest = _rows(result, data, controls, c)
+        if len(rest) < 4 * past.shape[1] or not rest.any():
+            continue
+        left = rest - past @ np.linalg.lstsq(past, rest, rcond=1e-9)[0]
+        share = 1.0 - float(left @ left) / float(rest @ rest)
+        if share > max(worst, FOLLOWS) and chi2.sf(len(rest) * share, past.shape[1]) < FOLLOWS_BY_CHANCE:
+            worst, name = share, output
+    if not name:
+        return ""
+    return (
+        f"its process noise is no gusts: what the controls did before foretells {worst:.0%} of its innovations of {name}, where"
+        f" in rough air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
+    )
+
+
+def _rows(result: Result, data: Sequence[FlightData], controls: list[int], output: int) -> tuple[Array, Array]:
+    """(N, controls STEPS) past movements and (N,) innovations of one output, over all flights."""
+    past, rest = [np.zeros((0, len(controls) * STEPS))], [np.zeros(0)]
+    for fit, flight in zip(result.flights, data, strict=True):
+        for s in flight.segments:
+            moved = np.diff(s.u[:, controls], axis=0, prepend=s.u[:1, controls])
+            if len(s) <= 2 * STEPS:
+                continue
+            rows = np.concatenate([moved[STEPS - k : len(s) - k] for k in range(STEPS)], axis=1)
+            e = fit.residuals[s.first + STEPS : s.first + len(s), output]
+            known = np.isfinite(e)
+            past.append(rows[known])
+            rest.append(e[known] - e[known].mean() if known.any() else e[known])
+    return np.concatenate(past), np.concatenate(rest)
+
 
 CHANCE = 1e-4
 """Probability below which a flight differs: of a hundred joint fits of ten flights, one in ten would name one by chance."""

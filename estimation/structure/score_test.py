@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import Result, finite
 from estimation.structure.candidates import Candidate, CandidateKind
 from estimation.structure.linearised import LinearisedFit

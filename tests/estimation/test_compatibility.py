@@ -10,11 +10,10 @@ from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
 from estimation.commands.check import check
-from estimation.compatibility.bounds import refuse_singular
 from estimation.compatibility.correct import corrected
-from estimation.compatibility.reconstruction import compatibility
+from estimation.compatibility.problem import refuse_singular
+from estimation.compatibility.reconstruction import Compatibility, compatibility
 from estimation.compatibility.records import attitude_errors, attitude_jumps
-from estimation.compatibility.result import Compatibility
 from estimation.errors import EstimationError
 from estimation.models.kinematic import compatibility_model
 from groundstation.flight import Flight, MissingColumnError, write_flight

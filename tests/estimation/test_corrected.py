@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimation.compatibility.correct import corrected
-from estimation.compatibility.result import Compatibility, FactorEstimate
+from estimation.compatibility.reconstruction import Compatibility, FactorEstimate
 from groundstation.flight import Flight
 
 TIME = np.arange(600) * 0.04

@@ -14,7 +14,7 @@ from estimation.commands.match import match
 from estimation.errors import ModelError
 from estimation.models import load_model, write_model
 from estimation.models.load import read_model
-from estimation.session.flown import beyond, flown
+from estimation.session.proof_of_match import beyond, flown
 from groundstation.flight import Flight, write_flight
 
 LATERAL = load_model("lateral", "cdfp")

@@ -15,9 +15,8 @@ from estimation.errors import EstimationError
 from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.estimator import Estimator, Task
-from estimation.estimators.filter_error import ProcessNoiseProblem
+from estimation.estimators.filter_error import GainLaw, ProcessNoiseProblem, gain_law
 from estimation.estimators.gauss_newton import SolverStep, Status, minimise
-from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter

@@ -12,19 +12,24 @@ from estimation.errors import DataError, EstimationError
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton import NgnOptions, estimate_campaign, estimate_ngn, training
 from estimation.estimators.neural_gauss_newton.axes import LateralAxis, LongitudinalAxis
-from estimation.estimators.neural_gauss_newton.device import usable_device
 from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns
 from estimation.estimators.neural_gauss_newton.network import (
     NetworkShape,
     forward,
     initial_weights,
     input_slopes,
+    usable_device,
     weight_normal_equations,
 )
-from estimation.estimators.neural_gauss_newton.options import default_options
 from estimation.estimators.neural_gauss_newton.samples import stretches, window_mean
 from estimation.estimators.neural_gauss_newton.solve import NeuralProblem
-from estimation.estimators.neural_gauss_newton.training import Job, TrainingOptions, mean_square, train_jobs
+from estimation.estimators.neural_gauss_newton.training import (
+    Job,
+    TrainingOptions,
+    default_options,
+    mean_square,
+    train_jobs,
+)
 from estimation.models import load_model
 from estimation.session.runner import joint_model
 from firmware_sim.physics.aerodynamics import true_derivatives

@@ -8,8 +8,7 @@ import pytest
 from estimation.engine.compiled import CompiledKernel
 from estimation.engine.kernel import SensitivityColumns
 from estimation.engine.simulate import Simulator
-from estimation.estimators.filter_error import filter_error, process_noise_error
-from estimation.estimators.kalman_gain import GainLaw, gain_law
+from estimation.estimators.filter_error import GainLaw, filter_error, gain_law, process_noise_error
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model

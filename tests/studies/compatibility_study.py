@@ -14,10 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.compatibility.bounds import USEFUL, normal
-from estimation.compatibility.problem import CompatibilityProblem
-from estimation.compatibility.reconstruction import compatibility
-from estimation.compatibility.result import FactorEstimate
+from estimation.compatibility.problem import USEFUL, CompatibilityProblem, normal
+from estimation.compatibility.reconstruction import FactorEstimate, compatibility
 from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from firmware_sim.runs.direct import DirectNoise, direct_flights
 from firmware_sim.runs.flight import simulate_flight

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import FlightBlocks
 from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.estimators.normal_equations import FlightBlocks
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData

@@ -30,7 +30,7 @@ from estimation.models.base import Model
 from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
 from estimation.prepare.stretches import unique_names
-from estimation.session.flown import flown
+from estimation.session.proof_of_match import flown
 from estimation.session.runner import joint_model
 from groundstation.flight import Flight
 

@@ -1,32 +1,176 @@
-"""Output error in the frequency domain: the fit, its bounds and what is told of it.
+"""Bounds of a fit in the frequency domain: Cramer-Rao, and corrected for the colour that residuals show.
 
-V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., chapter 7. A first fit takes noise as white over the
-band, the next ones with the spectrum that the residuals show. `std` is the Cramer-Rao bound of the last; `std_coloured`
-(`bounds`) counts the cross-spectra of the residuals, what the fit took away of them, and imperfect inputs.
+With M the information and B the covariance of the score, Cov = M^-1 B M^-1. Here B is a sum over frequencies of slopes times the
+spectra and cross-spectra of the residuals, smoothed over neighbouring frequencies and raised by what the fit took away, and of
+what imperfect inputs do (`estimation.estimators.input_error`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
 from estimation.estimators.equation_error import simulated_fits, start_values
-from estimation.estimators.frequency_domain.bounds import Bounds, bounds, noise_shapes
-from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem
+from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem, SegmentRows
 from estimation.estimators.frequency_domain.transformed import NYQUIST, Band
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, SolverOutcome, Status, minimise
+from estimation.estimators.input_error import disturbed
+from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
 from estimation.estimators.output_error import failed, mean_of_locals
 from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.uncertainty import estimates
+from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
+from estimation.signals.curves import Complex
 from groundstation.flight import Flight
 from groundstation.flight.notes import Note, NoteKind
+
+SMOOTHED = 4  # bins to either side over which the spectra of residuals are averaged
+LEAST_LEFT = (
+    0.25  # of the noise at a frequency: what is fitted away nearly whole is not raised beyond four times in power
+)
+LEAST = 0.05  # of an output's mean noise: no frequency of it is trusted more
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """(shared, shared) covariances, and each flight's of its local parameters; blind: (shared,) not seen by the data."""
+
+    covariance: Array
+    coloured: Array
+    local: list[tuple[Array, Array]]
+    blind: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SpectralScore:
+    """Where the score of one flight about the free parameters scatters from, nuisances projected out. independent: (n, n)
+    covariance of what is another in every flight; common: (n, errors) of the timing errors that all flights of an
+    aircraft share."""
+
+    independent: Array
+    common: Array
+
+
+def bounds(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint) -> Bounds:
+    """Both bounds at an optimum."""
+    blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
+    covariance, unseen = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
+    blind = np.any(np.abs(unseen) > TIED, axis=1) if unseen.size else np.zeros(len(problem.shared), bool)
+    scores = [_score(problem, unknowns, point, i, _whole(problem, covariance, b)) for i, b in enumerate(blocks)]
+    middle = np.diag(problem.prior_weight[problem.shared])
+    reduced = [_reduction(problem, block) for block in blocks]
+    middle += sum(r @ s.independent @ r.T for r, s in zip(reduced, scores, strict=True))
+    common = np.sum([r @ s.common for r, s in zip(reduced, scores, strict=True)], axis=0)
+    coloured = covariance @ (middle + common @ common.T) @ covariance
+    return Bounds(covariance, coloured, _local(problem, blocks, scores, covariance, coloured), blind)
+
+
+def _whole(problem: FrequencyProblem, covariance: Array, block: FlightBlocks) -> Array:
+    """(n, n) covariance of shared and local parameters side by side."""
+    whole = np.zeros((len(problem.free), len(problem.free)))
+    whole[np.ix_(problem.shared, problem.shared)] = covariance
+    whole[np.ix_(problem.local, problem.local)] = block.ll_inverse
+    return whole
+
+
+def _reduction(problem: FrequencyProblem, block: FlightBlocks) -> Array:
+    """(shared, n) from a flight's score to that of the shared parameters with the local ones eliminated."""
+    reduce = np.zeros((len(problem.shared), len(problem.free)))
+    reduce[:, problem.shared] = np.eye(len(problem.shared))
+    reduce[:, problem.local] = -block.sl @ block.ll_inverse
+    return reduce
+
+
+def _local(
+    problem: FrequencyProblem,
+    blocks: list[FlightBlocks],
+    scores: list[SpectralScore],
+    covariance: Array,
+    coloured: Array,
+) -> list[tuple[Array, Array]]:
+    found = []
+    for block, score in zip(blocks, scores, strict=True):
+        whole = score.independent + score.common @ score.common.T
+        own = block.ll_inverse @ whole[np.ix_(problem.local, problem.local)] @ block.ll_inverse
+        lever = block.ll_inverse @ block.sl.T
+        found.append((block.ll_inverse + lever @ covariance @ lever.T, own + lever @ coloured @ lever.T))
+    return found
+
+
+def _score(
+    problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint, index: int, covariance: Array
+) -> SpectralScore:
+    """Of one flight: noise as residuals show it, and what is wrong with the inputs (`estimators.input_error`) at the size that is
+    believed before the residuals are seen. covariance: (n, n) of the parameters of this flight."""
+    n = len(problem.free)
+    total, columns = np.zeros((n, n)), []
+    responses = disturbed(problem, unknowns, index)
+    for j, (stretch, segment) in enumerate(zip(problem.stretches[index], problem.flights[index].segments, strict=True)):
+        rows = problem.rows(point, index, j)
+        inverse = point.blocks[index][j].xx_inverse
+        J = rows.by_parameter - rows.nuisance @ (inverse @ (rows.nuisance.T @ rows.by_parameter))
+        shape = (stretch.omega.size, problem.ny)
+        spectra = _smoothed(_complex(rows.residual, shape), _leverage(J, rows, covariance, inverse, shape))
+        slopes = _complex(J, (stretch.omega.size, problem.ny, n))
+        total += np.real(np.einsum("kon,kop,kpm->nm", slopes.conj(), spectra, slopes))
+        changes = stretch.transformed(segment.time, responses[j].values)
+        columns.append(J.T @ problem.in_noise(changes, point, index, j))
+    noise, edges, common = np.split(
+        np.sum(columns, axis=0), [responses[0].noise, responses[0].noise + responses[0].edges], axis=1
+    )
+    for draws in (noise, edges):
+        total += draws @ draws.T / max(draws.shape[1], 1)
+    return SpectralScore(total, common)
+
+
+def _leverage(J: Array, rows: SegmentRows, covariance: Array, nuisance_inverse: Array, shape: tuple[int, int]) -> Array:
+    """(bins, ny) share of each number that the fit takes up. J: nuisances projected out; covariance: (n, n) of the parameters."""
+    taken = np.einsum("rn,nm,rm->r", J, covariance, J)
+    taken += np.einsum("rk,kl,rl->r", rows.nuisance, nuisance_inverse, rows.nuisance)
+    return np.asarray(0.5 * _complex(taken, shape).real + 0.5 * _complex(taken, shape).imag)
+
+
+def _complex(values: Array, shape: tuple[int, ...]) -> Complex:
+    real, imaginary = np.split(values, 2)
+    return (real + 1j * imaginary).reshape(shape)
+
+
+def _smoothed(residual: Complex, taken: Array) -> Complex:
+    """(bins, ny, ny) spectra of residuals (bins, ny) in units in which white noise has one for each of its two parts.
+
+    taken: (bins, ny) leverage, by which residuals are smaller than the noise.
+    """
+    every = 0.5 * np.einsum("ko,kp->kop", residual, residual.conj())
+    lowest = every[1 : SMOOTHED + 1]
+    every[0] = lowest[np.argmax(np.trace(lowest.real, axis1=1, axis2=2))]  # a mean tells nothing of its own scatter
+    count = len(every)
+    windows = [slice(max(k - SMOOTHED, 0), min(k + SMOOTHED + 1, count)) for k in range(count)]
+    left = np.stack([np.maximum(1.0 - taken[w].mean(axis=0), LEAST_LEFT) for w in windows])
+    spectra = np.stack([every[w].mean(axis=0) for w in windows])
+    return np.asarray(spectra / np.sqrt(left[:, :, None] * left[:, None, :]))
+
+
+def noise_shapes(problem: FrequencyProblem, point: FrequencyPoint) -> list[list[Array]]:
+    """Per flight and segment (bins, ny): spectrum of the residuals relative to its level, smoothed."""
+    shapes: list[list[Array]] = []
+    for i, flight in enumerate(problem.stretches):
+        shapes.append([])
+        for j, stretch in enumerate(flight):
+            rows = problem.rows(point, i, j)
+            residual = _complex(rows.residual, stretch.z.shape)
+            spectra = _smoothed(residual, np.zeros(residual.shape))
+            power = np.real(np.einsum("koo->ko", spectra)) * problem.shapes[i][j]
+            level = np.maximum(power[1:].mean(axis=0), 1e-300)
+            shapes[-1].append(np.where(stretch.compared, np.maximum(power / level, LEAST), 1.0))
+    return shapes
+
 
 NAME = "ml-frequency"
 LOW = 0.1  # Hz; below, gusts and drifts are larger than what manoeuvres of a few seconds leave

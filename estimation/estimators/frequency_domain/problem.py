@@ -14,9 +14,9 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import SegmentBlocks
 from estimation.estimators.frequency_domain.transformed import Band, SpectralResponse, SpectralSegment
 from estimation.estimators.likelihood import DEFINITELY_ZERO, LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.normal_equations import SegmentBlocks
 from estimation.prepare.flight_data import FlightData
 from estimation.signals.curves import Complex
 

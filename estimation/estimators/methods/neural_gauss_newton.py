@@ -50,7 +50,7 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
 
 
 def _refuses(model: "Model") -> str:
-    from estimation.estimators.neural_gauss_newton.formulated import refusal
+    from estimation.estimators.neural_gauss_newton.axes import refusal
 
     return refusal(model.name, model.parameter_names)
 

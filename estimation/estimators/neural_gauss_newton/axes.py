@@ -1,12 +1,6 @@
-"""Which coefficients an axis has: how they follow from measured motion, and from parameters.
+"""Which models Neural Gauss-Newton has a formulation for; said without loading a network."""
 
-Lateral: side force, rolling and yawing moment (REFERENCE, Neural Gauss-Newton). Longitudinal: lift, drag, pitching
-moment. SI, radians, body axes x forward, y right, z down; rates non-dimensional as p b/2V, q c/2V, r b/2V.
-All arrays are over samples; `loads` are forces and moments divided by reference area (and length): what a coefficient
-is once divided by dynamic pressure.
-"""
-
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,7 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.estimators.neural_gauss_newton.formulated import LATERAL, LONGITUDINAL
+from estimation.models.library import LATERAL_DERIVATIVES, LONGITUDINAL_DERIVATIVES
+
+LATERAL, LONGITUDINAL = ("lateral", "lateral-simple"), ("longitudinal",)
+
+
+def refusal(model: str, parameters: Collection[str] | None = None) -> str:
+    """Why a model of that name, and with those parameters, cannot be taken; empty where it can."""
+    if model not in (*LATERAL, *LONGITUDINAL):
+        known = "lateral, lateral-simple and longitudinal"
+        return f"model {model}: Neural Gauss-Newton has a formulation for {known}; use method ml"
+    usual = LATERAL_DERIVATIVES if model in LATERAL else LONGITUDINAL_DERIVATIVES
+    if parameters is not None and (more := [n for n in parameters if n not in usual]):
+        return f"model {model}: Neural Gauss-Newton has no formulation with {', '.join(more)}; use method ml"
+    return ""
+
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]

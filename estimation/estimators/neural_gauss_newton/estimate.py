@@ -1,34 +1,170 @@
-"""Neural Gauss-Newton estimates of a flight, or of several together: `ngn` as published, and `ngn-improved`.
+"""A Neural Gauss-Newton solution as the Result that all methods share.
 
-Published form: S. Das, R. A. Kuttieri, M. Sinha and R. Jategaonkar, Journal of Guidance, Control and Dynamics 33(1),
-2010, and The Aeronautical Journal (2018), pp 889-912. A network learns the motion one step ahead from motion and
-measured coefficients; then it is frozen, the coefficients come from the aerodynamic model, and Gauss-Newton finds the
-parameters that let it predict best. No equation of motion is solved.
-
-Improved form: coefficients are means over an interval (`samples`), a linear path goes round the hidden layer, and the
-normal equations are formed with instruments (`instruments`), so that neither the derivative of a rate nor noise in the
-regressors makes the parameters small. An ensemble of networks is averaged.
-
-The Cramer-Rao bound of a frozen network takes the network for truth and its inputs for exact, and is far too small. The
-honest spread is from a block bootstrap (networks trained again on resampled blocks) together with the ensemble's.
+The histories are the model's, simulated with the estimates like those of every other method: one-step predictions of a
+network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
+from estimation.engine.simulate import simulate
 from estimation.errors import EstimationError
-from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
-from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
-from estimation.estimators.neural_gauss_newton.formulated import refusal
+from estimation.estimators.gauss_newton import Status
+from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for, refusal
 from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
-from estimation.estimators.neural_gauss_newton.options import NgnOptions, default_options
-from estimation.estimators.neural_gauss_newton.present import describe
+from estimation.estimators.neural_gauss_newton.network import one_thread, usable_device
 from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
-from estimation.estimators.result import Result
+from estimation.estimators.neural_gauss_newton.training import NgnOptions, default_options
+from estimation.estimators.refits import PERCENTILES
+from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread
+from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
 from estimation.prepare.columns import with_derived
-from groundstation.flight import Flight
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from estimation.signals.goodness_of_fit import fits
+from groundstation.flight import Array, Flight
+from groundstation.flight.notes import Note
+
+if TYPE_CHECKING:
+    from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution
+
+
+def describe(
+    model: Model,
+    flights: Sequence[Flight],
+    problem: "NeuralProblem",
+    solution: "NeuralSolution",
+    settings: dict[str, object],
+    bootstrap: bool,
+) -> Result:
+    """Estimates with bounds and verdicts, simulated histories, and the training record in `extra`.
+
+    bootstrap: whether its replicates are wanted in the result.
+    """
+    rows, unknowns = problem.rows, problem.unknowns
+    model, data = without_absent_outputs(model, prepare_all(model, flights))
+    shared = [i for i, f in enumerate(unknowns.owner) if f < 0]
+    names = tuple(unknowns.names[i] for i in shared)
+    pick = np.ix_(shared, shared)
+    found, pairs = _estimates(model, names, solution, np.array(shared, int), data)
+    fitted = tuple(_flight(model, d, i, unknowns, solution, rows.notes) for i, d in enumerate(data))
+    found |= _mean_of_locals(fitted)
+    ordered = {n: found[n] for n in model.free_names if n in found}
+    status, text = _status(solution, ordered)
+    residuals = np.concatenate([f.residuals for f in fitted])
+    known = np.isfinite(residuals)
+    squares = np.where(known, residuals, 0.0) ** 2
+    R = np.diag(squares.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
+    return Result(
+        model, "ngn-improved" if problem.options.improved else "ngn", status, text, max(f.iterations for f in solution.fits),
+        sum(f.iterations for f in solution.fits), cost, R, names, ordered, solution.bound[pick], solution.spread[pick],
+        pairs, fitted, "torch", {**settings, **_record(rows, unknowns, solution)},
+        bootstrap=_bootstrap(names, solution, np.array(shared, int)) if bootstrap else None,
+    )  # fmt: skip
+
+
+def _status(solution: "NeuralSolution", found: dict[str, Estimate]) -> tuple[Status, str]:
+    if not np.all(np.isfinite(solution.theta)):
+        return Status.DIVERGED, Status.DIVERGED.value
+    # A network that predicts no better than a mean is fed with coefficients it never saw.
+    if any(float(np.log(f.R).mean()) >= 0.0 for f in solution.fits):
+        return Status.STALLED, Status.STALLED.value
+    if not all(f.converged for f in solution.fits):
+        return Status.LIMIT, Status.LIMIT.value
+    blind = [n for n, e in found.items() if not e.identifiable]
+    status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
+    return status, status.value + (f": {', '.join(blind)}" if blind else "")
+
+
+def _estimates(
+    model: Model, names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64], data: list[FlightData]
+) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
+    pick = np.ix_(where, where)
+    blind = np.diag(solution.bound)[where] <= 0.0
+    return estimates(model, names, solution.theta[where], solution.bound[pick], solution.spread[pick], blind, data)
+
+
+def _flight(
+    model: Model,
+    data: FlightData,
+    index: int,
+    unknowns: FlightUnknowns,
+    solution: "NeuralSolution",
+    notes: tuple[Note, ...],
+) -> FlightFit:
+    own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
+    names = tuple(unknowns.names[i] for i in own)
+    local = _estimates(model, names, solution, own, [data])[0] if own.size else {}
+    values = {
+        n: float(v)
+        for i, (n, v) in enumerate(zip(unknowns.names, solution.theta, strict=True))
+        if unknowns.owner[i] in (-1, index)
+    }
+    predicted = simulate(model, data, values)
+    time = np.full(data.samples, np.nan)
+    measured = np.full_like(predicted, np.nan)
+    for s in data.segments:
+        time[s.first : s.first + len(s)], measured[s.first : s.first + len(s)] = s.time, s.z
+    fit = fits(model.output_names, measured, predicted)
+    states = tuple(s.x0 for s in data.segments)
+    return FlightFit(
+        data.name, data.samples, time, measured, predicted, measured - predicted, states, local, fit,
+        (*data.notes, *notes),
+    )  # fmt: skip
+
+
+def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64]) -> Bootstrap | None:
+    """The replicates about the estimate, as other methods show theirs. where: of the names among the unknowns."""
+    deviations = solution.bootstrap[:, where]
+    if len(deviations) < 2:
+        return None
+    found = solution.theta[where] + deviations
+    low, high = np.percentile(found, PERCENTILES, axis=0)
+    std, bias = found.std(axis=0, ddof=1), deviations.mean(axis=0)
+    spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
+    return Bootstrap(names, found, spreads, 0)
+
+
+def _mean_of_locals(flights: tuple[FlightFit, ...]) -> dict[str, Estimate]:
+    """One line per local parameter for the joint table: mean over flights, and the bound of that mean."""
+    result = {}
+    for name in flights[0].local:
+        each = [f.local[name] for f in flights]
+        std, wide = (
+            float(np.sqrt(np.sum(np.square(v)))) / len(each)
+            for v in ([e.std for e in each], [e.std_coloured for e in each])
+        )
+        mean = float(np.mean([e.estimate for e in each]))
+        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=wide, identifiable=True, why="")
+    return result
+
+
+def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: "NeuralSolution") -> dict[str, Any]:
+    """How training went, and where the spread comes from."""
+
+    def spread(values: Array) -> dict[str, float]:
+        if len(values) < 2:
+            return {}
+        return dict(zip(unknowns.names, np.std(values, axis=0, ddof=1).tolist(), strict=True))
+
+    outputs = [*rows.motion, *rows.axis.accelerations]
+    rms = np.sqrt(np.mean([f.R for f in solution.fits], axis=0))
+    return {
+        "record": [
+            {"training_error": t.training_error, "validation_error": t.validation_error, "iterations": t.iterations}
+            for t in solution.trained
+        ],
+        "prediction_rms_standardised": dict(zip(outputs, rms.tolist(), strict=True)),
+        "ensemble_spread": spread(solution.members),
+        "bootstrap_spread": spread(solution.bootstrap),
+    }
 
 
 def estimate_ngn(

@@ -13,21 +13,20 @@ from numpy.typing import NDArray
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis
 from estimation.estimators.neural_gauss_newton.frozen import Standard
-from estimation.estimators.neural_gauss_newton.instruments import predicted_signals
 from estimation.estimators.neural_gauss_newton.samples import (
     COSTLY,
     SHORTEST,
     Form,
     SampleStretch,
     missing_optional,
+    predicted_signals,
     require_columns,
     stretches,
 )
 from estimation.models.base import Model
-from groundstation.flight import Flight
+from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 BLOCK_S = 1.0  # of the block bootstrap: longer than residuals remember (0.2 s), and thirty in a flight of half a minute

@@ -24,8 +24,7 @@ from estimation.estimators.neural_gauss_newton.frozen import (
     fit_with_instruments,
 )
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, initial_weights
-from estimation.estimators.neural_gauss_newton.options import NgnOptions
-from estimation.estimators.neural_gauss_newton.training import Job, Trained, mean_square, train_jobs
+from estimation.estimators.neural_gauss_newton.training import Job, NgnOptions, Trained, mean_square, train_jobs
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.form import spline
 from estimation.gap.form.places import ModelMotion, Place, spread_of

@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.form.places import ModelMotion, Place, spread_of
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile

@@ -31,7 +31,7 @@ from estimation.gap.likelihood.whitening import (
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.models.base import Model
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 
 PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
 SPARE_PASSES = 3  # more of them where the fit has not come to rest

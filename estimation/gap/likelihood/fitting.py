@@ -13,15 +13,14 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
-from estimation.estimators.box import step_within
 from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
+from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse, step_within
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.between_samples import MidSampleGrid, fine_grid
 from estimation.gap.likelihood.whitening import Whitener
 from estimation.gap.records.flight_records import FlightRecord, started
 from estimation.models.base import Model, ParameterRole
-from estimation.models.in_force import asked_for
+from estimation.models.dependence import asked_for
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller

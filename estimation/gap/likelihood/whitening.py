@@ -31,7 +31,7 @@ from estimation.gap.effects.sizes import REFERENCE
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.models.base import Model
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 
 Complex = NDArray[np.complex128]
 

@@ -26,7 +26,7 @@ from estimation.gap.tests_of_fit.nulls import input_errors
 from estimation.gap.tests_of_fit.pitch_kinematics import NEEDED as NEEDED_TO_PITCH
 from estimation.gap.tests_of_fit.pitch_kinematics import pitch_kinematic_model
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from groundstation.flight import Flight
 
 GRAVITY = 9.80665

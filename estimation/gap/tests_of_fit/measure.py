@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import eliminated, solved
+from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.baseline import Baseline

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import eliminated, solved
+from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, prior_terms
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn, one_sided, sensitivity
 from estimation.gap.tests_of_fit.tangent import Tangent

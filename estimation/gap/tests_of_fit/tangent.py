@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, local_prior
 from estimation.gap.likelihood.whitening import White

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, fit
 from estimation.gap.records.candidate_model import DISTURBANCE

@@ -28,7 +28,7 @@ from estimation.gap.likelihood.whitening import (
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.measure import plain_residuals
 from estimation.gap.verdict.effect_location import signals_of
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 
 LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
 

@@ -2,7 +2,12 @@
 
 from estimation.estimators.result import Estimate
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
+from estimation.session.sanity_checks import (
+    controls_of_another_unit,
+    turned_controls,
+    turned_outputs,
+    turned_side_force,
+)
 
 
 def turned_signs(baseline: Baseline) -> list[str]:
