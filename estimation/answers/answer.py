@@ -1,4 +1,6 @@
-"""What results show in a notebook: small tables, the figures of the report pages, and axes of one's own."""
+"""What every public function gives: an answer that prints shortly, shows a table and figures in a notebook, and gives JSON, pages and
+files when asked.
+"""
 
 import html
 from abc import ABC, abstractmethod

@@ -1,4 +1,4 @@
-"""What a person reads of an estimate: a table for each flight and method, mean and scatter, joint."""
+"""`estimate`: aerodynamic parameters of flights, with bounds, and what a person reads of them."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence

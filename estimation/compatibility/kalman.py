@@ -1,10 +1,14 @@
-"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step.
+"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step; the same motion without the filter.
 
 Flight-path reconstruction drives its motion with measured accelerations and rates. Their noise integrates to a random
 walk, so output error would call everything the walk explains a bias, with bounds tens of times too small. Here the
 noise of each input sample is process noise of known size, and the likelihood is that of the innovations (Maine and
 Iliff 1981; Jategaonkar, Flight Vehicle System Identification, ch. 5). Normalised innovations are white with variance
 one when model and noise levels are right: that is what the bounds rest on and what is tested.
+
+`integrated` is what a person sees in the figure, as in Figure 7 of the paper: the motion that accelerations and rates make,
+without looking at what it is compared with. Only the start of each piece is fitted: noise of the inertial sensors integrates to a
+drift of metres a second within a minute or so, so a long record is shown in pieces.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,8 @@
-"""All records of all flights of one check, with their starts and noise levels.
+"""All records of all flights of one check, with their starts, noise levels and bounds.
 
 Noise of the inputs is read off the flight itself; that of the outputs, and the turbulence that moves the air under the
-aircraft, are scaled until the innovations of the filter are as large as it predicts them (relaxation).
+aircraft, are scaled until the innovations of the filter are as large as it predicts them (relaxation). Bounds are from the
+information of the innovations, with the correlation left in them counted by a lag window.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,9 @@
-"""What a data-compatibility check finds: factors with bounds, and the motion the flight's own inputs make."""
+"""Maximum-likelihood estimation of instrument factors from the innovations of the kinematic filter.
+
+One flight or several with shared factors. Noise of the inputs is read off the flight itself; that of the outputs, and
+the turbulence that moves the air under the aircraft, are estimated with the factors (relaxation between Gauss-Newton steps on the
+innovations); bounds from their information, and corrected for whatever colour is left in them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

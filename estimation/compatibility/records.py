@@ -1,4 +1,4 @@
-"""The stretches of a flight that can be reconstructed, and what is left out of it, said in words."""
+"""What of a flight a data-compatibility check compares, and the stretches of it that can be reconstructed; what is left out is said."""
 
 from collections.abc import Sequence
 

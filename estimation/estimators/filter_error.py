@@ -1,9 +1,17 @@
-"""The gain of a steady-state Kalman filter from process noise, for filter error in its published form.
+"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error gives nonsense slowly.
+
+The model is driven by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman
+filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right
+model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. Two forms:
+
+- `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
+  process-noise model: asymptotically the same estimate without a Riccati equation.
+- `process_noise_error`: the published form. Unknown is the process noise of each state that forces drive; the gain follows
+  from it by the Riccati equation of the model linearised where it flew (`GainLaw`), anew at the estimates. Few unknowns, and
+  stable always: where the air is calm a free gain can find a filter that blows up, and this one ends at output error.
 
 Small motion about a point of flight, dx = (A x + w) dt, y = C x + v, sampled every `dt`: Phi = exp(A dt), P the covariance of
-the prediction from the discrete Riccati equation, K = P C' (C P C' + R)^-1 the correction x <- x + K (z - y) (Maine and Iliff,
-NASA RP-1168, section 6; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Such a filter is stable whatever
-the noise, which a free gain is not, and a handful of standard deviations make it up.
+the prediction from the discrete Riccati equation, K = P C' (C P C' + R)^-1 (Maine and Iliff, NASA RP-1168, section 6).
 """
 
 from abc import ABC, abstractmethod

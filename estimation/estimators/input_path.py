@@ -1,9 +1,15 @@
-"""Whether the edges of a control fall on the sampling clock, or were logged as steps: then how the surface moved between two
-samples is the same at every edge, does not average out, and cannot be read off the samples.
+"""Where a surface was between the samples of its record, as unknowns of a fit.
 
 A servo that lags takes some share of its way within the first interval after an edge. Where edges come at any time of an
 interval that share scatters from nothing to all that the servo can do; where a sequencer steps on the sampling clock, or what
-is logged is a command, it is the same at every edge.
+is logged is a command, it is the same at every edge, does not average out, and cannot be read off the samples
+(`clocked_controls`).
+
+There two numbers a control stand for what the record does not say: how much later than its samples the surface acts (earlier,
+where negative: a command that was logged up to one logging interval after it was given), and how far beyond the straight line it
+is half-way between two samples (a servo of first order that starts on a sample is there at 1 / (1 + exp(-dt / 2T)) of the step).
+Both have priors as wide as a logging interval and a servo make them; what the data cannot tell of them stays in the bounds of the
+derivatives, which are taken from the inverse of the whole information.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Normal equations of many flights: shared parameters, parameters local to a flight, initial states of a segment.
 
 The information matrix has an arrow shape; it is eliminated from the leaves (Schur complements), so cost and memory are
-linear in flights and segments and no dense Jacobian of all flights ever exists.
+linear in flights and segments and no dense Jacobian of all flights ever exists. `step_within` solves them inside limits.
 """
 
 from dataclasses import dataclass, field

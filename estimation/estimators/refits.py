@@ -1,10 +1,16 @@
-"""Parametric bootstrap: simulate at the estimate, add noise like the residuals, fit again, many times.
+"""Refits of a maximum-likelihood fit: what its bounds are worth where they are no parabola.
 
-It needs no linearisation: bias and skewness of the estimates show, which a bound cannot. The noise has the covariance
-between outputs and the colour of the residuals, from the same autoregressive spectrum as the corrected bound, raised by
-what the fit took away (`estimators.coloured`), and the noise that de-noising left in the inputs is drawn anew
-(`estimators.input_error`). (B. Efron and R. J.
-Tibshirani, An Introduction to the Bootstrap, sections 6.5 and 13.3.)
+Parametric bootstrap (B. Efron and R. J. Tibshirani, An Introduction to the Bootstrap, sections 6.5 and 13.3): simulate at the
+estimate, add noise like the residuals, fit again, many times. It needs no linearisation: bias and skewness of the estimates show,
+which a bound cannot. The noise has the covariance between outputs and the colour of the residuals, from the same autoregressive
+spectrum as the corrected bound, raised by what the fit took away (`estimators.coloured`), and the noise that de-noising left in
+the inputs is drawn anew (`estimators.input_error`).
+
+Profile likelihood: how fast the fit worsens as one parameter leaves its estimate while all others follow. Unlike a bound it does
+not believe the likelihood a parabola: limits, curvature and one-sided knowledge show. The 95 % interval holds the values whose
+deviance 2 (J - J_min) is below 3.84 (chi-square, one degree of freedom; Y. Pawitan, In All Likelihood, section 3.4). That believes
+residuals white; where they are coloured, deviance is scaled by the squared ratio of Cramer-Rao to corrected bound (R. E. Chandler
+and S. Bate, Biometrika 94(1), 2007, equation 8).
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Which states of a model forces and moments drive, and which only follow from others."""
+"""What of a model depends on what: states that forces and moments drive, names in force while some parameters are held at zero."""
 
 import ast
 from collections.abc import Collection, Iterable, Set

@@ -1,4 +1,4 @@
-"""What in an aircraft file is missing, doubtful, or enough for which method."""
+"""What in an aircraft file is missing, doubtful, or enough for which method; what of that speaks against an estimate."""
 
 import math
 from collections.abc import Iterator

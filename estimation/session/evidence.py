@@ -1,4 +1,9 @@
-"""Numbers that tell whether something drives an aircraft that the model does not know of: read off residuals of results."""
+"""Numbers that bear on an estimate: process noise, scatter over flights, and what a reconstructed airspeed may be off.
+
+A coefficient is a force over rho V^2 S / 2, so a derivative is wrong by twice the relative error of V (those by a rate by up to
+once more or less, which is left out); no residual shows it, so it is counted in the corrected bounds. Pitot and wind have errors
+that last for a flight and may last for a day: flights of a joint estimate are taken to share them.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

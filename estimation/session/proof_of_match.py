@@ -1,4 +1,8 @@
-"""What was flown, variable by variable: kept with a model, and held against the flights that it is asked to predict."""
+"""Proof of match: a frozen model predicts a flight with its measured controls, and where the flight leaves what the model has flown.
+
+Parameters identified on one flight predict another; only the initial states (and, where asked, instrument biases) are
+refitted, and the match is judged per channel by `estimation.signals.goodness_of_fit`.
+"""
 
 import math
 from collections.abc import Sequence

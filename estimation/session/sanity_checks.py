@@ -1,4 +1,4 @@
-"""Signs and units that a fit gives away: what a model makes of all channels, against each of them and against what was believed.
+"""A second look at an answer: channels the model does not explain, controls and channels of the wrong sign or unit.
 
 What the data show by themselves is told by `groundstation.flight.quality.plausibility`.
 """

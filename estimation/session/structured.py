@@ -1,4 +1,8 @@
-"""The model of a joint fit."""
+"""The structure test beside the fits of a session, and fits again with what the model turns out to lack.
+
+Each flight's fit is tested, and the joint one. The whole linear model is the built-in models' own: derivatives that the data
+tell are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
+"""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace

@@ -1,4 +1,14 @@
-"""Long flights, tested by their first part: what a model lacks shows in minutes, and an hour would take longer than its fit."""
+"""What else a fit says of a lacking model: a flight of a joint fit that differs, and process noise that follows the controls.
+
+Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say (leave-one-out). Where it
+does not, what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
+coefficient, one derivative, or one of the things tested beside every fit.
+
+Innovations of a right filter have nothing in common with what the controls did before, however rough the air and whoever
+steers: they are what could not be foretold. Where a term, a lag or a scale is missing, they repeat at every movement of a
+control (`follows_controls`). Long flights are tested by their first part (`excerpt`): what a model lacks shows in minutes, and an
+hour would take longer than its fit.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

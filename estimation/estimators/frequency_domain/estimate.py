@@ -1,8 +1,10 @@
-"""Bounds of a fit in the frequency domain: Cramer-Rao, and corrected for the colour that residuals show.
+"""Output error in the frequency domain: the fit, its bounds and its result.
 
-With M the information and B the covariance of the score, Cov = M^-1 B M^-1. Here B is a sum over frequencies of slopes times the
-spectra and cross-spectra of the residuals, smoothed over neighbouring frequencies and raised by what the fit took away, and of
-what imperfect inputs do (`estimation.estimators.input_error`).
+V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., chapter 7. A first fit takes noise as white over the
+band, the next ones with the spectrum that the residuals show. `std` is the Cramer-Rao bound of the last. `std_coloured` is from
+M^-1 B M^-1 with M the information and B the covariance of the score: a sum over frequencies of slopes times the spectra and
+cross-spectra of the residuals, smoothed over neighbouring frequencies and raised by what the fit took away, and of what imperfect
+inputs do (`estimation.estimators.input_error`).
 """
 
 from collections.abc import Sequence

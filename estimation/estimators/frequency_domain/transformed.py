@@ -1,8 +1,14 @@
-"""A traced model about one point of flight: matrices and their slopes by the parameters.
+"""A stretch of flight in the frequency domain: transforms of what was measured, and of what the model makes of it.
 
-x_dot = f(x, u), y = g(x, u); A = df/dx, C = dg/dx at the mean state and input of a stretch of flight. What f and g have
-beyond A x and C x at the measured motion is kept as a known input (`transformed`), so that a changing airspeed costs no
-bias.
+Frequencies are those of the stretch itself, w_k = 2 pi k / T: there transforms of white noise are independent, constants vanish,
+and the ends show only as d = x(0) - x(T), because exp(-j w_k T) = 1. Integrated by parts (V. Klein and E. A. Morelli, Aircraft
+System Identification, 2nd ed., chapter 7; R. Pintelon and J. Schoukens, System Identification, 2nd ed., chapter 6):
+
+    (j w I - A) X = F - A X_m + d,    Y = C X + G - C X_m
+
+with A = df/dx, C = dg/dx of x_dot = f(x, u), y = g(x, u) at the mean state and input of the stretch, and F, G, X_m the transforms of
+f(x_m, u), g(x_m, u) and the measured motion x_m, so that a changing airspeed costs no bias. A state that is not measured stands in
+x_m at its start value: there the model is linear. The bin w = 0 holds the means, from which come the constants.
 """
 
 from collections.abc import Mapping

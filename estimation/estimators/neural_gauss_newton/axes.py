@@ -1,4 +1,10 @@
-"""Which models Neural Gauss-Newton has a formulation for; said without loading a network."""
+"""Which models have a formulation, and which coefficients an axis has: how they follow from measured motion, and from parameters.
+
+Lateral: side force, rolling and yawing moment (REFERENCE, Neural Gauss-Newton). Longitudinal: lift, drag, pitching
+moment. SI, radians, body axes x forward, y right, z down; rates non-dimensional as p b/2V, q c/2V, r b/2V.
+All arrays are over samples; `inertial` gives forces and moments divided by reference area (and length): what a coefficient
+is once divided by dynamic pressure. Loads no network.
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,19 @@
-"""A Neural Gauss-Newton solution as the Result that all methods share.
+"""Neural Gauss-Newton estimates of a flight, or of several together: `ngn` as published, and `ngn-improved`.
 
-The histories are the model's, simulated with the estimates like those of every other method: one-step predictions of a
-network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
+Published form: S. Das, R. A. Kuttieri, M. Sinha and R. Jategaonkar, Journal of Guidance, Control and Dynamics 33(1),
+2010, and The Aeronautical Journal (2018), pp 889-912. A network learns the motion one step ahead from motion and
+measured coefficients; then it is frozen, the coefficients come from the aerodynamic model, and Gauss-Newton finds the
+parameters that let it predict best. No equation of motion is solved.
+
+Improved form: coefficients are means over an interval, a linear path goes round the hidden layer, and the normal equations are
+formed with instruments (`samples`), so that neither the derivative of a rate nor noise in the regressors makes the parameters
+small. An ensemble of networks is averaged.
+
+The Cramer-Rao bound of a frozen network takes the network for truth and its inputs for exact, and is far too small. The
+honest spread is from a block bootstrap (networks trained again on resampled blocks) together with the ensemble's.
+
+The histories of the result are the model's, simulated with the estimates like those of every other method: one-step predictions of
+a network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,8 @@
-"""Where networks are trained, and how that stays the same from run to run."""
+"""A small feed-forward network as pure functions of one flat weight vector, so that ensembles train side by side.
+
+One hidden layer of tanh, linear output, optionally a linear path beside it (`skip`). Everything is standardised outside.
+Shapes: inputs (samples, n_in), outputs (samples, n_out), weights (n_weights,) or (nets, n_weights) for an ensemble.
+"""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Training and estimation samples from a flight: the published one-step form, and the interval form.
+"""Training and estimation samples from a flight: the published one-step form, and the interval form; instruments.
 
 Published form (`point`): inputs motion(k) and coefficients at k, outputs motion(k+1) and acceleration(k+1). The
 coefficients need p_dot and r_dot at k, from the spline through the rates without their noise. With a roll mode as fast as
@@ -6,8 +6,14 @@ a sample is long that derivative is too small and too early, and the rolling-mom
 
 Interval form: the coefficient that carries the motion from k to k+n is its mean over the interval, and the mean of a
 moment is exactly the increment of angular momentum, so no derivative is taken: C_l = [Ixx dp - Ixz dr - ...] / (n dt
-mean(q) S b). The model's coefficients are averaged in the same way. Noise in the signals they are computed from would
-still make parameters too small; `instruments` is where that is dealt with, from signals de-noised without smearing edges.
+mean(q) S b). The model's coefficients are averaged in the same way.
+
+Noise in the signals they are computed from would still make every derivative too small (errors in variables). An instrument is a
+signal that moves like the regressor but does not share its noise: here the motion that a linear one-step predictor, fitted to the
+de-noised flight, gives when it runs by itself driven by the measured controls, restarted every RESTART_S. It need not be exact,
+only alike and independent: what is not alike costs spread, never bias. Refined instrumental variables: Young (2011), Recursive
+Estimation and Time-Series Analysis, ch. 6-7. Tried and left: the trained network itself as the predictor. Its errors grow from
+step to step outside the data it was trained on, and the estimates scatter three to ten times more.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Training of networks side by side: Levenberg-Marquardt (default), L-BFGS or Adam, in float64, on a CPU or a GPU.
+"""Training of networks side by side: Levenberg-Marquardt (default), L-BFGS or Adam, in float64, on a CPU or a GPU; its settings.
 
 On a CPU the same jobs give the same weights bit for bit.
 """
