@@ -1,5 +1,5 @@
-"""What every public function gives: an answer that prints shortly, shows a table and figures in a notebook, and gives JSON, pages and
-files when asked.
+"""What every public function gives: an answer that prints shortly, shows a table and figures in a notebook, and gives JSON,
+pages and files when asked.
 """
 
 import html

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
+from scipy.spatial.transform import Rotation
 
 from estimation.compatibility.air_filter import INTERVAL, Nodes
-from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
+from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps, attitude_rates, unbroken
 from estimation.errors import DataError
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
@@ -40,28 +41,23 @@ def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], lis
     whole = np.all(np.isfinite(np.column_stack([flight[c] for c in INERTIAL])), axis=1)
     with np.errstate(invalid="ignore"):
         usable = whole & ~(airspeed < FLYING)
-    jumps = sorted(attitude_jumps(flight))
     fixes, speeds = fresh(flight, FIX), fresh_values(flight, "V", airspeed)
-    found, notes = [], []
-    for part in flight.segments:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
-        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
-            inside = [j for j in jumps if a < j < b]
-            for first, last in zip([a, *inside], [*inside, b], strict=True):
-                rows = slice(int(first), int(last))
-                if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
-                    notes.append(
-                        f"{last - first} samples from t = {flight.time[first]:g} s left out: too short a stretch, or no "
-                        "velocity fix or airspeed in it"
-                    )
-                    continue
-                found.append(_stretch(flight, rows, airspeed, fixes, speeds))
-    if not found:
+    stretches, notes = [], []
+    for first, last in unbroken(flight, usable, attitude_jumps(flight)):
+        rows = slice(first, last)
+        if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
+            notes.append(
+                f"{last - first} samples from t = {flight.time[first]:g} s left out: too short a stretch, or no "
+                "velocity fix or airspeed in it"
+            )
+            continue
+        stretches.append(_stretch(flight, rows, airspeed, fixes, speeds))
+    if not stretches:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(INERTIAL)} all measured and "
             f"{', '.join(FIX)} and airspeed among them; nothing to reconstruct the air data from"
         )
-    return found, notes
+    return stretches, notes
 
 
 def fresh(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
@@ -109,7 +105,8 @@ def _stretch(
     flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_]
 ) -> AirStretch:
     time = flight.time[rows]
-    axes = _axes(*_attitude(flight, rows))
+    phi, theta, psi = _attitude(flight, rows)
+    axes = Rotation.from_euler("ZYX", np.column_stack([psi, theta, phi])).as_matrix()
     force = np.einsum("nij,nj->ni", axes, np.column_stack([flight[c][rows] for c in ("ax", "ay", "az")]))
     acceleration = force + np.array([0.0, 0.0, GRAVITY])
     fix = np.column_stack([flight[c][rows] for c in FIX])
@@ -172,11 +169,10 @@ def _integral(time: Array, rate: Array) -> Array:
 def _attitude(flight: Flight, rows: slice) -> tuple[Array, Array, Array]:
     """phi, theta, psi [rad]: fast from the gyros, slow from the attitude measured."""
     time = flight.time[rows]
-    p, q, r = (flight[c][rows] for c in "pqr")
-    phi, theta, psi = (np.unwrap(flight[c][rows]) for c in ("phi", "theta", "psi"))
-    turn = q * np.sin(phi) + r * np.cos(phi)
-    rates = (p + np.tan(theta) * turn, q * np.cos(phi) - r * np.sin(phi), turn / np.cos(theta))
-    return _joined(time, phi, rates[0]), _joined(time, theta, rates[1]), _joined(time, psi, rates[2])
+    angles = {c: np.unwrap(flight[c][rows]) for c in ("phi", "theta", "psi")}
+    rates = attitude_rates(flight["p"][rows], flight["q"][rows], flight["r"][rows], angles["phi"], angles["theta"])
+    phi, theta, psi = (_joined(time, angle, rates[name]) for name, angle in angles.items())
+    return phi, theta, psi
 
 
 def _joined(time: Array, angle: Array, rate: Array) -> Array:
@@ -185,17 +181,6 @@ def _joined(time: Array, angle: Array, rate: Array) -> Array:
     samples = 2 * max(1, round(0.5 * SMOOTH_S / float(np.median(np.diff(time))))) + 1
     window = min(samples, len(time) - 1 + len(time) % 2)
     return np.asarray(fast + savgol_filter(angle - fast, window, 1))
-
-
-def _axes(phi: Array, theta: Array, psi: Array) -> Array:
-    """(n, 3, 3) body axes as columns, in NED."""
-    cf, sf, ct, st, cp, sp = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
-    rows = [
-        [ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
-        [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp],
-        [-st, sf * ct, cf * ct],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def measured_noise(flight: Flight, column: str, rows: NDArray[np.bool_]) -> float:

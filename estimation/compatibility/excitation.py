@@ -177,7 +177,7 @@ def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, ND
     n, nx = by_parameter.shape[2], by_state.shape[2]
     information = np.zeros((n, n))
     for s in data.segments:
-        rows = slice(s.first, s.first + len(s))
+        rows = s.rows
         J = np.concatenate([by_parameter[rows], by_state[rows]], axis=2) / sigma[None, :, None]
         J = J[np.isfinite(s.z) & np.isfinite(J).all(axis=2)]
         H = J.T @ J
@@ -203,7 +203,7 @@ def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightD
 
 def _near(y: Array, data: FlightData, sigma: Array) -> bool:
     for s in data.segments:
-        motion = y[s.first : s.first + len(s)]
+        motion = y[s.rows]
         if not np.isfinite(motion).all():
             return False
         for made, measured, level in zip(motion.T, s.z.T, sigma.tolist(), strict=True):

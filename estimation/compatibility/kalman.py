@@ -1,4 +1,4 @@
-"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step; the same motion without the filter.
+"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step; its motion without the filter.
 
 Flight-path reconstruction drives its motion with measured accelerations and rates. Their noise integrates to a random
 walk, so output error would call everything the walk explains a bias, with bounds tens of times too small. Here the
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.compiled import CHUNK, Chain
-from estimation.engine.trace import Traced, trace
+from estimation.engine.trace import Traced, rk4, trace
 from estimation.models.base import Model
 from estimation.models.parts import ModelStructure
 
@@ -71,14 +71,13 @@ class Run:
 
 
 class KalmanFilter:
-    """Filter of one model. Parameters are given as the vector of all model parameters."""
+    """Filter of one model. Parameters are given as the vector of all model parameters. delayed: as of `delayed_outputs`."""
 
-    def __init__(self, model: Model, delayed: tuple[tuple[int, int], ...] = ()) -> None:
-        """delayed: pairs (output index, parameter index of its delay)."""
+    def __init__(self, model: Model) -> None:
         self.model = model
-        self.delayed = delayed
+        self.delayed = delayed_outputs(model)
         self._constants = np.array([model.constants[n] for n in model.structure.constants_kept])
-        self._chain = _chain(model)
+        self._chain = _filter_chain(model.structure, self.delayed)
 
     def run(self, record: FilterRecord, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:
         """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
@@ -138,12 +137,8 @@ def _moved(values: Array, rows: int, empty: float) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _chain_of(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> Chain:
-    return Chain(_build(structure, delayed))
-
-
-def _chain(model: Model) -> Chain:
-    return _chain_of(model.structure, delayed_outputs(model))
+def _filter_chain(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> Chain:
+    return Chain(_filter_step(structure, delayed))
 
 
 def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
@@ -153,15 +148,7 @@ def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
     )
 
 
-def rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca.SX) -> ca.SX:
-    k1 = f(x, u[0], p)
-    k2 = f(x + h / 2 * k1, u[1], p)
-    k3 = f(x + h / 2 * k2, u[1], p)
-    k4 = f(x + h * k3, u[2], p)
-    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
+def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
     traced = trace(structure)
     nx, nu, np_, ny = traced.sizes
@@ -175,6 +162,9 @@ def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> c
     xs, d = ca.SX.sym("xs", nx), ca.SX.sym("d", nu)
     zero = ca.DM.zeros(nu)
 
+    def moved_on(state: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], step: ca.SX) -> ca.SX:
+        return rk4(lambda states, u: (traced.rates(*states, u, p),), (state,), inputs, step)[0]
+
     lagging = {out: i for i, (out, _) in enumerate(delayed)}
     y_now = traced.outputs(x, u0, p)
     predicted, on_the_way = [], []
@@ -182,7 +172,7 @@ def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> c
         if j in lagging:
             part = fraction[lagging[j]]
             u_end = u0 + part * (u1 - u0)
-            later = rk4(traced.rates, x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), p, part * h)
+            later = moved_on(x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), part * h)
             shown = traced.outputs(later, u_end, p)[j]
             # noise of the inputs within that part of the interval: the state does not hold it yet
             by_noise = ca.substitute(ca.jacobian(shown, d), d, zero)
@@ -206,7 +196,7 @@ def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> c
         logs.append(ca.log(s))
     Pf = (Pf + Pf.T) / 2
 
-    advanced = rk4(traced.rates, xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), p, h)
+    advanced = moved_on(xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), h)
     F, G = (ca.substitute(ca.jacobian(advanced, v), d, zero) for v in (xs, d))
     move = ca.Function("move", [xs, u0, u1, p, h], [ca.substitute(advanced, d, zero), F, G])
     ahead, Fk, Gk = move(xf, u0, u1, p, h)
@@ -289,6 +279,6 @@ def _stepper(traced: Traced) -> ca.Function:
     nx, nu, np_, _ = traced.sizes
     x, u0, u1 = ca.SX.sym("x", nx), ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
     p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
-    ahead = rk4(traced.rates, x, (u0, (u0 + u1) / 2, u1), p, h)
+    (ahead,) = rk4(lambda states, u: (traced.rates(*states, u, p),), (x,), (u0, (u0 + u1) / 2, u1), h)
     once = ca.Function("integrate", [x, ca.vertcat(u0, u1), ca.vertcat(p, h)], [ahead, traced.outputs(x, u0, p)])
     return once.mapaccum(CHUNK)

@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLevels, Run, delayed_outputs
+from estimation.compatibility.kalman import FilterRecord, KalmanFilter, NoiseLevels, Run
 from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
 from estimation.errors import DataError
+from estimation.estimators.coloured import autocovariance
 from estimation.models.base import Model
 from estimation.models.kinematic import FILTER_ERRORS
 from estimation.signals.denoise import noise_level
@@ -31,7 +32,7 @@ class CompatibilityProblem:
         self.attitude = [attitude_errors(f) for f in flights]
         self.model = model
         self.names = ", ".join(f.name for f in flights)
-        self.filter = KalmanFilter(model, delayed_outputs(model))
+        self.filter = KalmanFilter(model)
         found = [records_of(model, f) for f in flights]
         self.records = [r for r, _ in found]
         self.notes = [(*n, *_filter_note(errors)) for (_, n), errors in zip(found, self.attitude, strict=True)]
@@ -197,7 +198,7 @@ def refuse_singular(model: Model, information: Array, names: str) -> None:
         )
 
 
-def coloured(runs: list[list[Run]], slopes: list[list[Array]], information: Array, step: float) -> Array:
+def lag_window_covariance(runs: list[list[Run]], slopes: list[list[Array]], information: Array, step: float) -> Array:
     """Covariance with the correlation left in the innovations counted (Morelli and Klein 1997): sandwich with the
     estimated autocorrelation per channel, tapered over CORRELATION_WINDOW_S."""
     lags = max(1, round(CORRELATION_WINDOW_S / step))
@@ -205,7 +206,7 @@ def coloured(runs: list[list[Run]], slopes: list[list[Array]], information: Arra
     for flight_runs, flight_slopes in zip(runs, slopes, strict=True):
         known = np.vstack([r.known for r in flight_runs])
         for j in range(known.shape[1]):
-            gamma = autocorrelation([r.normalised[:, j] for r in flight_runs], lags)
+            gamma = lagged_products([r.normalised[:, j] for r in flight_runs], lags)
             for s in flight_slopes:
                 column = s[:, j, :]
                 meat += gamma[0] * column.T @ column
@@ -221,6 +222,6 @@ def coloured(runs: list[list[Run]], slopes: list[list[Array]], information: Arra
     return np.asarray(covariance * grow[:, None] * grow[None, :])
 
 
-def autocorrelation(series: list[Array], lags: int) -> Array:
-    total = sum(len(s) for s in series)
-    return np.array([sum(float(s[: len(s) - k] @ s[k:]) for s in series if len(s) > k) / total for k in range(lags)])
+def lagged_products(series: list[Array], lags: int) -> Array:
+    """(lags,) autocovariance of one channel over its stretches (N,), from lag 0 on."""
+    return autocovariance([s[:, None] for s in series], [np.ones((len(s), 1), bool) for s in series], lags - 1)[:, 0, 0]

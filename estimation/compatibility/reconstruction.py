@@ -14,13 +14,14 @@ from estimation.compatibility.kalman import Run, integrated
 from estimation.compatibility.problem import (
     USEFUL,
     CompatibilityProblem,
-    autocorrelation,
-    coloured,
+    lag_window_covariance,
+    lagged_products,
     normal,
     refuse_singular,
 )
 from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, measurements, shows_motion
 from estimation.errors import DataError
+from estimation.estimators.gauss_newton import halved
 from estimation.models.base import Model
 from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from groundstation.flight import Array, Flight, MissingColumnError
@@ -146,11 +147,12 @@ def _step(
 ) -> tuple[Array, list[list[Run]], Array]:
     """The largest of the step, its half, quarter, ... that lowers the cost."""
     before = problem.cost(runs)
-    for scale in 0.5 ** np.arange(8):
-        trial = problem.runs(p + scale * change)
-        if problem.cost(trial) <= before + 1e-9 * abs(before):
-            return p + scale * change, trial, scale * change
-    return p, runs, np.zeros_like(p)
+    limit = before + 1e-9 * abs(before)
+    reached = halved(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
+    if reached is None:
+        return p, runs, np.zeros_like(p)
+    fraction, trial = reached
+    return p + fraction * change, trial, fraction * change
 
 
 def _describe(
@@ -166,7 +168,7 @@ def _describe(
 ) -> Compatibility:
     information, _ = normal(runs, slopes)
     plain = np.asarray(np.linalg.inv(information), float)
-    full = coloured(runs, slopes, information, problem.records[0][0].step)
+    full = lag_window_covariance(runs, slopes, information, problem.records[0][0].step)
     told = _factors(problem.model, p, plain, full)
     nothing = float("nan")
     factors = {
@@ -213,7 +215,7 @@ def _reconstructed(
         motion[rows] = integrated(problem.model, record, p, run.states, spread)
     whiteness = {}
     for j, name in enumerate(names):
-        gamma = autocorrelation([r.normalised[:, j] for r in runs], 2)
+        gamma = lagged_products([r.normalised[:, j] for r in runs], 2)
         whiteness[name] = float(gamma[1] / gamma[0]) if gamma[0] > 0 else 0.0
     noise = dict(zip(names, problem.outputs[index].tolist(), strict=True))
     return ReconstructedFlight(

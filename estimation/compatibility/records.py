@@ -1,6 +1,7 @@
-"""What of a flight a data-compatibility check compares, and the stretches of it that can be reconstructed; what is left out is said."""
+"""What of a flight a data-compatibility check compares, the stretches of it that can be reconstructed, and what is left out."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from estimation.errors import DataError
 from estimation.models.base import Model
 from estimation.models.kinematic import ATTITUDE, MEASUREMENTS
 from estimation.prepare.conditioned import ConditionedFlight, condition, repair
+from estimation.prepare.stretches import runs_in_segments
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
@@ -59,29 +61,29 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
     whole = np.all(np.isfinite(u), axis=1)
     usable = whole & _flying(flight, notes)
     jumps = attitude_jumps(flight)
-    found = []
-    for part in flight.segments:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
-        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
-            inside = [j for j in sorted(jumps) if a < j < b]
-            for first, last in zip([a, *inside], [*inside, b], strict=True):
-                if first in jumps:
-                    notes.append(
-                        f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
-                        "do not: the attitude filter was set anew; split there"
-                    )
-                begin = _begin(model, flight, z, slice(first, last), notes)
-                if last - begin >= SHORTEST:
-                    found.append(FilterRecord(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
-                else:
-                    notes.append(
-                        f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch"
-                    )
-    if not found:
+    records = []
+    for first, last in unbroken(flight, usable, jumps):
+        if first in jumps:
+            notes.append(
+                f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
+                "do not: the attitude filter was set anew; split there"
+            )
+        begin = _begin(model, flight, z, slice(first, last), notes)
+        if last - begin >= SHORTEST:
+            records.append(FilterRecord(begin, flight.time[begin:last], u[begin:last], z[begin:last]))
+        else:
+            notes.append(f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch")
+    if not records:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(COLUMNS)} all measured"
         )
-    return found, notes
+    return records, notes
+
+
+def unbroken(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
+    """[first, last) of each run of usable samples (N,), cut at the rows at which the attitude jumps."""
+    for a, b in runs_in_segments(flight, usable):
+        yield from pairwise([a, *(j for j in sorted(jumps) if a < j < b), b])
 
 
 def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
@@ -152,10 +154,7 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
     """
     if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta")):
         return {}
-    phi, theta = flight["phi"], flight["theta"]
-    p, q, r = (flight[c] for c in "pqr")
-    turn = q * np.sin(phi) + r * np.cos(phi)
-    rates = {"phi": p + np.tan(theta) * turn, "theta": q * np.cos(phi) - r * np.sin(phi), "psi": turn / np.cos(theta)}
+    rates = attitude_rates(*(flight[c] for c in ("p", "q", "r", "phi", "theta")))
     found: dict[int, list[str]] = {}
     for name, rate in rates.items():
         if not flight.measured(name):
@@ -164,6 +163,12 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
             for row, size in _lasting_steps(flight.time[part], flight[name][part], rate[part]):
                 found.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
     return {row: f"attitude jumps ({', '.join(words)})" for row, words in found.items()}
+
+
+def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> dict[str, Array]:
+    """Rates of phi, theta, psi [rad/s] that body rates make."""
+    turn = q * np.sin(phi) + r * np.cos(phi)
+    return {"phi": p + np.tan(theta) * turn, "theta": q * np.cos(phi) - r * np.sin(phi), "psi": turn / np.cos(theta)}
 
 
 def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:

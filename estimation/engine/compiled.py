@@ -105,7 +105,12 @@ def cache_folder() -> Path:
 
 
 def _library_path(structure: ModelStructure) -> Path:
-    seed = "\n".join((structure.digest, _generator_digest(), *FLAGS, _processor()))
+    return _cached(structure.digest, _generator_digest())
+
+
+def _cached(*content: str) -> Path:
+    """The file of a library made from some content, on this processor."""
+    seed = "\n".join((*content, *FLAGS, _processor()))
     return cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
 
 
@@ -143,8 +148,7 @@ def _build(traced: Traced, path: Path) -> bool:
 
 def library_of(source: str) -> Path | None:
     """The shared library made from C text, from the cache or compiled now; None where there is no working compiler."""
-    seed = "\n".join((source, *FLAGS, _processor()))
-    path = cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
+    path = _cached(source)
     return path if path.is_file() or build_library(source, path) else None
 
 

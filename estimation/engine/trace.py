@@ -5,7 +5,7 @@ fixed parameter needs no new tracing; only parameters have derivatives. Jacobian
 the functions.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -101,6 +101,21 @@ def trace(structure: ModelStructure) -> Traced:
         patterns=patterns,
         sizes=structure.sizes,
     )
+
+
+def rk4(
+    rates: Callable[..., tuple[Any, ...]], states: tuple[Any, ...], inputs: Sequence[Any], h: Any
+) -> tuple[Any, ...]:
+    """The states one classical Runge-Kutta step of `h` later. rates: of (states, inputs); inputs: at the begin, middle, end."""
+
+    def ahead(slopes: tuple[Any, ...], step: Any) -> tuple[Any, ...]:
+        return tuple(x + step * k for x, k in zip(states, slopes, strict=True))
+
+    k1 = rates(states, inputs[0])
+    k2 = rates(ahead(k1, h / 2), inputs[1])
+    k3 = rates(ahead(k2, h / 2), inputs[1])
+    k4 = rates(ahead(k3, h), inputs[2])
+    return tuple(x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip(states, k1, k2, k3, k4, strict=True))
 
 
 def _nonzeros(matrix: ca.SX) -> ca.SX:

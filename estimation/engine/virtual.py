@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, SensitivityColumns
-from estimation.engine.trace import Pattern, Traced, trace
+from estimation.engine.trace import Pattern, Traced, rk4, trace
 from estimation.models.parts import ModelStructure
 
 BLOCKS = (128, 16)
@@ -177,12 +177,13 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
     h = dt / substeps
     for j in range(substeps):
         a, m, b = (j / substeps, (j + 0.5) / substeps, (j + 1) / substeps)
-        us = [_path(t, u, um, ub) for t in (a, m, b)]
-        ds = [ca.reshape(_path(t, d, dm, db), nu, nt) for t in (a, m, b)]
-        x, s = variation.step(x, s, h, us, ds, p)
+        inputs = [(_path(t, u, um, ub), ca.reshape(_path(t, d, dm, db), nu, nt)) for t in (a, m, b)]
+        x, s = rk4(
+            lambda motion, driven: variation.rates(motion[0], motion[1], driven[0], driven[1], p), (x, s), inputs, h
+        )
     results = [ca.vertcat(x, ca.vec(s)), x_here, y, ca.vec(dy)]
-    inputs = [u, um, ub, *([d, dm, db] if nt else []), dt, p, *([z, known, gain] if with_gain else [])]
-    return _Stepper(ca.Function("step", [state, *inputs], results), block, n, 6 if nt else 3)
+    arguments = [state, u, um, ub, *([d, dm, db] if nt else []), dt, p, *([z, known, gain] if with_gain else [])]
+    return _Stepper(ca.Function("step", arguments, results), block, n, 6 if nt else 3)
 
 
 def _path(at: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
@@ -273,10 +274,3 @@ class _Variation:
         if self.nt:
             total += self._through_inputs("y", self.traced.outputs_by_input(x, u, p), self.traced.sizes[3], d)
         return y, total
-
-    def step(self, x: ca.MX, s: ca.MX, h: ca.MX, us: list[ca.MX], ds: list[ca.MX], p: ca.MX) -> tuple[ca.MX, ca.MX]:
-        k1, v1 = self.rates(x, s, us[0], ds[0], p)
-        k2, v2 = self.rates(x + h / 2 * k1, s + h / 2 * v1, us[1], ds[1], p)
-        k3, v3 = self.rates(x + h / 2 * k2, s + h / 2 * v2, us[1], ds[1], p)
-        k4, v4 = self.rates(x + h * k3, s + h * v3, us[2], ds[2], p)
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), s + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4)

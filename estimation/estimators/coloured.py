@@ -1,4 +1,4 @@
-"""Covariance of estimates when residuals are coloured.
+"""Covariance of estimates when residuals are coloured, by the spectrum of an autoregression.
 
 V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 6.4 (Morelli and Klein, Journal of Aircraft
 34(1), 1997): with M the information matrix and S_i the sensitivities, Cov = M^-1 B M^-1 with
@@ -126,13 +126,14 @@ def _fast_length(least: int) -> int:
     return min(a << max(1, int(np.ceil(np.log2(least / a)))) for a in (1, 3, 5))
 
 
-def autocovariance(series: list[Array], known: list[NDArray[np.bool_]]) -> Array:
-    """C_k = E v_t v_{t-k}' for k = 0 .. largest order, (lags, ny, ny), biased (so a stable autoregression follows).
+def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: int | None = None) -> Array:
+    """C_k = E v_t v_{t-k}' for k = 0 .. lags, (lags + 1, ny, ny), biased (so a stable autoregression follows).
 
-    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws.
+    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws. lags: by default the longest order that is used. The
+    autocorrelation of one channel over all lags of a long record is that of `signals.goodness_of_fit`, by Fourier transform.
     """
-    longest = max(v.shape[0] for v in series)
-    lags = min(LONGEST_ORDER, max(longest // 8, 0))
+    if lags is None:
+        lags = min(LONGEST_ORDER, max(v.shape[0] for v in series) // 8)
     ny = series[0].shape[1]
     draws = series[0].shape[2] if series[0].ndim == 3 else 1
     sums = np.zeros((lags + 1, ny, ny))

@@ -59,7 +59,7 @@ class EquationError:
 
 def states_measured(flights: Sequence[FlightData]) -> bool:
     """Whether every state is measured throughout the segments."""
-    return all(np.isfinite(f.states[s.first : s.first + len(s)]).all() for f in flights for s in f.segments)
+    return all(np.isfinite(f.states[s.rows]).all() for f in flights for s in f.segments)
 
 
 def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[str, float] | None:
@@ -191,7 +191,7 @@ def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Ma
     result = []
     for flight in flights:
         for segment in flight.segments:
-            x = flight.states[segment.first : segment.first + len(segment)]
+            x = flight.states[segment.rows]
             u = simulator.drive(segment, values, False).u
             f, fp, y, yp = simulator.kernel.evaluate(x, u, simulator.vector(values))
             A = np.concatenate([_means(fp[:, :, free]), yp[:, :, free]], axis=1)
@@ -269,10 +269,7 @@ def simulated_fits(
     flights, residuals = [], []
     for flight, at in zip(data, values, strict=True):
         predicted = simulate(model, flight, at)
-        time = np.full(flight.samples, np.nan)
-        measured = np.full_like(predicted, np.nan)
-        for s in flight.segments:
-            time[s.first : s.first + len(s)], measured[s.first : s.first + len(s)] = s.time, s.z
+        time, measured = flight.histories(len(model.outputs))
         fit = fits(model.output_names, measured, predicted)
         x0 = tuple(s.x0 for s in flight.segments)
         residuals.append(measured - predicted)

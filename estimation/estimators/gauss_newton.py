@@ -8,6 +8,7 @@ non-finite checks live here. The outcome is a named state with a sentence, never
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, Protocol, TypeVar
@@ -41,6 +42,7 @@ class EvaluatedPoint(Protocol):
 
 
 P = TypeVar("P", bound=EvaluatedPoint)
+Place = TypeVar("Place")
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,28 +180,43 @@ class _Past:
         return np.asarray(step.direction - (change + turn) @ share)
 
 
+def halved(
+    evaluate: Callable[[float], Place], acceptable: Callable[[Place], bool], halvings: int
+) -> tuple[float, Place] | None:
+    """The largest of a whole step, its half, its quarter ... that leads to an acceptable place, and that place."""
+    for fraction in (0.5**k for k in range(halvings)):
+        place = evaluate(fraction)
+        if acceptable(place):
+            return fraction, place
+    return None
+
+
 def _search(
     problem: SolverProblem[P], unknowns: Array, point: P, step: SolverStep, combined: Array | None, options: LoopOptions
 ) -> tuple[Array | None, P | None, int]:
     """First of the combined and the halved steps that lowers the cost, evaluated with derivatives."""
     count = 0
+
+    def lower(place: P) -> bool:
+        return math.isfinite(place.cost) and place.cost < point.cost
+
+    def evaluate(fraction: float) -> P:
+        nonlocal count
+        trial = problem.clip(unknowns + fraction * step.direction)
+        place = problem.evaluate(trial, fraction == 1.0)
+        count += 1
+        if fraction < 1.0 and lower(place):  # a place without derivatives is none to go on from
+            place = problem.evaluate(trial, True)
+            count += 1
+        return place
+
     if combined is not None and np.all(np.isfinite(combined)):
         trial = problem.clip(unknowns + combined)
-        candidate = problem.evaluate(trial, True)
+        place = problem.evaluate(trial, True)
         count += 1
-        if math.isfinite(candidate.cost) and candidate.cost < point.cost:
-            return trial, candidate, count
-    for halving in range(options.halvings):
-        fraction = 0.5**halving
-        trial = problem.clip(unknowns + fraction * step.direction)
-        whole = halving == 0
-        candidate = problem.evaluate(trial, whole)
-        count += 1
-        if math.isfinite(candidate.cost) and candidate.cost < point.cost:
-            if not whole:
-                candidate = problem.evaluate(trial, True)
-                count += 1
-                if not math.isfinite(candidate.cost):  # a place without derivatives is none to go on from
-                    continue
-            return trial, candidate, count
-    return None, None, count
+        if lower(place):
+            return trial, place, count
+    reached = halved(evaluate, lower, options.halvings)
+    if reached is None:
+        return None, None, count
+    return problem.clip(unknowns + reached[0] * step.direction), reached[1], count

@@ -23,7 +23,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.estimators.coloured import ResidualSegment, Spectrum, white_products
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.normal_equations import eliminated
 from estimation.models.base import Model
 from estimation.prepare.flight_data import Segment, draws_for
 
@@ -85,16 +85,10 @@ def evidence(
     inverse: Spectrum = np.asarray(np.linalg.inv(spectrum + floor), np.complex128)
     total: Array | None = None
     for piece, columns in zip(pieces, responses, strict=True):
-        gram = _without(white_products(piece, columns, inverse), piece.nuisance.shape[1])
+        gram = eliminated(white_products(piece, columns, inverse), piece.nuisance.shape[1])
         total = gram if total is None else total + gram
     assert total is not None
-    return InputErrorEvidence(_without(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
-
-
-def _without(gram: Array, count: int) -> Array:
-    """Inner products of the columns after the first `count` with those projected out."""
-    lever = gram[count:, :count] @ pseudo_inverse(gram[:count, :count])[0] if count else np.zeros((len(gram), 0))
-    return np.asarray(gram[count:, count:] - lever @ gram[:count, count:])
+    return InputErrorEvidence(eliminated(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
 
 
 def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:
@@ -105,7 +99,7 @@ def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[
     for j, segment in enumerate(flight.segments):
         noise = np.zeros((len(segment), segment.u.shape[1], 0))
         if flight.errors is not None:
-            noise = flight.errors[segment.first : segment.first + len(segment)].astype(float)
+            noise = flight.errors[segment.rows].astype(float)
         edges = _edges(problem.model, segment, draws_for(flight.samples), rng)
         common, common_mid = _common(problem.model, segment)
         du = np.concatenate([noise, np.zeros_like(edges), common], axis=2)

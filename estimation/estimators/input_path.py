@@ -20,7 +20,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.result import Estimate, Result, finite
+from estimation.estimators.result import Estimate, Result, finite, judged
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 from estimation.prepare.flight_data import FlightData
 from groundstation.flight.notes import Note, NoteKind
@@ -176,11 +176,9 @@ def without(result: Result, model: Model, nuisance: set[str], extra: Mapping[str
     """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
     keep = np.array([i for i, n in enumerate(result.names) if n not in nuisance], int)
     parameters = {n: e for n, e in result.parameters.items() if n not in nuisance}
-    blind = [n for n, e in parameters.items() if not e.identifiable]
     status, text = result.status, result.text
     if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
-        status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
-        text = status.value + (f": {', '.join(blind)}" if blind else "")
+        status, text = judged(status, parameters)
     pick = np.ix_(keep, keep)
     return replace(
         result,

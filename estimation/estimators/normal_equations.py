@@ -103,6 +103,8 @@ def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
 
 def eliminated(gram: Array, first: int) -> Array:
     """A Gram matrix (n + m, n + m) with its first n columns projected out of the rest: (m, m), the Schur complement."""
+    if not first:
+        return gram
     cross = gram[:first, first:]
     return np.asarray(gram[first:, first:] - cross.T @ solved(gram[:first, :first], cross))
 

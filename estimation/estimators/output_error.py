@@ -19,7 +19,7 @@ from estimation.estimators.equation_error import start_values
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, P, SolverOutcome, Status, minimise
 from estimation.estimators.input_path import in_own_terms, path_values, with_paths
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
-from estimation.estimators.result import Estimate, FlightFit, Result
+from estimation.estimators.result import Estimate, FlightFit, Result, judged
 from estimation.estimators.uncertainty import ParameterEffect, effects_of, estimates, uncertainty
 from estimation.models import load_model
 from estimation.models.base import Model
@@ -293,9 +293,7 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     if len(problem.local):
         found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
     ordered = {n: found[n] for n in problem.free if n in found}
-    blind = [n for n, e in ordered.items() if not e.identifiable]
-    status = Status.NOT_IDENTIFIABLE if outcome.status is Status.CONVERGED and blind else outcome.status
-    text = status.value + (f": {', '.join(blind)}" if status is Status.NOT_IDENTIFIABLE else "")
+    status, text = judged(outcome.status, ordered)
     return Result(
         model, method, status, text, outcome.iterations, outcome.evaluations, point.cost, point.R, shared_names, ordered,
         spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,
@@ -314,7 +312,7 @@ def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) 
     flights = []
     for f in problem.flights:
         blank = np.full((f.samples, problem.ny), np.nan)
-        time, measured = _histories(f, problem.ny)
+        time, measured = f.histories(problem.ny)
         x0 = tuple(s.x0 for s in f.segments)
         flights.append(FlightFit(f.name, f.samples, time, measured, blank, blank, x0, {}, {}, f.notes))
     return Result(
@@ -322,15 +320,6 @@ def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) 
         float("inf"), np.eye(problem.ny) * np.nan, names, found, nothing, nothing, (), tuple(flights),
         problem.simulator.kernel.label,
     )  # fmt: skip
-
-
-def _histories(flight: FlightData, ny: int) -> tuple[Array, Array]:
-    time = np.full(flight.samples, np.nan)
-    measured = np.full((flight.samples, ny), np.nan)
-    for s in flight.segments:
-        time[s.first : s.first + len(s)] = s.time
-        measured[s.first : s.first + len(s)] = s.z
-    return time, measured
 
 
 def _flight_fit(
@@ -342,10 +331,10 @@ def _flight_fit(
     effects: Mapping[str, ParameterEffect],
 ) -> FlightFit:
     flight = problem.flights[index]
-    time, measured = _histories(flight, problem.ny)
+    time, measured = flight.histories(problem.ny)
     outputs = np.full_like(measured, np.nan)
     for segment, motion in zip(flight.segments, point.motions[index], strict=True):
-        outputs[segment.first : segment.first + len(segment)] = motion.y
+        outputs[segment.rows] = motion.y
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
     seen = np.zeros(len(names), bool)

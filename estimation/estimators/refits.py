@@ -8,9 +8,9 @@ the inputs is drawn anew (`estimators.input_error`).
 
 Profile likelihood: how fast the fit worsens as one parameter leaves its estimate while all others follow. Unlike a bound it does
 not believe the likelihood a parabola: limits, curvature and one-sided knowledge show. The 95 % interval holds the values whose
-deviance 2 (J - J_min) is below 3.84 (chi-square, one degree of freedom; Y. Pawitan, In All Likelihood, section 3.4). That believes
-residuals white; where they are coloured, deviance is scaled by the squared ratio of Cramer-Rao to corrected bound (R. E. Chandler
-and S. Bate, Biometrika 94(1), 2007, equation 8).
+deviance 2 (J - J_min) is below 3.84 (chi-square, one degree of freedom; Y. Pawitan, In All Likelihood, section 3.4). That
+believes residuals white; where they are coloured, deviance is scaled by the squared ratio of Cramer-Rao to corrected bound
+(R. E. Chandler and S. Bate, Biometrika 94(1), 2007, equation 8).
 """
 
 import math

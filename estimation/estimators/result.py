@@ -230,6 +230,14 @@ class Result:
         return {flight.name: {n: f.to_json() for n, f in flight.fit.items()} for flight in self.flights}
 
 
+def judged(status: Status, parameters: Mapping[str, Estimate]) -> tuple[Status, str]:
+    """The status of a fit in view of what the data can tell, and its sentence."""
+    unclear = [n for n, e in parameters.items() if not e.identifiable]
+    if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
+        status = Status.NOT_IDENTIFIABLE if unclear else Status.CONVERGED
+    return status, status.value + (f": {', '.join(unclear)}" if status is Status.NOT_IDENTIFIABLE else "")
+
+
 def correlation(covariance: Array) -> Array:
     """Correlation matrix; rows of parameters without a bound are zero but for the diagonal."""
     d = np.sqrt(np.diag(covariance))

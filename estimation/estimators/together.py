@@ -40,7 +40,7 @@ def _block(flight: FlightData, controls: list[int]) -> Array:
     """(N, controls + states) of a flight, each segment about its mean."""
     parts = []
     for s in flight.segments:
-        rows = np.concatenate([s.u[:, controls], flight.states[s.first : s.first + len(s)]], axis=1)
+        rows = np.concatenate([s.u[:, controls], flight.states[s.rows]], axis=1)
         parts.append(rows - rows.mean(axis=0))
     return np.concatenate(parts) if parts else np.zeros((0, 0))
 

@@ -131,7 +131,7 @@ class FlightScore:
     """Where the score of one flight about the free parameters scatters from, initial states projected out.
 
     noise: (n, n) covariance from the outputs' noise; inputs, edges: (n, draws) and common: (n, errors) scores; evidence: from
-    which the sizes of the last two are found.
+    which the sizes of the last two are found; spectrum: of the outputs' noise, in units of R.
     """
 
     noise: Array
@@ -139,6 +139,7 @@ class FlightScore:
     edges: Array
     common: Array
     evidence: InputErrorEvidence
+    spectrum: Spectrum
 
     def covariance(self, edges: float) -> Array:
         """(n, n), of all that is independent from flight to flight. edges: factor on their variance."""
@@ -155,7 +156,8 @@ def flight_score(
     blocks: FlightBlocks,
 ) -> FlightScore:
     """Where the score of one flight scatters from: the outputs' noise, coloured as residuals show it, and the inputs."""
-    pieces, inverse, nuisance_inverse = _pieces(problem, point, index, covariance, blocks)
+    pieces, nuisance_inverse = segments_in_noise(problem, point, index)
+    inverse = _of_free_parameters(problem, covariance, blocks)
     responses = disturbed(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
     white = white_responses(pieces, nuisance_inverse, responses, point)
@@ -166,13 +168,9 @@ def flight_score(
     lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
-    return FlightScore(
-        filtered_covariance(pieces, projected, spectrum),
-        inputs,
-        edge,
-        common,
-        evidence(pieces, white, spectrum, responses[0]),
-    )
+    from_noise = filtered_covariance(pieces, projected, spectrum)
+    shown = evidence(pieces, white, spectrum, responses[0])
+    return FlightScore(from_noise, inputs, edge, common, shown, spectrum)
 
 
 def white_responses(
@@ -200,35 +198,29 @@ def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: Likelihoo
     """Spectrum of each flight's output noise in units of R, the one that the corrected bound is made of."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     covariance, _ = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
-    spectra = []
-    for i, block in enumerate(blocks):
-        pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
-        responses = disturbed(problem, unknowns, i)
-        white = [w[:, : responses[0].noise] for w in white_responses(pieces, nuisance_inverse, responses, point)]
-        white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
-        pieces = [without_empty_rows(p) for p in pieces]
-        projected = without_nuisance(pieces, nuisance_inverse)
-        change = inverse @ np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
-        lags = input_lags(pieces, projected, white, change)
-        spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags))
-    return spectra
+    return [flight_score(problem, unknowns, point, i, covariance, b).spectrum for i, b in enumerate(blocks)]
 
 
-def _pieces(
-    problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
-) -> tuple[list[ResidualSegment], Array, list[Array]]:
-    """Segments of one flight, covariance of its free parameters, and of the initial states of each segment."""
-    n = len(problem.free)
-    keep = np.concatenate([np.arange(n), n + problem.free_states])
-    inverse = np.zeros((n, n))
+def _of_free_parameters(problem: OutputErrorProblem, covariance: Array, blocks: FlightBlocks) -> Array:
+    """(n, n) covariance of the free parameters of one flight, shared and local ones each by themselves."""
+    inverse = np.zeros((len(problem.free), len(problem.free)))
     inverse[np.ix_(problem.shared, problem.shared)] = covariance
     inverse[np.ix_(problem.local, problem.local)] = blocks.ll_inverse
+    return inverse
+
+
+def segments_in_noise(
+    problem: OutputErrorProblem, point: LikelihoodPoint, index: int
+) -> tuple[list[ResidualSegment], list[Array]]:
+    """Segments of one flight in units of the noise, and the covariance of each one's initial states."""
+    n = len(problem.free)
+    keep = np.concatenate([np.arange(n), n + problem.free_states])
     pieces = []
     for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
         assert motion.dy is not None
         J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
         pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
-    return pieces, inverse, [b.xx_inverse for b in point.blocks[index]]
+    return pieces, [b.xx_inverse for b in problem.segment_blocks(point)[index]]
 
 
 # ------------------------------------------------------------------------------------------------ identifiability

@@ -1,4 +1,4 @@
-"""What of a model depends on what: states that forces and moments drive, names in force while some parameters are held at zero."""
+"""What of a model depends on what: states that forces drive, names in force while some parameters are held at zero."""
 
 import ast
 from collections.abc import Collection, Iterable, Set

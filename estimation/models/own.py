@@ -19,7 +19,7 @@ A class whose constructor takes an argument is given the aircraft.
 
 import inspect
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Self
 
 from estimation.aircraft import Aircraft
@@ -35,6 +35,15 @@ _NUMPY = {
     "maximum": "max", "less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=",
 }  # fmt: skip
 SHORT = 12  # characters below which an expression used twice is written twice
+
+
+def _infix(operator: str, swapped: bool = False) -> Callable[["Symbol", object], "Symbol"]:
+    """An operator as a method; swapped: of what stands on its right."""
+
+    def apply(self: "Symbol", other: object) -> "Symbol":
+        return Symbol(operator, symbol(other), self) if swapped else Symbol(operator, self, symbol(other))
+
+    return apply
 
 
 class Symbol:
@@ -55,37 +64,10 @@ class Symbol:
             raise ModelError(f"numpy.{ufunc.__name__} has no place in an equation; known are {', '.join(_NUMPY)}")
         return Symbol(_NUMPY[ufunc.__name__], *(symbol(value) for value in inputs))
 
-    def __add__(self, other: object) -> "Symbol":
-        return Symbol("+", self, symbol(other))
-
     def __radd__(self, other: object) -> "Symbol":
         if isinstance(other, int) and other == 0:  # where sum() begins
             return self
         return Symbol("+", symbol(other), self)
-
-    def __sub__(self, other: object) -> "Symbol":
-        return Symbol("-", self, symbol(other))
-
-    def __rsub__(self, other: object) -> "Symbol":
-        return Symbol("-", symbol(other), self)
-
-    def __mul__(self, other: object) -> "Symbol":
-        return Symbol("*", self, symbol(other))
-
-    def __rmul__(self, other: object) -> "Symbol":
-        return Symbol("*", symbol(other), self)
-
-    def __truediv__(self, other: object) -> "Symbol":
-        return Symbol("/", self, symbol(other))
-
-    def __rtruediv__(self, other: object) -> "Symbol":
-        return Symbol("/", symbol(other), self)
-
-    def __pow__(self, other: object) -> "Symbol":
-        return Symbol("**", self, symbol(other))
-
-    def __rpow__(self, other: object) -> "Symbol":
-        return Symbol("**", symbol(other), self)
 
     def __neg__(self) -> "Symbol":
         return Symbol("neg", self)
@@ -96,17 +78,9 @@ class Symbol:
     def __abs__(self) -> "Symbol":
         return Symbol("abs", self)
 
-    def __lt__(self, other: object) -> "Symbol":
-        return Symbol("<", self, symbol(other))
-
-    def __le__(self, other: object) -> "Symbol":
-        return Symbol("<=", self, symbol(other))
-
-    def __gt__(self, other: object) -> "Symbol":
-        return Symbol(">", self, symbol(other))
-
-    def __ge__(self, other: object) -> "Symbol":
-        return Symbol(">=", self, symbol(other))
+    __add__, __sub__, __mul__, __truediv__, __pow__ = (_infix(o) for o in ("+", "-", "*", "/", "**"))
+    __lt__, __le__, __gt__, __ge__ = (_infix(o) for o in ("<", "<=", ">", ">="))
+    __rsub__, __rmul__, __rtruediv__, __rpow__ = (_infix(o, swapped=True) for o in ("-", "*", "/", "**"))
 
 
 def symbol(value: object) -> Symbol:

@@ -1,4 +1,4 @@
-"""Proof of match: a frozen model predicts a flight with its measured controls, and where the flight leaves what the model has flown.
+"""Proof of match: a frozen model predicts a flight with its measured controls; where the flight leaves what was flown before.
 
 Parameters identified on one flight predict another; only the initial states (and, where asked, instrument biases) are
 refitted, and the match is judged per channel by `estimation.signals.goodness_of_fit`.

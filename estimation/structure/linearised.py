@@ -23,11 +23,11 @@ from estimation.estimators.input_error import (
     edge_size,
 )
 from estimation.estimators.input_path import at_paths_of
-from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
-from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.normal_equations import eliminated, pseudo_inverse
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
-from estimation.estimators.uncertainty import input_lags, white_responses
+from estimation.estimators.uncertainty import input_lags, segments_in_noise, white_responses
 from estimation.prepare.flight_data import FlightData
 from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
 
@@ -162,7 +162,7 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
 def _visible(found: LinearisedFit) -> LinearisedFit:
     """Without candidates that these flights do not excite, or that are combinations of the parameters."""
     gram, n = found.total(), found.n
-    rest = _eliminated(gram, n)
+    rest = eliminated(gram, n)
     raw = np.diag(gram)[n:-1]
     keep = np.flatnonzero(np.diag(rest)[:-1] > SEEN * np.maximum(raw, 1e-300))
     index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(np.intp)
@@ -175,7 +175,7 @@ def _products(
     problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int
 ) -> tuple[FlightProducts, InputErrorEvidence]:
     """Inner products of one flight, and what its residuals show of edges and timing."""
-    pieces, own = _pieces(problem, point, index)
+    pieces, own = segments_in_noise(problem, point, index)
     responses = disturbed(problem, unknowns, index)
     white = white_responses(pieces, own, responses, point)
     inverse, left = _without_everything(pieces, own)
@@ -186,13 +186,13 @@ def _products(
     spectrum = noise_spectrum(left, projected, inverse, own, lags)
     metric = np.linalg.inv(spectrum + LEAST_NOISE * np.eye(problem.ny)).astype(np.complex128)
     order = np.concatenate([problem.local, problem.shared])
-    grams = [_eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)]
+    grams = [eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)]
     gram = np.asarray(np.sum(grams, axis=0))
-    rest = _eliminated(gram, len(problem.free))
+    rest = eliminated(gram, len(problem.free))
     columns = np.concatenate([order, np.arange(len(problem.free), len(gram))])
-    gram = _eliminated(gram[np.ix_(columns, columns)], len(problem.local))
+    gram = eliminated(gram[np.ix_(columns, columns)], len(problem.local))
     stacked = np.concatenate(projected)[:, order]
-    plain = _eliminated(stacked.T @ stacked, len(problem.local))
+    plain = eliminated(stacked.T @ stacked, len(problem.local))
     return _sorted(problem.flights[index].name, gram, plain, responses[0]), InputErrorEvidence(
         rest, responses[0].noise, responses[0].edges
     )
@@ -204,21 +204,6 @@ def _sorted(name: str, gram: Array, plain: Array, kinds: Disturbed) -> FlightPro
     rows = np.concatenate([np.arange(n), [len(gram) - 1]])
     noise, edges, common = np.split(gram[rows][:, n:-1], [kinds.noise, kinds.noise + kinds.edges], axis=1)
     return FlightProducts(name, gram[np.ix_(rows, rows)], plain, noise, edges, common)
-
-
-def _pieces(
-    problem: OutputErrorProblem, point: LikelihoodPoint, index: int
-) -> tuple[list[ResidualSegment], list[Array]]:
-    """Segments of one flight in units of the noise, and the covariance of each one's initial states."""
-    n = len(problem.free)
-    keep = np.concatenate([np.arange(n), n + problem.free_states])
-    pieces, own = [], []
-    for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
-        assert motion.dy is not None
-        J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
-        pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
-        own.append(pseudo_inverse(J[:, n:].T @ J[:, n:])[0])
-    return pieces, own
 
 
 def _without_everything(pieces: list[ResidualSegment], own: list[Array]) -> tuple[Array, list[ResidualSegment]]:
@@ -235,11 +220,3 @@ def _without_everything(pieces: list[ResidualSegment], own: list[Array]) -> tupl
             rest = rest - p.nuisance @ (mine @ (p.nuisance.T @ rest))
         left.append(ResidualSegment(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
     return inverse, left
-
-
-def _eliminated(gram: Array, count: int) -> Array:
-    """Inner products of the columns after the first `count`, those projected out."""
-    if not count:
-        return gram
-    lever = gram[count:, :count] @ pseudo_inverse(gram[:count, :count])[0]
-    return np.asarray(gram[count:, count:] - lever @ gram[:count, count:])

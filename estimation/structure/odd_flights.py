@@ -1,7 +1,7 @@
 """What else a fit says of a lacking model: a flight of a joint fit that differs, and process noise that follows the controls.
 
-Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say (leave-one-out). Where it
-does not, what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
+Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say (leave-one-out). Where
+it does not, what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
 coefficient, one derivative, or one of the things tested beside every fit.
 
 Innovations of a right filter have nothing in common with what the controls did before, however rough the air and whoever

@@ -23,7 +23,7 @@ from estimation.estimators.gauss_newton import AS_USUAL_LOOP, SolverOutcome, Sta
 from estimation.estimators.input_error import disturbed
 from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
 from estimation.estimators.output_error import failed, mean_of_locals
-from estimation.estimators.result import FlightFit, Result
+from estimation.estimators.result import FlightFit, Result, judged
 from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models import load_model
 from estimation.models.base import Model
@@ -279,9 +279,7 @@ def _described(problem: FrequencyProblem, outcome: Fit) -> Result:
     if len(problem.local):
         found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
     ordered = {n: found[n] for n in problem.free if n in found}
-    unclear = [n for n, e in ordered.items() if not e.identifiable]
-    status = Status.NOT_IDENTIFIABLE if outcome.status is Status.CONVERGED and unclear else outcome.status
-    text = status.value + (f": {', '.join(unclear)}" if status is Status.NOT_IDENTIFIABLE else "")
+    status, text = judged(outcome.status, ordered)
     return Result(
         model, NAME, status, f"{text}; {_compared(problem)}", outcome.iterations, outcome.evaluations, point.cost, R, names,
         ordered, spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,

@@ -6,9 +6,9 @@ System Identification, 2nd ed., chapter 7; R. Pintelon and J. Schoukens, System 
 
     (j w I - A) X = F - A X_m + d,    Y = C X + G - C X_m
 
-with A = df/dx, C = dg/dx of x_dot = f(x, u), y = g(x, u) at the mean state and input of the stretch, and F, G, X_m the transforms of
-f(x_m, u), g(x_m, u) and the measured motion x_m, so that a changing airspeed costs no bias. A state that is not measured stands in
-x_m at its start value: there the model is linear. The bin w = 0 holds the means, from which come the constants.
+with A = df/dx, C = dg/dx of x_dot = f(x, u), y = g(x, u) at the mean state and input of the stretch, and F, G, X_m the transforms
+of f(x_m, u), g(x_m, u) and the measured motion x_m, so that a changing airspeed costs no bias. A state that is not measured
+stands in x_m at its start value: there the model is linear. The bin w = 0 holds the means, from which come the constants.
 """
 
 from collections.abc import Mapping
@@ -139,7 +139,7 @@ class SpectralSegment:
         return np.isfinite(self.z.real)
 
     def _states(self, flight: FlightData, segment: Segment) -> Array:
-        measured = flight.states[segment.first : segment.first + len(segment)]
+        measured = flight.states[segment.rows]
         columns = [curve(segment.time, measured[:, i], self._fine) for i in range(measured.shape[1])]
         guesses = [np.full(self._fine.size, x) for x in segment.x0]
         return np.stack([c if np.isfinite(c).all() else g for c, g in zip(columns, guesses, strict=True)], axis=1)

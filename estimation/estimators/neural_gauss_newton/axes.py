@@ -8,7 +8,6 @@ is once divided by dynamic pressure. Loads no network.
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,54 +33,6 @@ Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
 
 
-class Axis(Protocol):
-    """An axis of motion as Neural Gauss-Newton sees it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def motion(self) -> tuple[str, ...]:
-        """Motion variables that the network predicts."""
-
-    @property
-    def optional(self) -> tuple[str, ...]:
-        """Motion variables that may be missing."""
-
-    @property
-    def accelerations(self) -> tuple[str, ...]:
-        """Specific forces that the network predicts beside the motion."""
-
-    @property
-    def angular_rates(self) -> tuple[str, ...]:
-        """Rates whose increments carry the moments."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """All flight columns that are needed."""
-
-    @property
-    def controls(self) -> tuple[str, ...]:
-        """Columns that may step."""
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the unknown parameters."""
-
-    @property
-    def coefficients(self) -> tuple[str, ...]:
-        """Names of the three coefficients."""
-
-    @property
-    def linear(self) -> bool:
-        """Whether the coefficients are linear in the parameters."""
-
-    def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
-        """(N, 3) coefficients times dynamic pressure, from accelerations, rates and their derivatives."""
-
-    def aerodynamic(self, s: Signals, theta: Array) -> tuple[Array, Array]:
-        """(N, 3) coefficients of the aerodynamic model, and their derivative (N, 3, n) by the parameters."""
-
-
 def dynamic_pressure(s: Signals) -> Array:
     """rho V^2 / 2 [Pa]."""
     return 0.5 * s["rho"] * s["V"] ** 2
@@ -89,7 +40,14 @@ def dynamic_pressure(s: Signals) -> Array:
 
 @dataclass(frozen=True)
 class LateralAxis:
-    """C_Y, C_l, C_n with the sixteen derivatives of the paper."""
+    """C_Y, C_l, C_n with the sixteen derivatives of the paper.
+
+    motion: what the network predicts, of which `optional` may be missing; accelerations: specific forces that it predicts beside;
+    angular_rates: rates whose increments carry the moments; columns: all that are needed; controls: those that may step; linear:
+    whether the coefficients are linear in the parameters. `inertial`: (N, 3) coefficients times dynamic pressure, from
+    accelerations, rates and their derivatives; `aerodynamic`: (N, 3) coefficients of the model, and their derivative (N, 3, n) by
+    the parameters.
+    """
 
     aircraft: Aircraft
     name: str = "lateral"
@@ -131,7 +89,7 @@ class LateralAxis:
 
 @dataclass(frozen=True)
 class LongitudinalAxis:
-    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2."""
+    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2. Fields as of `LateralAxis`."""
 
     aircraft: Aircraft
     name: str = "longitudinal"
@@ -173,7 +131,10 @@ class LongitudinalAxis:
         return np.column_stack([lift, drag, columns @ theta[6:10]]), slopes
 
 
-def axis_for(name: str, aircraft: Aircraft) -> LateralAxis | LongitudinalAxis | None:
+Axis = LateralAxis | LongitudinalAxis
+
+
+def axis_for(name: str, aircraft: Aircraft) -> Axis | None:
     """The axis a model name stands for; None where Neural Gauss-Newton has no formulation."""
     if name in LATERAL:
         return LateralAxis(aircraft)

@@ -12,8 +12,8 @@ small. An ensemble of networks is averaged.
 The Cramer-Rao bound of a frozen network takes the network for truth and its inputs for exact, and is far too small. The
 honest spread is from a block bootstrap (networks trained again on resampled blocks) together with the ensemble's.
 
-The histories of the result are the model's, simulated with the estimates like those of every other method: one-step predictions of
-a network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
+The histories of the result are the model's, simulated with the estimates like those of every other method: one-step predictions
+of a network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
 """
 
 from collections.abc import Sequence
@@ -24,22 +24,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.engine.simulate import simulate
 from estimation.errors import EstimationError
+from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for, refusal
 from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
 from estimation.estimators.neural_gauss_newton.network import one_thread, usable_device
 from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
 from estimation.estimators.neural_gauss_newton.training import NgnOptions, default_options
+from estimation.estimators.output_error import mean_of_locals
 from estimation.estimators.refits import PERCENTILES
-from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread
+from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread, judged
 from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
-from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note
 
@@ -65,14 +65,11 @@ def describe(
     names = tuple(unknowns.names[i] for i in shared)
     pick = np.ix_(shared, shared)
     found, pairs = _estimates(model, names, solution, np.array(shared, int), data)
-    fitted = tuple(_flight(model, d, i, unknowns, solution, rows.notes) for i, d in enumerate(data))
-    found |= _mean_of_locals(fitted)
+    fitted, R = _fitted_flights(model, data, unknowns, solution, rows.notes)
+    means = mean_of_locals(fitted, tuple(fitted[0].local))
+    found |= {n: replace(e, identifiable=True, why="") for n, e in means.items()}
     ordered = {n: found[n] for n in model.free_names if n in found}
     status, text = _status(solution, ordered)
-    residuals = np.concatenate([f.residuals for f in fitted])
-    known = np.isfinite(residuals)
-    squares = np.where(known, residuals, 0.0) ** 2
-    R = np.diag(squares.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
     return Result(
         model, "ngn-improved" if problem.options.improved else "ngn", status, text, max(f.iterations for f in solution.fits),
@@ -90,9 +87,7 @@ def _status(solution: "NeuralSolution", found: dict[str, Estimate]) -> tuple[Sta
         return Status.STALLED, Status.STALLED.value
     if not all(f.converged for f in solution.fits):
         return Status.LIMIT, Status.LIMIT.value
-    blind = [n for n, e in found.items() if not e.identifiable]
-    status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
-    return status, status.value + (f": {', '.join(blind)}" if blind else "")
+    return judged(Status.CONVERGED, found)
 
 
 def _estimates(
@@ -103,33 +98,30 @@ def _estimates(
     return estimates(model, names, solution.theta[where], solution.bound[pick], solution.spread[pick], blind, data)
 
 
-def _flight(
+def _fitted_flights(
     model: Model,
-    data: FlightData,
-    index: int,
+    data: list[FlightData],
     unknowns: FlightUnknowns,
     solution: "NeuralSolution",
     notes: tuple[Note, ...],
-) -> FlightFit:
-    own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
-    names = tuple(unknowns.names[i] for i in own)
-    local = _estimates(model, names, solution, own, [data])[0] if own.size else {}
-    values = {
-        n: float(v)
-        for i, (n, v) in enumerate(zip(unknowns.names, solution.theta, strict=True))
-        if unknowns.owner[i] in (-1, index)
-    }
-    predicted = simulate(model, data, values)
-    time = np.full(data.samples, np.nan)
-    measured = np.full_like(predicted, np.nan)
-    for s in data.segments:
-        time[s.first : s.first + len(s)], measured[s.first : s.first + len(s)] = s.time, s.z
-    fit = fits(model.output_names, measured, predicted)
-    states = tuple(s.x0 for s in data.segments)
-    return FlightFit(
-        data.name, data.samples, time, measured, predicted, measured - predicted, states, local, fit,
-        (*data.notes, *notes),
-    )  # fmt: skip
+) -> tuple[tuple[FlightFit, ...], Array]:
+    """Each flight simulated at its estimates, with its local ones; and the (ny, ny) variances of the residuals."""
+    every = [
+        {
+            n: float(v)
+            for n, v, owner in zip(unknowns.names, solution.theta, unknowns.owner, strict=True)
+            if owner in (-1, index)
+        }
+        for index in range(len(data))
+    ]
+    fits, R = simulated_fits(model, data, every)
+    flights = []
+    for index, (flight, fit) in enumerate(zip(data, fits, strict=True)):
+        own = np.array([i for i, owner in enumerate(unknowns.owner) if owner == index], int)
+        names = tuple(unknowns.names[i] for i in own)
+        local = _estimates(model, names, solution, own, [flight])[0] if own.size else {}
+        flights.append(replace(fit, local=local, notes=(*fit.notes, *notes)))
+    return tuple(flights), R
 
 
 def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64]) -> Bootstrap | None:
@@ -142,20 +134,6 @@ def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", where: NDArra
     std, bias = found.std(axis=0, ddof=1), deviations.mean(axis=0)
     spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
     return Bootstrap(names, found, spreads, 0)
-
-
-def _mean_of_locals(flights: tuple[FlightFit, ...]) -> dict[str, Estimate]:
-    """One line per local parameter for the joint table: mean over flights, and the bound of that mean."""
-    result = {}
-    for name in flights[0].local:
-        each = [f.local[name] for f in flights]
-        std, wide = (
-            float(np.sqrt(np.sum(np.square(v)))) / len(each)
-            for v in ([e.std for e in each], [e.std_coloured for e in each])
-        )
-        mean = float(np.mean([e.estimate for e in each]))
-        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=wide, identifiable=True, why="")
-    return result
 
 
 def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: "NeuralSolution") -> dict[str, Any]:

@@ -7,12 +7,14 @@ prediction error weighted by R^-1, R from the residuals (relaxation). The Jacobi
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from estimation.estimators.gauss_newton import halved
 from estimation.estimators.neural_gauss_newton.axes import Axis
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, input_slopes
 from estimation.estimators.neural_gauss_newton.samples import SampleStretch
@@ -95,6 +97,9 @@ class Frozen:
 
 Predict = Callable[[Array], tuple[list[Array], list[Array]]]
 """theta -> standardised residuals (M, out) and prediction slopes (M, out, n) of every stretch."""
+Look = tuple[list[Array], list[Array], Array, float]
+"""The same at one theta, with R (out,) and the cost."""
+HALVINGS = 11  # of a step, down to a thousandth
 
 
 def fit_parameters(
@@ -112,10 +117,16 @@ def fit_parameters(
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
     total = sum(float(c.sum()) for c in counts)
 
-    def look(t: Array) -> tuple[list[Array], list[Array], Array, float]:
+    def look(t: Array) -> Look:
         residuals, slopes = predict(t)
         R = variance(residuals, counts)
         return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
+
+    def along(theta: Array, step: NDArray[np.floating[Any]], fraction: float) -> Look:
+        return look(theta + fraction * step)
+
+    def not_above(limit: float, place: Look) -> bool:
+        return not place[3] > limit
 
     theta, (residuals, slopes, R, cost) = min(((t, look(t)) for t in starts), key=lambda tried: tried[1][3])
     converged, used = False, 0
@@ -123,16 +134,12 @@ def fit_parameters(
         used += 1
         information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
         step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
-        scale = 1.0
-        trial = look(theta + step)
-        while trial[3] > cost + 1e-9 * abs(cost) and scale > 1e-3:
-            scale *= 0.5
-            trial = look(theta + scale * step)
         converged = settled(step, information)
-        if trial[3] > cost + 1e-9 * abs(cost):
+        reached = halved(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
+        if reached is None:
             break
-        theta = theta + scale * step
-        residuals, slopes, R, cost = trial
+        theta = theta + reached[0] * step
+        residuals, slopes, R, cost = reached[1]
         if converged:
             break
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)

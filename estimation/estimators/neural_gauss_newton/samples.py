@@ -26,6 +26,7 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import DataError
 from estimation.estimators.neural_gauss_newton.axes import Axis, dynamic_pressure
+from estimation.prepare.stretches import runs_in_segments
 from estimation.signals.denoise import denoise_many
 from groundstation.flight import Array, Flight
 
@@ -105,23 +106,16 @@ def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -
     table = np.column_stack([flight[c] for c in columns])
     known = np.asarray(np.isfinite(table).all(axis=1))
     found = []
-    for part in flight.segments:
-        for start, stop in _runs(known[part]):
-            if stop - start >= SHORTEST:
-                rows = slice(part.start + start, part.start + stop)
-                signals = {c: flight[c][rows] for c in columns}
-                found.append(_stretch(axis, signals, flight.time[rows], rows.start, form, motion))
+    for start, stop in runs_in_segments(flight, known):
+        if stop - start >= SHORTEST:
+            signals = {c: flight[c][start:stop] for c in columns}
+            found.append(_stretch(axis, signals, flight.time[start:stop], start, form, motion))
     if not found:
         raise DataError(
             f"{flight.name}: no stretch of {SHORTEST} samples in a row with all of {', '.join(columns)}; "
             "Neural Gauss-Newton needs one"
         )
     return found
-
-
-def _runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def _stretch(
