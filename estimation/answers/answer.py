@@ -31,8 +31,8 @@ def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str
     """A small HTML table; all text is escaped."""
     heads = "".join(f"<th>{html.escape(h)}</th>" for h in head)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
-    shown = html.escape(title.strip("<>"))
-    return f"<div><p>{shown}</p><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>"
+    heading = html.escape(title.strip("<>"))
+    return f"<div><p>{heading}</p><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>"
 
 
 class Figures(Mapping[str, "Picture"]):
@@ -70,12 +70,12 @@ class Figures(Mapping[str, "Picture"]):
 def plot_estimates(result: "Result", ax: Any) -> Any:
     """Every derivative that could be told relative to its size, with the corrected bound."""
     (ax,) = panels(ax, 1, (7.0, 3.2))
-    told = {n: e for n, e in result.parameters.items() if e.identifiable and not n.endswith("_0")}
-    size = {n: abs(e.reference) if e.reference else abs(e.estimate) for n, e in told.items()}
-    at = range(len(told))
-    values = [e.estimate / size[n] for n, e in told.items()]
-    ax.errorbar(at, values, [e.std_coloured / size[n] for n, e in told.items()], fmt="o", capsize=3)
-    ax.set_xticks(list(at), list(told), rotation=60)
+    identifiable = {n: e for n, e in result.parameters.items() if e.identifiable and not n.endswith("_0")}
+    size = {n: abs(e.reference) if e.reference else abs(e.estimate) for n, e in identifiable.items()}
+    places = range(len(identifiable))
+    values = [e.estimate / size[n] for n, e in identifiable.items()]
+    ax.errorbar(places, values, [e.std_coloured / size[n] for n, e in identifiable.items()], fmt="o", capsize=3)
+    ax.set_xticks(list(places), list(identifiable), rotation=60)
     ax.set_ylabel("estimate / belief")
     return ax
 
@@ -96,8 +96,8 @@ def plot_scores(result: "GapResult", ax: Any) -> Any:
     """The leading hypotheses with their scores, and the threshold that simulated nulls set."""
     (ax,) = panels(ax, 1, (7.0, 3.2))
     leading = sorted(result.scores, key=lambda n: -result.scores[n])[:LEADING]
-    named = {s.effect for s in result.steps}
-    colours = ["C0" if n in named else "0.6" for n in leading]
+    named_effects = {s.effect for s in result.steps}
+    colours = ["C0" if n in named_effects else "0.6" for n in leading]
     ax.barh(range(len(leading)), [result.scores[n] for n in leading], color=colours)
     ax.set_yticks(range(len(leading)), leading)
     ax.invert_yaxis()
@@ -121,12 +121,12 @@ def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mappi
     from estimation.report.names import face
 
     axes = panels(ax, len(units))
-    for i, (each, (name, si)) in enumerate(zip(axes, units.items(), strict=True)):
+    for i, (panel, (name, si)) in enumerate(zip(axes, units.items(), strict=True)):
         factor, unit = face(name, si)
-        each.plot(time, factor * measured[:, i], ".", color="0.6", markersize=2.0, label="measured")
+        panel.plot(time, factor * measured[:, i], ".", color="0.6", markersize=2.0, label="measured")
         for label, values in curves.items():
-            each.plot(time, broken_at_gaps(time, factor * values[:, i]), linewidth=1.0, label=label)
-        each.set_ylabel(f"{name} [{unit}]" if unit else name)
+            panel.plot(time, broken_at_gaps(time, factor * values[:, i]), linewidth=1.0, label=label)
+        panel.set_ylabel(f"{name} [{unit}]" if unit else name)
     axes[0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     axes[-1].set_xlabel("time [s]")
     return axes
@@ -196,7 +196,7 @@ class Answer(ABC):
         from estimation.report.tables import ReportTable
 
         head, rows = self.rows()
-        shown = tuple(tuple(str(cell) for cell in row) for row in rows)
+        cells = tuple(tuple(str(cell) for cell in row) for row in rows)
         return write_page(
             Path(folder) / "index.html",
             "answer.html.j2",
@@ -205,7 +205,7 @@ class Answer(ABC):
             lead="",
             lines=list(self.lines()),
             figures=list(self.figures().values()),
-            table=ReportTable("answer", "Numbers", tuple(head), shown, symbols=False),
+            table=ReportTable("answer", "Numbers", tuple(head), cells, symbols=False),
         )
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
@@ -214,11 +214,11 @@ class Answer(ABC):
 
     def save(self, path: str | Path) -> Path:
         """Write the file whose kind the ending of its name chooses; gives the path. UserError for an unknown ending."""
-        path, known = Path(path), self.writers()
-        if path.suffix.lower() not in known:
-            endings = ", ".join(n for n in known if n not in PICTURES or n == ".svg")
+        path, writers = Path(path), self.writers()
+        if path.suffix.lower() not in writers:
+            endings = ", ".join(n for n in writers if n not in PICTURES or n == ".svg")
             raise UserError(f"{path}: no known format of this answer; end the name in one of {endings}")
-        known[path.suffix.lower()](path)
+        writers[path.suffix.lower()](path)
         return path
 
     def __repr__(self) -> str:

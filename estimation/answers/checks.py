@@ -39,7 +39,7 @@ def check(
     from groundstation.flight.quality.report import quality_report
 
     text = factors if isinstance(factors, str) or factors is None else ",".join(factors) or None
-    wanted, known = wanted_factors(text)
+    free_factors, fixed_factors = wanted_factors(text)
     tell = progress or (lambda *_: None)
     read = read_flights(flights, segments)
     quality = {
@@ -55,11 +55,11 @@ def check(
     for i, f in enumerate(read):
         if several:
             tell(f"checking {f.name}", i / len(read))
-        results[f.name] = compatibility(f, wanted, known=known, keep_held=keep_held)
+        results[f.name] = compatibility(f, free_factors, known=fixed_factors, keep_held=keep_held)
     shared = None
     if joint and several:
         tell("checking all together")
-        shared = compatibility(read, wanted, known=known, keep_held=keep_held)
+        shared = compatibility(read, free_factors, known=fixed_factors, keep_held=keep_held)
     return Check(results, quality, tuple(read), shared)
 
 
@@ -70,8 +70,8 @@ def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ..
     from groundstation.flight.quality.report import Finding
 
     if aircraft is None and not flight.provenance.aircraft:
-        why = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
-        return (Finding(CHECK, "ok", why),)
+        reason = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
+        return (Finding(CHECK, "ok", reason),)
     return tuple(excitation_findings(predicted_bounds(flight, aircraft_of([flight], aircraft))))
 
 
@@ -85,22 +85,22 @@ def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]
     words = [n.strip() for n in text.strip().removeprefix("+").split(",") if n.strip()]
     if not words:
         raise EstimationError(f"--factors {text!r} names none; write names like K_beta,dbeta or leave the option out")
-    known: dict[str, float] = {}
+    fixed: dict[str, float] = {}
     for word in [w for w in words if "=" in w]:
         name, _, value = word.partition("=")
         try:
-            known[name.strip()] = float(value)
+            fixed[name.strip()] = float(value)
         except ValueError:
             raise EstimationError(f"--factors {word}: {value!r} is not a number; write it like x_imu=0.06") from None
-        if not math.isfinite(known[name.strip()]):
+        if not math.isfinite(fixed[name.strip()]):
             raise EstimationError(f"--factors {word}: not a finite number")
     names = tuple(w for w in words if "=" not in w)
     if text.strip().startswith("+") or not names:
         names = (*STANDARD_FACTORS, *names)
-    free = tuple(n for n in dict.fromkeys(names) if n not in known)
+    free = tuple(n for n in dict.fromkeys(names) if n not in fixed)
     if not free:
         raise EstimationError(f"--factors {text}: every factor is given a value, none is left to estimate")
-    return free, known
+    return free, fixed
 
 
 @dataclass(frozen=True, repr=False)

@@ -37,8 +37,8 @@ def session_lines(session: "EstimationSession", *, brief: bool = False) -> Itera
             yield ""
             yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
             yield from result_lines(result)
-        for method, why in f.failures.items():
-            yield f"{f.flight.name}, {method}: {why}"
+        for method, reason in f.failures.items():
+            yield f"{f.flight.name}, {method}: {reason}"
         for note in () if brief else f.notes:
             yield f"  note: {note}"
         yield from _verdict_lines(f.verdict, brief=brief)
@@ -48,8 +48,8 @@ def session_lines(session: "EstimationSession", *, brief: bool = False) -> Itera
         yield ""
         yield f"joint over {len(session.flights)} flights, {method}: {result.text}"
         yield from result_lines(result)
-    for method, why in session.joint_failures.items():
-        yield f"joint over {len(session.flights)} flights, {method}: {why}"
+    for method, reason in session.joint_failures.items():
+        yield f"joint over {len(session.flights)} flights, {method}: {reason}"
     yield from _verdict_lines(session.verdict, brief=False)
 
 
@@ -66,17 +66,17 @@ def brief_numbers(result: "Result") -> str:
     """Every estimate that the data could tell with its corrected bound, both to the second figure of the bound, in one line."""
     from estimation.report.tables import rounded
 
-    told = [(n, rounded(e.estimate, e.std_coloured)) for n, e in result.parameters.items() if e.identifiable]
-    return "  ".join(f"{n} {value}" + (f" ({bound})" if bound else "") for n, (value, bound) in told)
+    identifiable = [(n, rounded(e.estimate, e.std_coloured)) for n, e in result.parameters.items() if e.identifiable]
+    return "  ".join(f"{n} {value}" + (f" ({bound})" if bound else "") for n, (value, bound) in identifiable)
 
 
 def result_lines(result: "Result") -> Iterator[str]:
     """Estimate, Cramer-Rao bound, corrected bound and prior belief, parameter by parameter; then the fit."""
     yield f"  {'parameter':<12}{'estimate':>11}{'bound':>10}{'corrected':>11}{'before':>10}"
     for name, e in result.parameters.items():
-        before = "" if e.reference is None else f"{e.reference:10.4g} {e.reference_source}"
-        why = "" if e.identifiable else f"  cannot tell: {e.why}"
-        yield f"  {name:<12}{e.estimate:11.4g}{e.std:10.2g}{e.std_coloured:11.2g}{before}{why}"
+        reference = "" if e.reference is None else f"{e.reference:10.4g} {e.reference_source}"
+        reason = "" if e.identifiable else f"  cannot tell: {e.why}"
+        yield f"  {name:<12}{e.estimate:11.4g}{e.std:10.2g}{e.std_coloured:11.2g}{reference}{reason}"
     for flight in result.flights:
         line = "  ".join(f"{n} {f.r2:.3f}" for n, f in flight.fit.items())
         yield f"  fit r2{' ' + flight.name if len(result.flights) > 1 else ''}: {line}"
@@ -106,10 +106,10 @@ def _mean_lines(session: "EstimationSession") -> Iterator[str]:
     for method, table in session.mean.items():
         yield ""
         yield f"mean over flights, {method}"
-        told = f"{'truth':>11}" if session.truth else ""
-        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}{told}"
+        heading = f"{'truth':>11}" if session.truth else ""
+        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}{heading}"
         for name, s in table.items():
-            true = f"{session.truth[name]:11.4g}" if name in session.truth else " " * len(told)
+            true = f"{session.truth[name]:11.4g}" if name in session.truth else " " * len(heading)
             scatter = f"{s.std:.2g}" if s.count > 1 else "-"  # of one flight there is none
             yield f"  {name:<12}{s.mean:11.4g}{scatter:>10}{s.bound:11.2g}{s.count:9d}{true}  {s.text}".rstrip()
 
@@ -124,26 +124,26 @@ def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
         data = json.loads(read_text(path, error=EstimationError))
     except (ValueError, RecursionError):
         raise EstimationError(f'{path}: not JSON; write derivatives by name, like {{"Cl_p": -0.495}}') from None
-    found = [_of_flight(data, name) for name in flights]
-    known = next((f for f in found if f), None)
-    if known is None:
+    truths = [_of_flight(data, name) for name in flights]
+    truth = next((f for f in truths if f), None)
+    if truth is None:
         raise EstimationError(f"{path}: no derivatives there for {', '.join(flights)}")
-    if any(f != known for f in found):
+    if any(f != truth for f in truths):
         raise EstimationError(f"{path}: the truth of these flights is not one: give flights of one aircraft")
-    return known
+    return truth
 
 
 def _of_flight(data: Any, flight: str) -> dict[str, float]:
     """Numbers by derivative name, empty where the file tells nothing of this flight."""
     if not isinstance(data, Mapping):
         return {}
-    own: Any = data
+    entry: Any = data
     if isinstance(data.get("recordings"), list):
-        own = next((r for r in data["recordings"] if isinstance(r, Mapping) and r.get("name") == flight), {})
+        entry = next((r for r in data["recordings"] if isinstance(r, Mapping) and r.get("name") == flight), {})
     elif "derivatives" not in data:
         sets = [k for k, v in data.items() if isinstance(v, Mapping) and flight.startswith(k)]
-        own = data[max(sets, key=len)] if sets else data
-    table = own.get("derivatives", own)
+        entry = data[max(sets, key=len)] if sets else data
+    table = entry.get("derivatives", entry)
     return {k: float(v) for k, v in table.items() if isinstance(v, int | float) and not isinstance(v, bool)}
 
 
@@ -215,8 +215,8 @@ class Estimates(Answer):
         """The model with the estimates as its values, and the ranges it was estimated from."""
         from estimation.session.proof_of_match import flown
 
-        used = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
-        return replace(self.best.fitted_model, flown=flown(self.best.model, used))
+        flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
+        return replace(self.best.fitted_model, flown=flown(self.best.model, flights))
 
     @property
     def passed(self) -> bool:

@@ -38,8 +38,8 @@ def match(
     from estimation.simulation.base_model import Free
 
     problem = resolve(flights, model, aircraft, segments=segments, simulation=simulation, free=Free.NOTHING)
-    wanted = comma_separated(free)
-    proofs = tuple(predict(problem.model, flight, free=wanted) for flight in problem.flights)
+    free_names = comma_separated(free)
+    proofs = tuple(predict(problem.model, flight, free=free_names) for flight in problem.flights)
     return Match(proofs, str(problem.model.name), limit, problem.flights, problem.notes)
 
 
@@ -90,8 +90,8 @@ class Match(Answer):
 
         from estimation.report.drawing.estimate_figures import proof_figure
 
-        drawn = partial(proof_figure, [(self.model, p) for p in self.proofs], "initial states", of_paper=False)
-        return Figures({"figure10": drawn})
+        figure = partial(proof_figure, [(self.model, p) for p in self.proofs], "initial states", of_paper=False)
+        return Figures({"figure10": figure})
 
     def write_histories(self, folder: Path) -> list[Path]:
         """Write each flight with what the model predicts beside it; gives the files."""
@@ -108,8 +108,8 @@ class Match(Answer):
 
     def headline(self) -> str:
         """Flights, and the worst match of any channel."""
-        worst = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
-        return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {worst:.3f}"
+        largest = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
+        return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {largest:.3f}"
 
     def rows(self) -> Rows:
         """A row for each flight and channel."""

@@ -35,11 +35,11 @@ def reconstruct(
     assumed = Assumptions(trim_sideslip=math.radians(trim_sideslip), attitude=math.radians(attitude_error))
     (read,) = read_flights(flight)
     air = reconstruct_air(read, assumed)
-    made = with_air(read, air)
+    with_air_data = with_air(read, air)
     if output is not None:
-        write_flight(made, Path(output))
+        write_flight(with_air_data, Path(output))
     measured = tuple(n for n in ("alpha", "beta") if read.measured(n))
-    return Reconstruction(air, made, str(output or read.name), measured)
+    return Reconstruction(air, with_air_data, str(output or read.name), measured)
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,10 +90,10 @@ class Reconstruction(Answer):
         from estimation.report.names import face
 
         axes = panels(ax, len(self.air.values))
-        for each, (name, values) in zip(axes, self.air.values.items(), strict=True):
+        for panel, (name, values) in zip(axes, self.air.values.items(), strict=True):
             factor, unit = face(name, "m/s" if name == "V" else "rad")
-            each.plot(self.flight.time, factor * values)
-            each.set_ylabel(f"{name} [{unit}]")
+            panel.plot(self.flight.time, factor * values)
+            panel.set_ylabel(f"{name} [{unit}]")
         axes[-1].set_xlabel("time [s]")
         return axes
 

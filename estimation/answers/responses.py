@@ -49,15 +49,15 @@ def frequency(
     from estimation.frequency.response import frequency_response as responded
     from estimation.resolve import read_flights
 
-    wanted = form or ("auto" if fit else None)
-    if wanted is not None:
-        form_for(input, output, wanted)  # what is mistyped is said before a flight is read
-    asked = Craft(kind, category)
-    beside = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
-    options = ResponseOptions(beside, band, points, tuple(windows))
+    form_name = form or ("auto" if fit else None)
+    if form_name is not None:
+        form_for(input, output, form_name)  # what is mistyped is said before a flight is read
+    craft_asked = Craft(kind, category)
+    other_inputs = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
+    options = ResponseOptions(other_inputs, band, points, tuple(windows))
     read = read_flights(flights, segments)
-    craft = _with_mass(asked, read, aircraft)
-    return Response(answer(responded(read, input, output, options), wanted, craft), tuple(read))
+    craft = _with_mass(craft_asked, read, aircraft)
+    return Response(answer(responded(read, input, output, options), form_name, craft), tuple(read))
 
 
 def _with_mass(asked: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":

@@ -38,10 +38,10 @@ def watch(
 
     problem = resolve(flight, model, aircraft, segments=segments, needs_aircraft=True)
     (read,) = problem.flights
-    found = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
+    watched = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
     craft = None if aircraft is None else str(getattr(aircraft, "name", aircraft))
     words = str(model) if isinstance(model, str | Path) else problem.model.name
-    return Watching(found, answer.gap_command(Path(read.provenance.path or read.name), words, craft))
+    return Watching(watched, answer.gap_command(Path(read.provenance.path or read.name), words, craft))
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,8 +75,8 @@ class Watching(Answer):
         """A row for each half second of manoeuvring: time [s], and the score in units of its threshold."""
         import pandas as pd
 
-        seen = self.result.history
-        return pd.DataFrame({"time": [w.time for w in seen], "score": [w.score for w in seen]})
+        history = self.result.history
+        return pd.DataFrame({"time": [w.time for w in history], "score": [w.score for w in history]})
 
     def lines(self) -> Iterator[str]:
         """What `sideslip watch` prints."""
@@ -90,10 +90,10 @@ class Watching(Answer):
         """Write the stretch about the first alarm, where there is one; the answer whose next command reads that file."""
         from groundstation.flight import write_flight
 
-        about = self.stretch()
-        if about is None:
+        stretch = self.stretch()
+        if stretch is None:
             return self
-        write_flight(about, path)
+        write_flight(stretch, path)
         _, _, words = self.command.partition(" --model ")
         return replace(self, command=f"sideslip gap {path} --model {words}")
 

@@ -116,10 +116,10 @@ def smooth(
     gust: standard deviation of a gust component [m/s]; first_wind: (3,) guess about which airspeed is linearised first.
     """
     chain = _Chain(stretches, noise, gust, assumed, first_wind)
-    found = chain.run(chain.first_guess())
+    smoothed = chain.run(chain.first_guess())
     for _ in range(passes - 1):
-        found = chain.run(chain.still_air(found.states))
-    return found
+        smoothed = chain.run(chain.still_air(smoothed.states))
+    return smoothed
 
 
 def likelihoods(
@@ -128,9 +128,9 @@ def likelihoods(
     """Log-likelihood of the innovations by level of the gusts [m/s]: forward only, all about the same air velocity."""
     middle = gusts[len(gusts) // 2]
     chain = _Chain(stretches, noise, middle, assumed, first_wind)
-    about = chain.still_air(chain.run(chain.first_guess()).states)
-    tried = {gust: _Chain(stretches, noise, gust, assumed, first_wind) for gust in gusts}
-    return {gust: chain.forward(about).tally.likelihood for gust, chain in tried.items()}
+    still_air = chain.still_air(chain.run(chain.first_guess()).states)
+    chains = {gust: _Chain(stretches, noise, gust, assumed, first_wind) for gust in gusts}
+    return {gust: chain.forward(still_air).tally.likelihood for gust, chain in chains.items()}
 
 
 @dataclass(frozen=True)
@@ -219,9 +219,9 @@ class _Chain:
         phi, q = [], []
         last = stretches[0].time[0]
         for stretch in stretches:
-            for k, now in enumerate(stretch.time):
-                dt = float(now - last)
-                last = now
+            for k, time in enumerate(stretch.time):
+                dt = float(time - last)
+                last = time
                 step = self._decay(dt)
                 if k == 0:  # a velocity integrated anew
                     step[0][VELOCITY] = 0.0
@@ -250,22 +250,22 @@ class _Chain:
     def _seen(self, k: int, about: Array) -> list[tuple[str, float, Array, float]]:
         """Measurements at a node: kind, what is left of it when the state is zero, its row, its variance."""
         a = self._assumed
-        seen: list[tuple[str, float, Array, float]] = []
+        measurements: list[tuple[str, float, Array, float]] = []
         if self._fixes[k]:
             for axis in range(3):
                 row = np.zeros(STATES)
                 row[axis] = 1.0
                 row[AGE] = -self._acceleration[k, axis]
                 sigma = a.fix[axis // 2]
-                seen.append(("velocity", float(self._fix[k, axis]), row, sigma**2))
+                measurements.append(("velocity", float(self._fix[k, axis]), row, sigma**2))
         speed = float(np.linalg.norm(about))
-        along = about / speed
+        direction = about / speed
         if np.isfinite(self._airspeed[k]):
             row = np.zeros(STATES)
-            row[VELOCITY], row[WIND], row[GUST], row[SCALE] = along, -along, -along, speed
+            row[VELOCITY], row[WIND], row[GUST], row[SCALE] = direction, -direction, -direction, speed
             # |v| about `about`: along . v; the part of the nominal velocity does not depend on the state
-            expected = float(along @ self._mean_velocity[k])
-            seen.append(("airspeed", float(self._airspeed[k]) - expected, row, self._noise.airspeed**2))
+            nominal = float(direction @ self._mean_velocity[k])
+            measurements.append(("airspeed", float(self._airspeed[k]) - nominal, row, self._noise.airspeed**2))
         row = np.zeros(STATES)
         right = self._axes[k, :, 1]
         row[VELOCITY], row[WIND], row[GUST] = right / speed, -right / speed, -right / speed
@@ -273,8 +273,8 @@ class _Chain:
         row[TRIM] = -1.0
         # white noise that averages out as slowly as sideslip that lasts manoeuvre_s does
         variance = a.manoeuvre_sideslip**2 * 2 * a.manoeuvre_s / INTERVAL
-        seen.append(("sideslip", -float(right @ self._velocity[k]) / speed, row, variance))
-        return seen
+        measurements.append(("sideslip", -float(right @ self._velocity[k]) / speed, row, variance))
+        return measurements
 
 
 class _Tally:

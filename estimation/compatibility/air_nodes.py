@@ -38,9 +38,9 @@ def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], lis
 
     Raises DataError when no stretch is long enough or none has a fix and an airspeed.
     """
-    whole = np.all(np.isfinite(np.column_stack([flight[c] for c in INERTIAL])), axis=1)
+    complete = np.all(np.isfinite(np.column_stack([flight[c] for c in INERTIAL])), axis=1)
     with np.errstate(invalid="ignore"):
-        usable = whole & ~(airspeed < FLYING)
+        usable = complete & ~(airspeed < FLYING)
     fixes, speeds = fresh(flight, FIX), fresh_values(flight, "V", airspeed)
     stretches, notes = [], []
     for first, last in unbroken(flight, usable, attitude_jumps(flight)):
@@ -67,20 +67,20 @@ def fresh(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
     lines between bends are interpolated.
     """
     values = np.column_stack([flight[c] for c in columns])
-    known = np.all(np.isfinite(values), axis=1)
-    rows = np.flatnonzero(known)
+    complete = np.all(np.isfinite(values), axis=1)
+    rows = np.flatnonzero(complete)
     if rows.size < 4:
-        return known
+        return complete
     changed = np.any(np.diff(values[rows], axis=0) != 0.0, axis=1)
     candidates = rows[np.concatenate([[True], changed])]
-    every = _interval(flight, columns, values[rows])
-    chosen = np.zeros(len(flight), bool)
+    least_interval = _interval(flight, columns, values[rows])
+    mask = np.zeros(len(flight), bool)
     last = -np.inf
     for row in candidates.tolist():
-        if flight.time[row] - last >= every:
-            chosen[row] = True
+        if flight.time[row] - last >= least_interval:
+            mask[row] = True
             last = float(flight.time[row])
-    return chosen
+    return mask
 
 
 def _interval(flight: Flight, columns: Sequence[str], values: Array) -> float:
@@ -90,8 +90,8 @@ def _interval(flight: Flight, columns: Sequence[str], values: Array) -> float:
     if rates:
         return max(1.0 / min(rates), dt) - 0.5 * dt
     bend = np.abs(np.diff(values, 2, axis=0)).max(axis=1)
-    moving = bend > 1e-6 * max(float(np.median(np.abs(values).max(axis=1))), 1e-3)
-    share = float(moving.mean())
+    bending = bend > 1e-6 * max(float(np.median(np.abs(values).max(axis=1))), 1e-3)
+    share = float(bending.mean())
     # a line between samples bends at one or two rows of each interval: taken for one, which is the fewer samples
     return 0.5 * dt if share > 0.8 else dt / max(share, 0.01) - 0.5 * dt
 
@@ -156,8 +156,8 @@ def _at_middle(values: Array, time: Array, node: NDArray[np.int64]) -> Array:
 
 def _between(integral: Array, time: Array, node: NDArray[np.int64]) -> Array:
     """What an integral gains from the middle of the node before; zeros for the first."""
-    at = _at_middle(integral, time, node)
-    return np.vstack([np.zeros(at.shape[1]), np.diff(at, axis=0)])
+    midpoints = _at_middle(integral, time, node)
+    return np.vstack([np.zeros(midpoints.shape[1]), np.diff(midpoints, axis=0)])
 
 
 def _integral(time: Array, rate: Array) -> Array:

@@ -33,9 +33,9 @@ class CompatibilityProblem:
         self.model = model
         self.names = ", ".join(f.name for f in flights)
         self.filter = KalmanFilter(model)
-        found = [records_of(model, f) for f in flights]
-        self.records = [r for r, _ in found]
-        self.notes = [(*n, *_filter_note(errors)) for (_, n), errors in zip(found, self.attitude, strict=True)]
+        recorded = [records_of(model, f) for f in flights]
+        self.records = [r for r, _ in recorded]
+        self.notes = [(*n, *_filter_note(errors)) for (_, n), errors in zip(recorded, self.attitude, strict=True)]
         self.inputs = [np.array([noise_level(joined(f[c])) for c in model.input_names]) for f in flights]
         self.outputs = [self._output_noise(rs) for rs in self.records]
         self.turbulence = 0.05
@@ -73,9 +73,9 @@ class CompatibilityProblem:
         """First state from the first tenth of a second of measurements, held loosely: the filter finds it."""
         first = {}
         for j, name in enumerate(self.model.output_names):
-            early = record.z[: max(3, round(0.2 / record.step)), j]
-            early = early[np.isfinite(early)]
-            first[name] = float(early.mean()) if early.size else (15.0 if name == "V" else 0.0)
+            first_samples = record.z[: max(3, round(0.2 / record.step)), j]
+            first_samples = first_samples[np.isfinite(first_samples)]
+            first[name] = float(first_samples.mean()) if first_samples.size else (15.0 if name == "V" else 0.0)
         v, a, b = first["V"], first["alpha"], first["beta"]
         start = {
             "u": (v * np.cos(a) * np.cos(b), 3.0),
@@ -97,10 +97,10 @@ class CompatibilityProblem:
         runs = self.runs(p)
         for _ in range(rounds):
             for i, flight_runs in enumerate(runs):
-                known = np.vstack([r.known for r in flight_runs])
+                measured = np.vstack([r.known for r in flight_runs])
                 e = np.vstack([r.normalised for r in flight_runs])
-                count = np.maximum(known.sum(axis=0), 1)
-                ratio = np.where(known.any(axis=0), (e**2).sum(axis=0) / count, 1.0)
+                count = np.maximum(measured.sum(axis=0), 1)
+                ratio = np.where(measured.any(axis=0), (e**2).sum(axis=0) / count, 1.0)
                 self.outputs[i] = np.maximum(self.outputs[i] * np.sqrt(np.clip(ratio, 0.05, 20.0)), SMALLEST)
             runs = self.runs(p)
         return runs
@@ -108,27 +108,27 @@ class CompatibilityProblem:
     def settle_turbulence(self, p: Array, *, known: bool = False) -> None:
         """Turbulence of greatest likelihood, by a search over decades and then within one; known: only near the present."""
         centre, width = float(np.log10(max(self.turbulence, 1e-4))), 0.5 if known else 1.0
-        kept = [o.copy() for o in self.outputs]
-        tried: dict[float, float] = {}
+        noise_before = [o.copy() for o in self.outputs]
+        costs: dict[float, float] = {}
         for _ in range(2 if known else 3):
             for candidate in np.clip(centre + width * np.array([-1.0, 0.0, 1.0]), *_TURBULENCE_LOG10).tolist():
-                if candidate not in tried:
+                if candidate not in costs:
                     self.turbulence = float(10**candidate)
-                    self.outputs = [o.copy() for o in kept]
-                    tried[candidate] = self.cost(self.relax(p, 2))
-            centre = min(tried, key=lambda c: tried[c])
+                    self.outputs = [o.copy() for o in noise_before]
+                    costs[candidate] = self.cost(self.relax(p, 2))
+            centre = min(costs, key=lambda c: costs[c])
             width *= 0.5
-        self.outputs = kept
+        self.outputs = noise_before
         self.turbulence = float(10**centre)
 
     def slopes(self, p: Array, steps: Array) -> list[list[Array]]:
         """(N, ny, n) derivative of the normalised innovations by the factors, by central differences."""
         columns = []
         for k in range(p.size):
-            up, down = p.copy(), p.copy()
-            up[k] += steps[k]
-            down[k] -= steps[k]
-            plus, minus = self.runs(up), self.runs(down)
+            p_plus, p_minus = p.copy(), p.copy()
+            p_plus[k] += steps[k]
+            p_minus[k] -= steps[k]
+            plus, minus = self.runs(p_plus), self.runs(p_minus)
             columns.append(
                 [
                     [(a.normalised - b.normalised) / (2 * steps[k]) for a, b in zip(x, y, strict=True)]
@@ -142,11 +142,11 @@ class CompatibilityProblem:
 
 
 def _filter_note(errors: dict[str, float]) -> tuple[str, ...]:
-    told = [f"{angle} {np.degrees(sigma):.1f} deg" for angle, sigma in errors.items() if sigma]
-    if not told:
+    sizes = [f"{angle} {np.degrees(sigma):.1f} deg" for angle, sigma in errors.items() if sigma]
+    if not sizes:
         return ()
     return (
-        f"attitude is smoother than its gyro: it comes from a filter, whose slow errors ({', '.join(told)}) are allowed for; "
+        f"attitude is smoother than its gyro: it comes from a filter, whose slow errors ({', '.join(sizes)}) are allowed for; "
         "no bias of ax or ay can be told much better than that much of gravity",
     )
 
@@ -187,8 +187,8 @@ def refuse_singular(model: Model, information: Array, names: str) -> None:
     scaled = information * scale[:, None] * scale[None, :]
     blind = np.diag(scaled) < SINGULAR * max(float(np.diag(scaled).max()), 1e-300)
     if blind.any():
-        gone = ", ".join(n for n, b in zip(model.parameter_names, blind, strict=True) if b)
-        raise DataError(f"{names}: {gone} leaves no trace in any measured channel; leave it out with --factors")
+        invisible = ", ".join(n for n, b in zip(model.parameter_names, blind, strict=True) if b)
+        raise DataError(f"{names}: {invisible} leaves no trace in any measured channel; leave it out with --factors")
     d = np.sqrt(np.diag(scaled))
     values, vectors = np.linalg.eigh(scaled / d[:, None] / d[None, :])
     if values[0] < SINGULAR:
@@ -204,8 +204,8 @@ def lag_window_covariance(runs: list[list[Run]], slopes: list[list[Array]], info
     lags = max(1, round(CORRELATION_WINDOW_S / step))
     meat = np.zeros_like(information)
     for flight_runs, flight_slopes in zip(runs, slopes, strict=True):
-        known = np.vstack([r.known for r in flight_runs])
-        for j in range(known.shape[1]):
+        measured = np.vstack([r.known for r in flight_runs])
+        for j in range(measured.shape[1]):
             gamma = lagged_products([r.normalised[:, j] for r in flight_runs], lags)
             for s in flight_slopes:
                 column = s[:, j, :]
@@ -216,8 +216,8 @@ def lag_window_covariance(runs: list[list[Run]], slopes: list[list[Array]], info
                     meat += taper * gamma[lag] * (cross + cross.T)
     inverse = np.linalg.inv(information)
     covariance = inverse @ meat @ inverse
-    plain = np.diag(inverse)
-    diagonal = np.maximum(np.diag(covariance), plain)  # the correction never makes a bound smaller
+    variances = np.diag(inverse)
+    diagonal = np.maximum(np.diag(covariance), variances)  # the correction never makes a bound smaller
     grow = np.sqrt(diagonal / np.maximum(np.diag(covariance), 1e-300))
     return np.asarray(covariance * grow[:, None] * grow[None, :])
 

@@ -86,17 +86,17 @@ def compatibility(
     Raises ModelError for an unknown factor, MissingColumnError or DataError for flights that cannot be used, and
     DataError naming them when factors cannot be told from each other at all.
     """
-    given = [flights] if isinstance(flights, Flight) else list(flights)
-    many = [measurements(f, keep_held=keep_held)[0] for f in given]
-    asked = compatibility_model(factors, tuple(MEASUREMENTS), known)
-    absent = _absent(asked, many)
-    filtered = any(max(attitude_errors(f).values()) > 0 for f in many)
-    present = tuple(f for f in asked.parameter_names if f not in absent)
+    flight_list = [flights] if isinstance(flights, Flight) else list(flights)
+    conditioned = [measurements(f, keep_held=keep_held)[0] for f in flight_list]
+    full_model = compatibility_model(factors, tuple(MEASUREMENTS), known)
+    absent = _absent(full_model, conditioned)
+    filtered = any(max(attitude_errors(f).values()) > 0 for f in conditioned)
+    present = tuple(f for f in full_model.parameter_names if f not in absent)
     model = compatibility_model(present, tuple(MEASUREMENTS), known, filtered_attitude=filtered)
-    problem = CompatibilityProblem(model, many)
-    p, runs, converged, used = _estimate(problem, iterations)
+    problem = CompatibilityProblem(model, conditioned)
+    p, runs, converged, count = _estimate(problem, iterations)
     slopes = problem.slopes(p, _steps(model))
-    described = _describe(problem, many, absent, asked, p, runs, slopes, converged, used)
+    described = _describe(problem, conditioned, absent, full_model, p, runs, slopes, converged, count)
     return replace(described, known=dict(known or {}))
 
 
@@ -128,17 +128,17 @@ def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, li
         raise DataError(
             f"{problem.names}: the motion integrated from accelerations and rates runs away at once; check their units and signs"
         )
-    for used in range(1, iterations + 1):
+    for iteration in range(1, iterations + 1):
         information, gradient = normal(runs, problem.slopes(p, _steps(problem.model)))
         refuse_singular(problem.model, information, problem.names)
         change: Array = np.asarray(-np.linalg.solve(information, gradient), float)
-        p, runs, moved = _step(problem, p, change, runs)
-        if used in (1, 3):
+        p, runs, change_made = _step(problem, p, change, runs)
+        if iteration in (1, 3):
             problem.settle_turbulence(p, known=True)
         runs = problem.relax(p, 2)
         bound = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.all(np.abs(moved) < 0.02 * bound) and used > 3:
-            return p, runs, bool(np.isfinite(problem.cost(runs))), used
+        if np.all(np.abs(change_made) < 0.02 * bound) and iteration > 3:
+            return p, runs, bool(np.isfinite(problem.cost(runs))), iteration
     return p, runs, False, iterations
 
 
@@ -146,12 +146,12 @@ def _step(
     problem: CompatibilityProblem, p: Array, change: Array, runs: list[list[Run]]
 ) -> tuple[Array, list[list[Run]], Array]:
     """The largest of the step, its half, quarter, ... that lowers the cost."""
-    before = problem.cost(runs)
-    limit = before + 1e-9 * abs(before)
-    reached = halved(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
-    if reached is None:
+    cost = problem.cost(runs)
+    limit = cost + 1e-9 * abs(cost)
+    lowered = halved(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
+    if lowered is None:
         return p, runs, np.zeros_like(p)
-    fraction, trial = reached
+    fraction, trial = lowered
     return p + fraction * change, trial, fraction * change
 
 
@@ -167,12 +167,12 @@ def _describe(
     used: int,
 ) -> Compatibility:
     information, _ = normal(runs, slopes)
-    plain = np.asarray(np.linalg.inv(information), float)
+    cramer_rao = np.asarray(np.linalg.inv(information), float)
     full = lag_window_covariance(runs, slopes, information, problem.records[0][0].step)
-    told = _factors(problem.model, p, plain, full)
-    nothing = float("nan")
+    estimated = _factors(problem.model, p, cramer_rao, full)
+    nan = float("nan")
     factors = {
-        q.name: told.get(q.name) or FactorEstimate(q.name, q.unit, nothing, nothing, nothing, False, absent[q.name])
+        q.name: estimated.get(q.name) or FactorEstimate(q.name, q.unit, nan, nan, nan, False, absent[q.name])
         for q in asked.parameters
     }
     reconstructed = tuple(_reconstructed(problem, i, flight, p, runs[i]) for i, flight in enumerate(flights))
@@ -192,13 +192,13 @@ def _factors(model: Model, p: Array, plain: Array, full: Array) -> dict[str, Fac
     factors = {}
     for k, q in enumerate(model.parameters):
         wide = bool(wider[k] > USEFUL[q.unit])
-        why = ""
+        reason = ""
         if wide:
-            why = f"bound {wider[k]:.2g} {q.unit} is wider than {USEFUL[q.unit]:g}: this flight cannot tell"
+            reason = f"bound {wider[k]:.2g} {q.unit} is wider than {USEFUL[q.unit]:g}: this flight cannot tell"
             partner = int(np.argmax(np.abs(correlation[k]) - 2.0 * (np.arange(p.size) == k)))
             if abs(correlation[k, partner]) > 0.9 and partner != k:
-                why += f" it from {model.parameter_names[partner]} (correlation {correlation[k, partner]:+.2f})"
-        factors[q.name] = FactorEstimate(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, why)
+                reason += f" it from {model.parameter_names[partner]} (correlation {correlation[k, partner]:+.2f})"
+        factors[q.name] = FactorEstimate(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, reason)
     return factors
 
 

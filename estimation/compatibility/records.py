@@ -56,10 +56,10 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
         if o not in compared
     ]
     u = np.column_stack([flight[c] for c in model.input_names])
-    nothing = np.full(len(flight), np.nan)
-    z = np.column_stack([_output(flight, o) if o in compared else nothing for o in model.output_names])
-    whole = np.all(np.isfinite(u), axis=1)
-    usable = whole & _flying(flight, notes)
+    nan = np.full(len(flight), np.nan)
+    z = np.column_stack([_output(flight, o) if o in compared else nan for o in model.output_names])
+    complete = np.all(np.isfinite(u), axis=1)
+    usable = complete & _flying(flight, notes)
     jumps = attitude_jumps(flight)
     records = []
     for first, last in unbroken(flight, usable, jumps):
@@ -97,11 +97,11 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
     for name in (*COLUMNS, "V", "alpha", "beta", *ATTITUDE):
         if flight.measured(name):
             low, high = COLUMN_BY_NAME[name].plausible
-            known = _known(flight[name])
-            beyond = float(np.mean((known < low) | (known > high)))
-            if beyond > WRONG_UNIT:
+            finite = _known(flight[name])
+            share = float(np.mean((finite < low) | (finite > high)))
+            if share > WRONG_UNIT:
                 raise DataError(
-                    f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {beyond:.0%} of "
+                    f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {share:.0%} of "
                     "the samples; in another unit? 'sideslip import --map' converts it"
                 )
 
@@ -112,8 +112,8 @@ def shows_motion(flight: Flight, column: str) -> bool:
 
 
 def _constant(values: Array) -> bool:
-    known = _known(values)
-    return known.size > 1 and float(np.ptp(known)) == 0.0
+    finite = _known(values)
+    return finite.size > 1 and float(np.ptp(finite)) == 0.0
 
 
 def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
@@ -137,14 +137,14 @@ def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]
     first = []
     for name in ATTITUDE:
         if name in model.output_names:
-            known = np.flatnonzero(np.isfinite(z[part, model.output_names.index(name)]))
-            if known.size and known[0] <= 0.5 * (part.stop - part.start):
-                first.append(int(known[0]))
-    late = max(first, default=0)
-    if late:
-        from_, to = flight.time[part.start], flight.time[part.start + late]
-        notes.append(f"t = {from_:.2f} to {to:.2f} s left out: attitude not measured there yet (filter starting up)")
-    return part.start + late
+            rows = np.flatnonzero(np.isfinite(z[part, model.output_names.index(name)]))
+            if rows.size and rows[0] <= 0.5 * (part.stop - part.start):
+                first.append(int(rows[0]))
+    delay = max(first, default=0)
+    if delay:
+        start, stop = flight.time[part.start], flight.time[part.start + delay]
+        notes.append(f"t = {start:.2f} to {stop:.2f} s left out: attitude not measured there yet (filter starting up)")
+    return part.start + delay
 
 
 def attitude_jumps(flight: Flight) -> dict[int, str]:
@@ -155,14 +155,14 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
     if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta")):
         return {}
     rates = attitude_rates(*(flight[c] for c in ("p", "q", "r", "phi", "theta")))
-    found: dict[int, list[str]] = {}
+    jumps: dict[int, list[str]] = {}
     for name, rate in rates.items():
         if not flight.measured(name):
             continue
         for part in flight.segments:
             for row, size in _lasting_steps(flight.time[part], flight[name][part], rate[part]):
-                found.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
-    return {row: f"attitude jumps ({', '.join(words)})" for row, words in found.items()}
+                jumps.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
+    return {row: f"attitude jumps ({', '.join(words)})" for row, words in jumps.items()}
 
 
 def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> dict[str, Array]:
@@ -173,20 +173,20 @@ def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> di
 
 def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
     """(row, size) of lasting steps between neighbouring measured samples."""
-    known = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
-    if known.size < 8:
+    rows = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
+    if rows.size < 8:
         return []
-    t, mean = time[known], 0.5 * (rate[known][1:] + rate[known][:-1])
-    beyond = np.diff(np.unwrap(angle[known])) - mean * np.diff(t)
-    beyond = (beyond + np.pi) % (2 * np.pi) - np.pi
-    beyond[np.diff(known) > 1] = 0.0  # across missing values nothing can be said
-    limit = max(JUMP, 8.0 * noise_level(np.unwrap(angle[known])))
+    t, mean = time[rows], 0.5 * (rate[rows][1:] + rate[rows][:-1])
+    excess = np.diff(np.unwrap(angle[rows])) - mean * np.diff(t)
+    excess = (excess + np.pi) % (2 * np.pi) - np.pi
+    excess[np.diff(rows) > 1] = 0.0  # across missing values nothing can be said
+    limit = max(JUMP, 8.0 * noise_level(np.unwrap(angle[rows])))
     steps = []
-    for k in np.flatnonzero(np.abs(beyond) > limit):
-        around = beyond[max(k - 2, 0) : k + 3]
+    for k in np.flatnonzero(np.abs(excess) > limit):
+        around = excess[max(k - 2, 0) : k + 3]
         lasting = float(around.sum())
-        if abs(lasting) > limit and abs(beyond[k]) == np.abs(around).max():
-            steps.append((int(known[k + 1]), float(beyond[k])))
+        if abs(lasting) > limit and abs(excess[k]) == np.abs(around).max():
+            steps.append((int(rows[k + 1]), float(excess[k])))
     return steps
 
 
@@ -196,15 +196,15 @@ def attitude_errors(flight: Flight) -> dict[str, float]:
     Less noise from sample to sample than the gyro gathers within one sample interval: only a filter that integrates that
     very gyro does so. Its error is slow, whatever the neighbouring samples agree on.
     """
-    stated = flight.provenance.detail.get("uncertainty", {})
+    uncertainty = flight.provenance.detail.get("uncertainty", {})
     errors = {}
     for angle, rate in zip(ATTITUDE, "pqr", strict=True):
         errors[angle] = 0.0
         if flight.measured(angle) and flight.measured(rate):
-            own = noise_level(_known(_output(flight, angle)))
+            attitude_noise = noise_level(_known(_output(flight, angle)))
             gathered = noise_level(_known(flight[rate])) * flight.sample_interval
-            if own < gathered:
-                errors[angle] = float(stated.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
+            if attitude_noise < gathered:
+                errors[angle] = float(uncertainty.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
     return errors
 
 
@@ -229,9 +229,9 @@ def _output(flight: Flight, name: str) -> Array:
     values = flight[name]
     if name != "psi":
         return values
-    known = np.isfinite(values)
+    finite = np.isfinite(values)
     unwrapped = values.copy()
-    unwrapped[known] = np.unwrap(values[known])
+    unwrapped[finite] = np.unwrap(values[finite])
     return unwrapped
 
 
@@ -252,15 +252,15 @@ def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tu
         if not shows_motion(outputs.flight, name):
             notes.append(_not_compared(flight, name))
             continue
-        columns[name], said = _compared(outputs, name)
-        notes += said
+        columns[name], left_out = _compared(outputs, name)
+        notes += left_out
     return outputs.flight.with_columns(**columns), tuple(notes)
 
 
 def _compared(told: ConditionedFlight, name: str) -> tuple[Array, list[Note]]:
-    values, said = told.as_output(name)
+    values, conditioned_notes = told.as_output(name)
     return values, [
-        n for n in said if n.kind is not NoteKind.NOT_MEASURED
+        n for n in conditioned_notes if n.kind is not NoteKind.NOT_MEASURED
     ]  # gaps of a channel are the quality report's
 
 

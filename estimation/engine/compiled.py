@@ -58,7 +58,7 @@ class CompiledKernel:
         nt = drive.du.shape[2] if columns is not None else 0
         empty: Array = np.zeros(0)
         gain_rows = None if gain is None else np.ascontiguousarray(gain)  # a transposed array would be read by columns
-        reached = self._library.integrate(
+        finite_samples = self._library.integrate(
             count, substeps, n, nt,
             _pointer(drive.dt), _pointer(drive.u), _pointer(drive.u_mid), _pointer(drive.u_end),
             _pointer(drive.du), _pointer(drive.du_mid), _pointer(drive.du_end),
@@ -68,7 +68,7 @@ class CompiledKernel:
             _pointer(gain_rows) if gain_rows is not None else None, _pointer(drive.z),
             _pointer(x), _pointer(y), _pointer(dy) if dy is not None else _pointer(empty),
         )  # fmt: skip
-        return SegmentMotion(x, y, dy, int(reached))
+        return SegmentMotion(x, y, dy, int(finite_samples))
 
     def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
         nx, _, np_, ny = self.sizes
@@ -86,8 +86,8 @@ def _pointer(array: np.ndarray) -> int:  # type: ignore[type-arg]
 
 def compiler() -> str | None:
     """Path of gcc, or None; SIDESLIP_COMPILER names another one, or `none`."""
-    wanted = os.environ.get("SIDESLIP_COMPILER", "gcc")
-    return None if wanted == "none" else shutil.which(wanted)
+    command = os.environ.get("SIDESLIP_COMPILER", "gcc")
+    return None if command == "none" else shutil.which(command)
 
 
 def compile_kernel(structure: ModelStructure) -> CompiledKernel | None:
@@ -162,11 +162,13 @@ def build_library(source: str, path: Path) -> bool:
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             text = Path(folder) / "model.c"
             text.write_text(source, encoding="utf-8")
-            made = Path(folder) / "model.so"
-            done = subprocess.run([gcc, *FLAGS, str(text), "-o", str(made), "-lm"], capture_output=True, check=False)
-            if done.returncode != 0:
+            library = Path(folder) / "model.so"
+            process = subprocess.run(
+                [gcc, *FLAGS, str(text), "-o", str(library), "-lm"], capture_output=True, check=False
+            )
+            if process.returncode != 0:
                 return False
-            made.replace(path)
+            library.replace(path)
     except OSError:  # no room, no right to write, no processes: the virtual machine does the work
         return False
     return True
@@ -178,7 +180,7 @@ def _source(traced: Traced, folder: Path) -> str:
     generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
     rates = [hoisted(f, traced.sizes) for f in (traced.rates, traced.rates_jacobian, traced.rates_by_all)]
     functions = (
-        *(f for both in rates for f in both),
+        *(f for pair in rates for f in pair),
         traced.outputs,
         traced.outputs_jacobian,
         traced.outputs_by_all,
@@ -194,8 +196,8 @@ def _source(traced: Traced, folder: Path) -> str:
         for name, values in (("row", rows), ("col", columns)):
             parts.append(f"static const int {name}_{key}[] = {{ {', '.join(map(str, values)) or '0'} }};")
     work = max(sum(max(getattr(f, size)(), 1) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")) for f in functions)
-    held = max(before.size1_out(0) for _, before in rates)
-    parts.append(f"enum {{ WORK = {work + 16}, HELD = {held + 1} }};")
+    hoisted_size = max(hoist.size1_out(0) for _, hoist in rates)
+    parts.append(f"enum {{ WORK = {work + 16}, HELD = {hoisted_size + 1} }};")
     parts.append(LOOP.read_text(encoding="utf-8"))
     return "\n".join(parts)
 
@@ -254,10 +256,10 @@ class Chain:
 
     def _looped(self, library: ctypes.CDLL, start: Array, rows: Array, fixed: Array) -> Array:
         nx, nd, ny = self._sizes
-        given = [np.ascontiguousarray(a, np.float64) for a in (start, rows, fixed)]
-        out = np.empty((len(rows), ny))
-        reached = library.chain(len(rows), nx, nd, ny, *(a.ctypes.data for a in (*given, out)))
-        return out[: reached + 1]
+        arguments = [np.ascontiguousarray(a, np.float64) for a in (start, rows, fixed)]
+        outputs = np.empty((len(rows), ny))
+        last = library.chain(len(rows), nx, nd, ny, *(a.ctypes.data for a in (*arguments, outputs)))
+        return outputs[: last + 1]
 
     @cached_property
     def _many(self) -> ca.Function:
@@ -267,17 +269,17 @@ class Chain:
         count = len(rows)
         # rows of zeros behind the last: they change nothing that is shown before them
         table = np.vstack([rows, np.zeros((-count % CHUNK, rows.shape[1]))]).T
-        held = np.tile(fixed[:, None], (1, CHUNK))
+        parameters = np.tile(fixed[:, None], (1, CHUNK))
         state, parts = start, []
         for first in range(0, table.shape[1], CHUNK):
-            states, shown = self._many(state, table[:, first : first + CHUNK], held)
-            parts.append(np.asarray(shown))
+            states, block = self._many(state, table[:, first : first + CHUNK], parameters)
+            parts.append(np.asarray(block))
             state = np.asarray(states)[:, -1]
             if not np.all(np.isfinite(parts[-1][:, : count - first])):
                 break
-        out = np.hstack(parts).T[:count]
-        broken = np.flatnonzero(~np.isfinite(out).all(axis=1))
-        return out[: broken[0] + 1] if broken.size else out
+        outputs = np.hstack(parts).T[:count]
+        broken = np.flatnonzero(~np.isfinite(outputs).all(axis=1))
+        return outputs[: broken[0] + 1] if broken.size else outputs
 
 
 def _chain_source(step: ca.Function) -> str:
@@ -287,5 +289,5 @@ def _chain_source(step: ca.Function) -> str:
         generator.generate(f"{folder}/")
         text = (Path(folder) / "step.c").read_text(encoding="utf-8")
     sizes = {"arg": step.sz_arg(), "res": step.sz_res(), "iw": step.sz_iw(), "w": step.sz_w()}
-    needed = {key: value + 1 for key, value in sizes.items()}  # an array of none is no C
-    return text + _LOOP % {**needed, "nx": step.numel_in(0), "name": step.name()}
+    lengths = {key: value + 1 for key, value in sizes.items()}  # an array of none is no C
+    return text + _LOOP % {**lengths, "nx": step.numel_in(0), "name": step.name()}

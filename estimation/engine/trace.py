@@ -66,8 +66,8 @@ def trace(structure: ModelStructure) -> Traced:
 
     def resolve(name: str) -> Any:
         if name not in symbols:
-            for needed in names_in(definitions[name]):
-                resolve(needed)
+            for dependency in names_in(definitions[name]):
+                resolve(dependency)
             try:
                 symbols[name] = evaluate(definitions[name], symbols, CASADI_FUNCTIONS)
             except ArithmeticError as error:
@@ -75,8 +75,8 @@ def trace(structure: ModelStructure) -> Traced:
         return symbols[name]
 
     f = ca.vertcat(*(resolve(f"{s}_dot") for s in structure.states))
-    shown = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in structure.outputs)
-    y = ca.vertcat(*(resolve(name) for name in shown))
+    output_symbols = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in structure.outputs)
+    y = ca.vertcat(*(resolve(name) for name in output_symbols))
     patterns: dict[str, Pattern] = {}
     jacobians: dict[str, Any] = {}
     for key, value in (("f", f), ("y", y)):
@@ -127,10 +127,10 @@ def hoisted(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca
     """A function of (x, u, p) as one of (x, u, p, h), and h of (u, p): sines of measured angles, dynamic pressure, all that does
     not change from stage to stage with the state."""
     x, u, p = (ca.SX.sym(name, size) for name, size in zip("xup", sizes[:3], strict=True))
-    both: Any = ca.vertcat(u, p)
-    results, names, values = ca.extract_parametric(function.call([x, u, p]), both, {"extract_trivial": False})
-    h, made = (ca.vertcat(*v) if v else ca.SX(0, 1) for v in (names, values))
+    parameters: Any = ca.vertcat(u, p)
+    results, names, values = ca.extract_parametric(function.call([x, u, p]), parameters, {"extract_trivial": False})
+    h, hoisted_values = (ca.vertcat(*v) if v else ca.SX(0, 1) for v in (names, values))
     return (
         ca.Function(function.name(), [x, u, p, h], ca.cse(results)),
-        ca.Function(f"{function.name()}_before", [u, p], ca.cse([made])),
+        ca.Function(f"{function.name()}_before", [u, p], ca.cse([hoisted_values])),
     )

@@ -87,11 +87,11 @@ def equation_error(
     stepwise: choose the parameters by partial F; the rest stay at zero and say so. Raises DataError where a state of
     the model is not measured.
     """
-    chosen = load_model(model)
-    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, FOR_REGRESSION))
+    loaded = load_model(model)
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, FOR_REGRESSION))
     if not states_measured(data):
-        raise DataError(f"model {chosen.name}: equation error needs every state measured; use method ml")
-    simulator = Simulator.build(chosen)
+        raise DataError(f"model {loaded.name}: equation error needs every state measured; use method ml")
+    simulator = Simulator.build(loaded)
     solution = solve(simulator, data, stepwise=stepwise)
     return _describe(simulator, data, solution, stepwise)
 
@@ -99,13 +99,13 @@ def equation_error(
 def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool = False) -> EquationError:
     """Weighted least squares with Cramer-Rao and coloured covariances."""
     values = simulator.model.starts()
-    chosen = np.arange(len(simulator.free))
+    active = np.arange(len(simulator.free))
     if stepwise:
         values |= dict.fromkeys(simulator.free, 0.0)
-        chosen = stepwise_choice(_regressions(simulator, flights, values))
+        active = stepwise_choice(_regressions(simulator, flights, values))
     for _ in range(ROUNDS):
         regressions = _regressions(simulator, flights, values)
-        change, weights = _solve(regressions, chosen)
+        change, weights = _solve(regressions, active)
         _apply(simulator, values, change)
     regressions = _regressions(simulator, flights, values)
     n = len(simulator.free)
@@ -118,26 +118,26 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     stacked = np.concatenate([p.jacobian for flight_parts in parts for p in flight_parts])
     information = stacked.T @ stacked
     covariance, coloured = np.zeros((n, n)), np.zeros((n, n))
-    pick = np.ix_(chosen, chosen)
+    pick = np.ix_(active, active)
     inverse, blind = pseudo_inverse(information[pick])
-    again = np.sqrt(np.tile(_repeats(simulator.model, flights), len(stacked) // len(weights)))[:, None] * stacked
-    covariance[pick] = inverse @ (again.T @ again)[pick] @ inverse
+    repeated = np.sqrt(np.tile(_repeats(simulator.model, flights), len(stacked) // len(weights)))[:, None] * stacked
+    covariance[pick] = inverse @ (repeated.T @ repeated)[pick] @ inverse
     middle = np.zeros((n, n))
     for p in parts:
         middle += score_covariance(p, covariance, [np.zeros((0, 0))] * len(p))
     coloured[pick] = inverse @ middle[pick] @ inverse
     undetermined = np.zeros(n, bool)
     if blind.size:
-        undetermined[chosen] = np.any(np.abs(blind) > TIED, axis=1)
+        undetermined[active] = np.any(np.abs(blind) > TIED, axis=1)
     return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
 
 
 def _piece(regression: Regression, weights: Array) -> ResidualSegment:
-    known = np.isfinite(regression.e)
+    measured = np.isfinite(regression.e)
     count, equations, n = regression.A.shape
-    J = np.where(known[:, :, None], regression.A, 0.0) * weights[None, :, None]
-    e = np.where(known, regression.e, 0.0) * weights
-    return ResidualSegment(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), known)
+    J = np.where(measured[:, :, None], regression.A, 0.0) * weights[None, :, None]
+    e = np.where(measured, regression.e, 0.0) * weights
+    return ResidualSegment(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), measured)
 
 
 def stepwise_choice(regressions: list[Regression]) -> Index:
@@ -151,27 +151,27 @@ def stepwise_choice(regressions: list[Regression]) -> Index:
     flat, z = (A * weight[None, :, None]).reshape(-1, A.shape[2]), (e * weight).ravel()
     gram, moment, energy = flat.T @ flat, flat.T @ z, float(z @ z)
     everything = [j for j in range(gram.shape[0]) if gram[j, j] > 0]
-    chosen = list(everything)
+    active = list(everything)
     for _ in range(4 * len(everything)):
-        full = _rest(gram, moment, energy, chosen)
+        full = _rest(gram, moment, energy, active)
         losses = {
-            j: _partial_f(_rest(gram, moment, energy, [i for i in chosen if i != j]), full, z.size - len(chosen))
-            for j in chosen
+            j: _partial_f(_rest(gram, moment, energy, [i for i in active if i != j]), full, z.size - len(active))
+            for j in active
         }
-        worst = min(losses, key=lambda j: losses[j], default=None)
-        if worst is not None and losses[worst] < F_OUT:
-            chosen.remove(worst)
+        weakest = min(losses, key=lambda j: losses[j], default=None)
+        if weakest is not None and losses[weakest] < F_OUT:
+            active.remove(weakest)
             continue
         gains = {
-            j: _partial_f(full, _rest(gram, moment, energy, [*chosen, j]), z.size - len(chosen) - 1)
+            j: _partial_f(full, _rest(gram, moment, energy, [*active, j]), z.size - len(active) - 1)
             for j in everything
-            if j not in chosen
+            if j not in active
         }
-        best = max(gains, key=lambda j: gains[j], default=None)
-        if best is None or gains[best] < F_IN:
+        strongest = max(gains, key=lambda j: gains[j], default=None)
+        if strongest is None or gains[strongest] < F_IN:
             break
-        chosen.append(best)
-    return np.array(sorted(chosen), int)
+        active.append(strongest)
+    return np.array(sorted(active), int)
 
 
 def _rest(gram: Array, moment: Array, energy: float, chosen: Sequence[int]) -> float:
@@ -205,8 +205,8 @@ def _repeats(model: Model, flights: Sequence[FlightData]) -> Array:
     """(m,) of how many samples of each equation one was measured, for a state that is logged more slowly than the flight samples:
     increments between two of its own samples say the same over again. 1 for outputs, which are compared at their own samples."""
     z = np.concatenate([s.z for f in flights for s in f.segments])
-    known = np.isfinite(z).mean(axis=0)
-    outputs = {s.source: known[j] for j, s in enumerate(model.outputs)}
+    measured_share = np.isfinite(z).mean(axis=0)
+    outputs = {s.source: measured_share[j] for j, s in enumerate(model.outputs)}
     shares = [outputs.get(s.source, 1.0) or 1.0 for s in model.states]
     return np.concatenate([1.0 / np.array(shares), np.ones(len(model.outputs))])
 
@@ -221,8 +221,8 @@ def _means(values: Array) -> Array:
 def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
     e = np.concatenate([r.e for r in regressions])
     A = np.concatenate([r.A for r in regressions])
-    known = np.isfinite(e)
-    return np.where(known[:, :, None], A, 0.0), np.where(known, e, 0.0)
+    measured = np.isfinite(e)
+    return np.where(measured[:, :, None], A, 0.0), np.where(measured, e, 0.0)
 
 
 def _solve(regressions: list[Regression], chosen: Index) -> tuple[Array, Array]:
@@ -248,16 +248,16 @@ def _apply(simulator: Simulator, values: dict[str, float], change: Array) -> Non
 def _describe(simulator: Simulator, data: list[FlightData], solution: EquationError, stepwise: bool) -> Result:
     model = simulator.model
     vector = np.array([solution.values[n] for n in solution.names])
-    found, pairs = estimates(
+    parameters, pairs = estimates(
         model, solution.names, vector, solution.covariance, solution.coloured, solution.undetermined, data
     )
     flights, R = simulated_fits(model, data, [solution.values] * len(data))
     text = "solved" + (" with terms chosen by partial F" if stepwise else "")
-    blind = [n for n, e in found.items() if not e.identifiable]
+    blind = [n for n, e in parameters.items() if not e.identifiable]
     status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
     text += f"; cannot be told from this data: {', '.join(blind)}" if blind else ""
     return Result(
-        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, found, solution.covariance,
+        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, parameters, solution.covariance,
         solution.coloured, pairs, tuple(flights), simulator.kernel.label,
     )  # fmt: skip
 
@@ -267,8 +267,8 @@ def simulated_fits(
 ) -> tuple[list[FlightFit], Array]:
     """How each flight compares with the model simulated at its `values`, and the (ny, ny) variances of the residuals."""
     flights, residuals = [], []
-    for flight, at in zip(data, values, strict=True):
-        predicted = simulate(model, flight, at)
+    for flight, parameters in zip(data, values, strict=True):
+        predicted = simulate(model, flight, parameters)
         time, measured = flight.histories(len(model.outputs))
         fit = fits(model.output_names, measured, predicted)
         x0 = tuple(s.x0 for s in flight.segments)
@@ -279,6 +279,6 @@ def simulated_fits(
             )
         )
     stacked = np.concatenate(residuals)
-    known = np.isfinite(stacked)
-    variance = np.where(known, stacked, 0.0) ** 2
-    return flights, np.diag(variance.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    measured_rows = np.isfinite(stacked)
+    variance = np.where(measured_rows, stacked, 0.0) ** 2
+    return flights, np.diag(variance.sum(axis=0) / np.maximum(measured_rows.sum(axis=0), 1))

@@ -41,7 +41,7 @@ class Extras:
     @property
     def asked(self) -> tuple[Extra, ...]:
         """Those that differ from their default."""
-        given = {
+        options = {
             Extra.PROFILE: self.profile,
             Extra.BOOTSTRAP: self.bootstrap,
             Extra.SEED: self.seed,
@@ -49,7 +49,7 @@ class Extras:
             Extra.RAW_INPUTS: self.raw_inputs,
             Extra.KEEP_HELD: self.keep_held,
         }
-        return tuple(extra for extra, value in given.items() if value)
+        return tuple(extra for extra, value in options.items() if value)
 
 
 NO_EXTRAS = Extras()
@@ -96,13 +96,13 @@ class Task:
         from estimation.prepare.pipeline import prepare
 
         way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback)
-        found = []
+        flights = []
         for flight in self.flights:
             key = (flight.name, self.model.states, self.model.inputs, self.model.outputs, way)
             if key not in self.memory:
                 self.memory[key] = prepare(self.model, flight, way)
-            found.append(self.memory[key])
-        return found
+            flights.append(self.memory[key])
+        return flights
 
     @property
     def repaired(self) -> "Sequence[Flight]":

@@ -70,13 +70,13 @@ class GainLaw:
 
     def slopes(self, relative: Array) -> Array:
         """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. LinAlgError as of `gain`."""
-        found = []
+        slopes = []
         for i in range(relative.size):
-            up, down = relative.copy(), relative.copy()
-            up[i] += STEP
-            down[i] = max(down[i] - STEP, 0.0)
-            found.append((self.gain(up) - self.gain(down)) / (up[i] - down[i]))
-        return np.array(found).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
+            plus, minus = relative.copy(), relative.copy()
+            plus[i] += STEP
+            minus[i] = max(minus[i] - STEP, 0.0)
+            slopes.append((self.gain(plus) - self.gain(minus)) / (plus[i] - minus[i]))
+        return np.array(slopes).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
 
     def _prediction(self, Q: Array) -> Array:
         """Covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
@@ -211,9 +211,9 @@ def filter_error(
     The gain is in `extra["gain"]`: state -> output -> number. Where a free gain comes to no result, or to one that can tell
     nothing because its filter is not stable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
-    chosen = load_model(model).with_starts(start or {})
-    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
-    return in_own_terms(_by_free_gain(with_paths(chosen, data) if options.paths else chosen, data, options), chosen)
+    loaded = load_model(model).with_starts(start or {})
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
+    return in_own_terms(_by_free_gain(with_paths(loaded, data) if options.paths else loaded, data, options), loaded)
 
 
 def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
@@ -242,9 +242,9 @@ def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOpt
     problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-    found = _without_gains(describe(problem, outcome, "fem"), chosen, names)
-    if found.converged and any(e.identifiable for e in found.parameters.values()):
-        return found
+    result = _without_gains(describe(problem, outcome, "fem"), chosen, names)
+    if result.converged and any(e.identifiable for e in result.parameters.values()):
+        return result
     return _by_process_noise(chosen, data, first, options).with_method("fem")
 
 
@@ -259,13 +259,13 @@ def process_noise_error(
     `extra["process_noise"]`: state -> std that it gathers in one second, in its unit by the root of a second; `extra["gain"]` as
     of `filter_error`.
     """
-    chosen = load_model(model).with_starts(start or {})
-    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
-    full = with_paths(chosen, data) if options.paths else chosen
+    loaded = load_model(model).with_starts(start or {})
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
+    full = with_paths(loaded, data) if options.paths else loaded
     first = output_error(full, data, options=replace(options, paths=False))
     if first.status is Status.DIVERGED:
-        return in_own_terms(first.with_method("fem-noise"), chosen)
-    return in_own_terms(_by_process_noise(full, data, first, options), chosen)
+        return in_own_terms(first.with_method("fem-noise"), loaded)
+    return in_own_terms(_by_process_noise(full, data, first, options), loaded)
 
 
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
@@ -283,10 +283,10 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
 def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit with the filter of its process noise. LinAlgError where the law of that has no gain to begin with."""
     noise = _white_noise(chosen, data, first)
-    driven = force_states(chosen)
+    disturbed = force_states(chosen)
     fallback = float(np.median(noise))
-    unit = {s: float(noise[chosen.output_names.index(s)]) if s in chosen.output_names else fallback for s in driven}
-    names = [f"noise_{s}" for s in driven]
+    unit = {s: float(noise[chosen.output_names.index(s)]) if s in chosen.output_names else fallback for s in disturbed}
+    names = [f"noise_{s}" for s in disturbed]
     values, last = {**first.values, **dict.fromkeys(names, FIRST_NOISE)}, None
     for _ in range(LINEARISED):
         extended = chosen.with_starts({n: values[n] for n in first.values}).plus(
@@ -308,7 +308,7 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
     if last.status is Status.DIVERGED:
         return without(last, chosen, set(names), {})
     dt = _step(data)
-    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(driven, names, strict=True)}
+    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(disturbed, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
     gain = {
         s: dict(zip(chosen.output_names, row.tolist(), strict=True))
@@ -319,12 +319,12 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
     """(ny,) noise of the outputs from sample to sample; where a channel has none of its own, what output error left."""
-    found = []
+    levels = []
     for i, name in enumerate(model.output_names):
-        told = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
-        seen = [t for t in told if t]
-        found.append(float(np.median(seen)) if seen else first.noise[name])
-    return np.array(found)
+        segment_levels = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
+        nonzero = [t for t in segment_levels if t]
+        levels.append(float(np.median(nonzero)) if nonzero else first.noise[name])
+    return np.array(levels)
 
 
 def _step(data: Sequence[FlightData]) -> float:

@@ -128,17 +128,19 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
         return SolverOutcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
     damping = 0.0
     last = math.inf
-    past = _Past(options.memory)
+    history_of_steps = _Past(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.settled(point.cost):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
         if point.cost - HOPED * step.decrement > options.beyond:
             return SolverOutcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
-        combined = past.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
-        moved, moved_point, used = _search(problem, unknowns, point, step, combined, options)
-        count += used
-        if moved is None or moved_point is None:
+        combined = (
+            history_of_steps.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
+        )
+        next_unknowns, moved_point, evaluations = _search(problem, unknowns, point, step, combined, options)
+        count += evaluations
+        if next_unknowns is None or moved_point is None:
             if step.decrement < options.flat * options.tolerance:  # the cost is flat to rounding here
                 return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
             damping = max(10.0 * damping, options.first_damping)
@@ -147,12 +149,16 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
             continue
         damping = damping / 10.0 if damping > options.first_damping else 0.0
         gained, promised = point.cost - moved_point.cost, step.decrement
-        unknowns, point = moved, moved_point
+        unknowns, point = next_unknowns, moved_point
         history.append(point.cost)
         if options.gain and gained < options.settled(point.cost):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
-        settled = options.settled(point.cost)
-        if promised < options.kept and abs(gained - promised) < 0.5 * settled and promised * promised < settled * last:
+        negligible = options.settled(point.cost)
+        if (
+            promised < options.kept
+            and abs(gained - promised) < 0.5 * negligible
+            and promised * promised < negligible * last
+        ):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
         last = promised
     return SolverOutcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
@@ -216,7 +222,7 @@ def _search(
         count += 1
         if lower(place):
             return trial, place, count
-    reached = halved(evaluate, lower, options.halvings)
-    if reached is None:
+    lowered = halved(evaluate, lower, options.halvings)
+    if lowered is None:
         return None, None, count
-    return problem.clip(unknowns + reached[0] * step.direction), reached[1], count
+    return problem.clip(unknowns + lowered[0] * step.direction), lowered[1], count

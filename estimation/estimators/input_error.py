@@ -70,11 +70,11 @@ class InputErrorEvidence:
     def common(self, edges: float) -> tuple[Array, Array, Array]:
         """(information, product with the residual, covariance of that by chance). edges: factor on their variance."""
         k, m = self.noise, self.edges
-        here = slice(k + m, -1)
-        information = self.rest[here, here]
-        by_noise, by_edges = self.rest[here, :k], self.rest[here, k : k + m]
+        rows = slice(k + m, -1)
+        information = self.rest[rows, rows]
+        by_noise, by_edges = self.rest[rows, :k], self.rest[rows, k : k + m]
         chance = information + by_noise @ by_noise.T / max(k, 1) + edges / max(m, 1) * by_edges @ by_edges.T
-        return information, self.rest[here, -1], chance
+        return information, self.rest[rows, -1], chance
 
 
 def evidence(
@@ -139,15 +139,15 @@ def _edges(model: Model, segment: Segment, draws: int, rng: np.random.Generator)
 def _common(model: Model, segment: Segment) -> tuple[Array, Array]:
     """(N, nu, 2 controls) changes of the inputs, at the samples and half-way: each control SHIFT later, each bent by BEND."""
     controls = _controls(model)
-    at = np.zeros((*segment.u.shape, 2 * len(controls)))
-    middle = np.zeros_like(at)
+    samples = np.zeros((*segment.u.shape, 2 * len(controls)))
+    middle = np.zeros_like(samples)
     for k, i in enumerate(controls):
         step = np.append(np.diff(segment.u[:, i]), 0.0)
         bend = np.append(_bends(segment.u[:, i]), 0.0)
-        at[1:, i, 2 * k] = -0.5 * SHIFT * (step[1:] + step[:-1])
+        samples[1:, i, 2 * k] = -0.5 * SHIFT * (step[1:] + step[:-1])
         middle[:, i, 2 * k] = -SHIFT * step
         middle[:, i, 2 * k + 1] = -2.0 * BEND * (bend[:-1] + bend[1:])
-    return at, middle
+    return samples, middle
 
 
 def edge_size(told: Sequence[InputErrorEvidence]) -> float:
@@ -158,12 +158,12 @@ def edge_size(told: Sequence[InputErrorEvidence]) -> float:
 
 def common_error(told: Sequence[InputErrorEvidence], edges: float) -> Array:
     """(common, common) second moment of the common errors, given that they are of size one and what the flights show."""
-    each = [t.common(edges) for t in told]
-    information, product, chance = (np.sum([e[i] for e in each], axis=0) for i in range(3))
+    sums = [t.common(edges) for t in told]
+    information, product, chance = (np.sum([e[i] for e in sums], axis=0) for i in range(3))
     prior = np.eye(product.size)
     weight = information @ np.linalg.pinv(chance, hermitian=True)
     spread = np.linalg.inv(weight @ information + prior)
-    found = spread @ weight @ product
-    if np.any(np.abs(found) > MOST_COMMON):  # no error of timing is that large: the residuals speak of something else
+    mean = spread @ weight @ product
+    if np.any(np.abs(mean) > MOST_COMMON):  # no error of timing is that large: the residuals speak of something else
         return prior
-    return np.asarray(np.outer(found, found) + 0.5 * (spread + spread.T))
+    return np.asarray(np.outer(mean, mean) + 0.5 * (spread + spread.T))

@@ -36,15 +36,15 @@ LONGEST = 8  # samples that one edge takes at most
 
 def clocked_controls(model: Model, flights: Sequence[FlightData]) -> tuple[str, ...]:
     """Controls of a model whose edges are alike at the samples of these flights."""
-    found = []
+    clocked = []
     for i, signal in enumerate(model.inputs):
         if not signal.control:
             continue
         noise = max((f.noise.get(signal.name, (0.0, 0.0))[0] for f in flights), default=0.0)
         edges = np.concatenate([_edges_from_rest(s.u[:, i], noise) for f in flights for s in f.segments])
         if _alike(edges):
-            found.append(signal.name)
-    return tuple(found)
+            clocked.append(signal.name)
+    return tuple(clocked)
 
 
 def _alike(edges: Array) -> bool:
@@ -58,11 +58,11 @@ def _alike(edges: Array) -> bool:
 def _edges_from_rest(u: Array, noise: float) -> Array:
     """(n, 2) size and first share of each edge of a control (N,) that comes out of rest."""
     step = np.diff(u)
-    found = []
+    edges = []
     k = 2
     while k < step.size:
-        after = step[k : k + LONGEST] * np.sign(step[k])
-        way = after[: int(np.argmax(after <= 0.0)) if (after <= 0.0).any() else after.size]
+        rise = step[k : k + LONGEST] * np.sign(step[k])
+        way = rise[: int(np.argmax(rise <= 0.0)) if (rise <= 0.0).any() else rise.size]
         size = float(way.sum())
         if (
             size > NOISY * noise
@@ -70,11 +70,11 @@ def _edges_from_rest(u: Array, noise: float) -> Array:
             and np.abs(step[k - 2 : k]).max() <= REST * size
             and way[0] > REST * size
         ):
-            found.append((size, float(way[0]) / size))
+            edges.append((size, float(way[0]) / size))
             k += max(1, way.size)
         else:
             k += 1
-    return np.array(found).reshape(-1, 2)
+    return np.array(edges).reshape(-1, 2)
 
 
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this
@@ -156,8 +156,8 @@ def in_own_terms(result: Result, model: Model) -> Result:
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
     notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
-    stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
-    return without(stated, model, set(e) - set(model.free_names), {"input_paths": paths})
+    noted = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
+    return without(noted, model, set(e) - set(model.free_names), {"input_paths": paths})
 
 
 def _sentence(control: str, path: InputPath) -> str:

@@ -94,11 +94,11 @@ def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
     scaled = matrix * scale[:, None] * scale[None, :]
     scaled = 0.5 * (scaled + scaled.T)
     values, vectors = np.linalg.eigh(scaled)
-    seen = values > SINGULAR * max(float(values[-1]), 0.0)
-    if not seen.any():
+    determined = values > SINGULAR * max(float(values[-1]), 0.0)
+    if not determined.any():
         return np.zeros_like(matrix), np.eye(matrix.shape[0])
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    return inverse * scale[:, None] * scale[None, :], vectors[:, ~seen]
+    inverse = (vectors[:, determined] / values[determined]) @ vectors[:, determined].T
+    return inverse * scale[:, None] * scale[None, :], vectors[:, ~determined]
 
 
 def eliminated(gram: Array, first: int) -> Array:
@@ -147,8 +147,8 @@ def step_within(information: Array, gradient: Array, low: Array, high: Array) ->
         slope = (gradient - information @ step) * scale  # uphill; a limit is right where this points out of the box
         inward = np.where(limit, np.where(step >= high, -slope, slope), -np.inf)
         inward[limit & (low == high)] = -np.inf
-        worst = int(np.argmax(inward))
-        if inward[worst] <= INWARD * max(float(np.abs(gradient * scale).max()), 1e-300):
+        steepest = int(np.argmax(inward))
+        if inward[steepest] <= INWARD * max(float(np.abs(gradient * scale).max()), 1e-300):
             break
-        limit[worst] = False
+        limit[steepest] = False
     return np.clip(step, low, high)

@@ -82,16 +82,16 @@ def output_error(
     start: start values by parameter name (default: the model's). Raises DataError or MissingColumnError for a flight
     that cannot feed the model; a fit that fails is a Result whose status says so.
     """
-    chosen = load_model(model).with_starts(start or {})
-    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
-    full = with_paths(chosen, data) if options.paths else chosen
+    loaded = load_model(model).with_starts(start or {})
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
+    full = with_paths(loaded, data) if options.paths else loaded
     problem = build_problem(full, data, options)
     _enough(problem)
     outcome = optimum(problem, _starts(problem, options), options)
     if _hopeless(problem, outcome) or _unstable(problem, outcome):
         problem, outcome = _rescued(full, data, options, problem, outcome)
     problem, outcome = _fine_enough(problem, outcome, options)
-    return in_own_terms(describe(problem, outcome, "ml"), chosen)
+    return in_own_terms(describe(problem, outcome, "ml"), loaded)
 
 
 def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
@@ -160,16 +160,16 @@ def _rescued(
         short = build_problem(model, pieces, options)
         if any(len(s) * problem.ny < 3 * problem.nx for f in pieces for s in f.segments):
             break
-        done = minimise(short, _starts(short, options), options.loop)
-        if done.status is not Status.CONVERGED or _hopeless(short, done):
+        piecewise = minimise(short, _starts(short, options), options.loop)
+        if piecewise.status is not Status.CONVERGED or _hopeless(short, piecewise):
             continue
-        again = minimise(problem, problem.pack(short.values(done.unknowns, 0)), options.loop)
-        whole = not _hopeless(problem, again) and again.point.cost <= outcome.point.cost
-        if whole and _unstable(problem, again):  # by Akaike's criterion: the pieces have more unknowns
-            whole = again.point.cost + problem.size <= done.point.cost + short.size
-        if whole:
-            return problem, again
-        return short, replace(done, status=Status.CUT)
+        uncut = minimise(problem, problem.pack(short.values(piecewise.unknowns, 0)), options.loop)
+        uncut_preferred = not _hopeless(problem, uncut) and uncut.point.cost <= outcome.point.cost
+        if uncut_preferred and _unstable(problem, uncut):  # by Akaike's criterion: the pieces have more unknowns
+            uncut_preferred = uncut.point.cost + problem.size <= piecewise.point.cost + short.size
+        if uncut_preferred:
+            return problem, uncut
+        return short, replace(piecewise, status=Status.CUT)
     return problem, outcome
 
 
@@ -181,19 +181,19 @@ def _fine_enough(
     while outcome.status in (Status.CONVERGED, Status.CUT) and problem.simulator.substeps < FINEST:
         point = outcome.point
         finer = replace(problem.simulator, substeps=2 * problem.simulator.substeps)
-        worst = 0.0
+        largest = 0.0
         residuals: list[list[Array]] = []
         for i, flight in enumerate(problem.flights):
             values = problem.values(outcome.unknowns, i)
             residuals.append([])
             for j, segment in enumerate(flight.segments):
                 motion = finer.run(segment, values, problem.initial_state(outcome.unknowns, i, j))
-                off = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
-                worst = max(worst, float(np.sqrt(np.mean(off**2, axis=0)).max()))
+                integration_error = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
+                largest = max(largest, float(np.sqrt(np.mean(integration_error**2, axis=0)).max()))
                 residuals[-1].append(segment.z - motion.y)
         probe = LikelihoodPoint(point.cost, residuals, point.motions, point.R)
         step = problem.step(outcome.unknowns, probe, 0.0)
-        if worst < COARSE and step.decrement < MOVED:
+        if largest < COARSE and step.decrement < MOVED:
             break
         options = replace(options, substeps=finer.substeps)
         problem = build_problem(problem.model, problem.flights, options)
@@ -210,8 +210,10 @@ def build_problem(model: Model, data: list[FlightData], options: OutputErrorOpti
     free_states = free_states_of(model, options)
     sigma = None
     if options.sigma is not None:
-        if lacking := [n for n in model.output_names if n not in options.sigma]:
-            raise ModelError(f"model {model.name}: sigma: none given for output {lacking[0]!r}; every output needs one")
+        if without_sigma := [n for n in model.output_names if n not in options.sigma]:
+            raise ModelError(
+                f"model {model.name}: sigma: none given for output {without_sigma[0]!r}; every output needs one"
+            )
         sigma = np.array([options.sigma[n] for n in model.output_names])
     return OutputErrorProblem(model, data, simulator, noise=options.noise, sigma=sigma, free_states=free_states)
 
@@ -234,36 +236,40 @@ def reopened(
     options: OutputErrorOptions = STANDARD,
 ) -> tuple[OutputErrorProblem, Fit]:
     """The problem of an earlier fit at its optimum, in the same pieces and steps."""
-    chosen = load_model(model).with_starts(result.fitted_model.starts())
-    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights, options.preparation))
+    loaded = load_model(model).with_starts(result.fitted_model.starts())
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
     data = in_pieces_of(data, result)
-    chosen = with_paths(chosen, data).with_starts(path_values(result)) if options.paths else chosen
-    problem = build_problem(chosen, data, options)
-    start = problem.pack(chosen.starts(), [list(f.initial_states) for f in result.flights])
+    loaded = with_paths(loaded, data).with_starts(path_values(result)) if options.paths else loaded
+    problem = build_problem(loaded, data, options)
+    start = problem.pack(loaded.starts(), [list(f.initial_states) for f in result.flights])
     return _fine_enough(problem, minimise(problem, start, options.loop), options)
 
 
 def in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
     """Prepared flights in the segments in which a result was fitted."""
-    wanted = [len(f.initial_states) for f in result.flights]
+    segment_counts = [len(f.initial_states) for f in result.flights]
     for pieces in (data, *([cut_into_pieces(d, seconds) for d in data] for seconds in PIECES)):
-        if [len(p.segments) for p in pieces] == wanted:
+        if [len(p.segments) for p in pieces] == segment_counts:
             return pieces
     raise DataError(f"{data[0].name}: not in the segments of the fit: give the flights that were fitted")
 
 
 def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
     """The better of the given start and the equation-error solution."""
-    given = problem.pack(problem.model.starts())
+    from_model = problem.pack(problem.model.starts())
     if not options.improve_start:
-        return given
-    better = start_values(problem.simulator, problem.flights)
-    if better is None:
-        return given
-    other = problem.clip(problem.pack(better))
-    return other if problem.evaluate(other, False).cost < problem.evaluate(given, False).cost else given
+        return from_model
+    regression_values = start_values(problem.simulator, problem.flights)
+    if regression_values is None:
+        return from_model
+    from_regression = problem.clip(problem.pack(regression_values))
+    return (
+        from_regression
+        if problem.evaluate(from_regression, False).cost < problem.evaluate(from_model, False).cost
+        else from_model
+    )
 
 
 def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
@@ -276,7 +282,7 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     spread = uncertainty(problem, unknowns, point)
     effects = effects_of(problem, point)
     shared_names = tuple(problem.free[i] for i in problem.shared)
-    found, pairs = estimates(
+    estimated, pairs = estimates(
         model,
         shared_names,
         unknowns[: len(shared_names)],
@@ -291,8 +297,8 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
         for i in range(len(problem.flights))
     )
     if len(problem.local):
-        found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
-    ordered = {n: found[n] for n in problem.free if n in found}
+        estimated |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
+    ordered = {n: estimated[n] for n in problem.free if n in estimated}
     status, text = judged(outcome.status, ordered)
     return Result(
         model, method, status, text, outcome.iterations, outcome.evaluations, point.cost, point.R, shared_names, ordered,
@@ -303,10 +309,10 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
 def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) -> Result:
     """The result of a fit that found no usable simulation."""
     names = tuple(problem.free[i] for i in problem.shared)
-    nothing = np.full((len(names), len(names)), np.nan)
-    why = "no usable simulation was found"
-    found = {
-        n: Estimate(n, float("nan"), float("inf"), float("inf"), False, why, problem.model.parameter(n).unit)
+    no_covariance = np.full((len(names), len(names)), np.nan)
+    reason = "no usable simulation was found"
+    estimated = {
+        n: Estimate(n, float("nan"), float("inf"), float("inf"), False, reason, problem.model.parameter(n).unit)
         for n in problem.free
     }
     flights = []
@@ -317,7 +323,7 @@ def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) 
         flights.append(FlightFit(f.name, f.samples, time, measured, blank, blank, x0, {}, {}, f.notes))
     return Result(
         problem.model, method, outcome.status, outcome.status.value, outcome.iterations, outcome.evaluations,
-        float("inf"), np.eye(problem.ny) * np.nan, names, found, nothing, nothing, (), tuple(flights),
+        float("inf"), np.eye(problem.ny) * np.nan, names, estimated, no_covariance, no_covariance, (), tuple(flights),
         problem.simulator.kernel.label,
     )  # fmt: skip
 
@@ -337,8 +343,8 @@ def _flight_fit(
         outputs[segment.rows] = motion.y
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
-    seen = np.zeros(len(names), bool)
-    local, _ = estimates(problem.model, names, values, *covariances, seen, [flight], effects)
+    blind = np.zeros(len(names), bool)
+    local, _ = estimates(problem.model, names, values, *covariances, blind, [flight], effects)
     states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
     fit = fits(problem.model.output_names, measured, outputs)
     return FlightFit(
@@ -351,12 +357,14 @@ def mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> di
     no flight can tell its own."""
     result = {}
     for name in names:
-        each = [f.local[name] for f in flights]
-        count = len(each)
-        std = float(np.sqrt(sum(e.std**2 for e in each))) / count
-        coloured = float(np.sqrt(sum(e.std_coloured**2 for e in each))) / count
-        mean = float(np.mean([e.estimate for e in each]))
-        told = any(e.identifiable for e in each)
-        why = "" if told else f"each flight's own: {each[0].why}"
-        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=coloured, identifiable=told, why=why)
+        members = [f.local[name] for f in flights]
+        count = len(members)
+        std = float(np.sqrt(sum(e.std**2 for e in members))) / count
+        coloured = float(np.sqrt(sum(e.std_coloured**2 for e in members))) / count
+        mean = float(np.mean([e.estimate for e in members]))
+        identifiable = any(e.identifiable for e in members)
+        reason = "" if identifiable else f"each flight's own: {members[0].why}"
+        result[name] = replace(
+            members[0], estimate=mean, std=std, std_coloured=coloured, identifiable=identifiable, why=reason
+        )
     return result

@@ -51,17 +51,17 @@ def parametric_bootstrap(
     check_replicates(replicates)
     if not result.converged:
         return Bootstrap((), np.zeros((0, 0)), {}, 0, f"no bootstrap: {result.text}")
-    problem, best = reopened(model, flights, result, options)
-    point = best.point
+    problem, fit = reopened(model, flights, result, options)
+    point = fit.point
     options = replace(options, substeps=problem.simulator.substeps)
-    roots = [square_root(s) for s in noise_spectra(problem, best.unknowns, point)]
-    inputs = [disturbed(problem, best.unknowns, i) for i in range(len(problem.flights))]
+    roots = [square_root(s) for s in noise_spectra(problem, fit.unknowns, point)]
+    inputs = [disturbed(problem, fit.unknowns, i) for i in range(len(problem.flights))]
     rows = []
     for _ in range(replicates):
-        again = build_problem(
-            _prior_redrawn(problem, best, rng), _repeated(problem, point, roots, inputs, rng), options
+        replicate = build_problem(
+            _prior_redrawn(problem, fit, rng), _repeated(problem, point, roots, inputs, rng), options
         )
-        outcome = minimise(again, best.unknowns, options.loop)
+        outcome = minimise(replicate, fit.unknowns, options.loop)
         if outcome.status.usable:
             rows.append(_mean_over_flights(problem, outcome.unknowns))
     names = tuple(n for n in problem.free if np.isfinite(result.parameters[n].std))
@@ -69,12 +69,12 @@ def parametric_bootstrap(
         return Bootstrap(
             names, np.zeros((0, len(names))), {}, replicates - len(rows), "hardly any replicate could be fitted"
         )
-    seen = [problem.free.index(n) for n in names]
-    found, center = np.array(rows)[:, seen], _mean_over_flights(problem, best.unknowns)[seen]
-    low, high = np.percentile(found, PERCENTILES, axis=0)
-    std, bias = found.std(axis=0, ddof=1), found.mean(axis=0) - center
+    index = [problem.free.index(n) for n in names]
+    estimates, center = np.array(rows)[:, index], _mean_over_flights(problem, fit.unknowns)[index]
+    low, high = np.percentile(estimates, PERCENTILES, axis=0)
+    std, bias = estimates.std(axis=0, ddof=1), estimates.mean(axis=0) - center
     spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
-    return Bootstrap(names, found, spreads, replicates - len(rows))
+    return Bootstrap(names, estimates, spreads, replicates - len(rows))
 
 
 def check_replicates(replicates: int) -> None:
@@ -147,15 +147,15 @@ def profile_likelihood(
     if result.model.parameter(parameter).fixed:
         raise EstimationError(f"model {result.model.name}: {parameter} is fixed, so it has no profile; free it first")
     estimate = result.parameters[parameter]
-    if why := _no_curve(result, parameter):
+    if no_curve := _no_curve(result, parameter):
         everything = (-math.inf, math.inf)
-        return Profile(parameter, estimate.estimate, np.zeros(0), np.zeros(0), everything, everything, why)
-    problem, best = reopened(model, flights, result, options)
-    line = _ProfileLine(problem, best, parameter, replace(options, substeps=problem.simulator.substeps))
+        return Profile(parameter, estimate.estimate, np.zeros(0), np.zeros(0), everything, everything, no_curve)
+    problem, fit = reopened(model, flights, result, options)
+    line = _ProfileLine(problem, fit, parameter, replace(options, substeps=problem.simulator.substeps))
     ratio = estimate.std_coloured / estimate.std
     reach = BEYOND * ROOT_95 * ratio * estimate.std
-    below, above = (line.side(s * reach / (points // 2), points // 2, ROOT_95 * ratio) for s in (-1.0, 1.0))
-    knots = [*reversed(below), (line.center, 0.0), *above]
+    lower_side, upper_side = (line.side(s * reach / (points // 2), points // 2, ROOT_95 * ratio) for s in (-1.0, 1.0))
+    knots = [*reversed(lower_side), (line.center, 0.0), *upper_side]
     values = np.array([k[0] for k in knots])
     deviance = np.maximum([k[1] for k in knots], 0.0)
     root = np.copysign(np.sqrt(deviance), values - line.center)
@@ -184,36 +184,38 @@ class _ProfileLine:
         self.at = [problem.free[i] for i in problem.shared].index(name)
         self.best, self.center = best.unknowns, float(best.unknowns[self.at])
         self.lowest = best.point.cost  # with the parameter's own prior
-        chosen = problem.model.parameter(name)
-        self.limits = (chosen.lower, chosen.upper)
+        parameter = problem.model.parameter(name)
+        self.limits = (parameter.lower, parameter.upper)
         self.lower_found = False
 
     def _prior(self, value: float) -> float:
         """The parameter's own prior, which a refit with the parameter held does not count."""
-        chosen = self.problem.model.parameter(self.name)
-        if chosen.prior_mean is None or chosen.prior_std is None:
+        parameter = self.problem.model.parameter(self.name)
+        if parameter.prior_mean is None or parameter.prior_std is None:
             return 0.0
-        return 0.5 * ((value - chosen.prior_mean) / chosen.prior_std) ** 2
+        return 0.5 * ((value - parameter.prior_mean) / parameter.prior_std) ** 2
 
     def side(self, step: float, count: int, level: float) -> list[tuple[float, float]]:
         """(value, deviance) outward from the estimate, to `count` steps or until the root of deviance passes `level`."""
-        found: list[tuple[float, float]] = []
+        curve: list[tuple[float, float]] = []
         unknowns = np.delete(self.best, self.at)
         for k in range(1, math.ceil(FARTHEST * count) + 1):
-            if k > count and math.sqrt(max(found[-1][1], 0.0)) >= level:
+            if k > count and math.sqrt(max(curve[-1][1], 0.0)) >= level:
                 break
             value = min(max(self.center + k * step, self.limits[0]), self.limits[1])
-            if value == (found[-1][0] if found else self.center):  # at a limit
+            if value == (curve[-1][0] if curve else self.center):  # at a limit
                 break
-            held = build_problem(self.problem.model.fixed(**{self.name: value}), self.problem.flights, self.options)
-            outcome = minimise(held, unknowns, self.options.loop)
+            constrained = build_problem(
+                self.problem.model.fixed(**{self.name: value}), self.problem.flights, self.options
+            )
+            outcome = minimise(constrained, unknowns, self.options.loop)
             if not outcome.status.usable:
                 break
             unknowns = outcome.unknowns
             deviance = 2.0 * (outcome.point.cost + self._prior(value) - self.lowest)
             self.lower_found |= deviance < -0.01
-            found.append((value, deviance))
-        return found
+            curve.append((value, deviance))
+        return curve
 
 
 def _interval(values: Array, root: Array, level: float, limits: tuple[float, float]) -> tuple[float, float]:
@@ -222,9 +224,9 @@ def _interval(values: Array, root: Array, level: float, limits: tuple[float, flo
     center = int(np.flatnonzero(root == 0.0)[0])
     for side, limit in zip((-1, 1), limits, strict=True):
         x, r = values[center::side], np.abs(root[center::side])
-        passed = np.flatnonzero(r >= level)
-        if passed.size:
-            k = int(passed[0])
+        crossings = np.flatnonzero(r >= level)
+        if crossings.size:
+            k = int(crossings[0])
             ends.append(float(x[k - 1] + (level - r[k - 1]) / (r[k] - r[k - 1]) * (x[k] - x[k - 1])))
         else:
             ends.append(limit if x[-1] == limit else side * math.inf)

@@ -25,8 +25,8 @@ ENTRY_POINTS = "sideslip.estimators"
 def built_in() -> Mapping[str, Estimator]:
     """The estimators of `estimators/methods` by name, in the order of their rank."""
     modules = (importlib.import_module(f"{methods.__name__}.{m.name}") for m in pkgutil.iter_modules(methods.__path__))
-    found: list[Estimator] = [e for module in modules for e in module.ESTIMATORS]
-    return {e.name: e for e in sorted(found, key=lambda e: (e.rank, e.name))}
+    estimators: list[Estimator] = [e for module in modules for e in module.ESTIMATORS]
+    return {e.name: e for e in sorted(estimators, key=lambda e: (e.rank, e.name))}
 
 
 @cache
@@ -36,19 +36,19 @@ def _installed() -> Mapping[str, EntryPoint]:
 
 def names(extra: Extra | None = None) -> tuple[str, ...]:
     """All names; with `extra` those of Sideslip's own that support it (others are not loaded to be asked)."""
-    own = built_in()
+    built_in_estimators = built_in()
     if extra is not None:
-        return tuple(n for n, e in own.items() if extra in e.supports)
-    return (*own, *sorted(set(_installed()) - set(own)))
+        return tuple(n for n, e in built_in_estimators.items() if extra in e.supports)
+    return (*built_in_estimators, *sorted(set(_installed()) - set(built_in_estimators)))
 
 
 def find(name: str) -> Estimator:
     """The estimator of that name, or of `module:NAME`; EstimationError naming what there is."""
-    own, point = built_in().get(name), _installed().get(name)
-    if own is not None and point is not None:
+    estimator, point = built_in().get(name), _installed().get(name)
+    if estimator is not None and point is not None:
         raise EstimationError(f"method {name}: {point.value} brings one too, but the name is taken; give it another")
-    if own is not None:
-        return own
+    if estimator is not None:
+        return estimator
     if point is not None:
         try:
             value = point.load()
@@ -56,12 +56,14 @@ def find(name: str) -> Estimator:
             raise EstimationError(f"method {name}: {point.value} cannot be loaded: {said(error)}") from error
         return _checked(value, f"method {name}: {point.value}", name)
     if ":" in name:
-        found = _checked(named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}")
-        if found.name in names():
-            raise EstimationError(f"method {name} calls itself {found.name!r}: the name is taken; give it another")
-        return found
-    known = f"known are {', '.join(names())}, or give module:NAME"
-    raise EstimationError(f"method {name!r} is unknown; {known}{meant(name, names())}")
+        estimator_of_file = _checked(named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}")
+        if estimator_of_file.name in names():
+            raise EstimationError(
+                f"method {name} calls itself {estimator_of_file.name!r}: the name is taken; give it another"
+            )
+        return estimator_of_file
+    alternatives = f"known are {', '.join(names())}, or give module:NAME"
+    raise EstimationError(f"method {name!r} is unknown; {alternatives}{meant(name, names())}")
 
 
 def _checked(value: object, where: str, name: str = "") -> Estimator:
@@ -82,5 +84,5 @@ def check_extras(asked: Sequence[Extra], chosen: Sequence[Estimator]) -> None:
     for extra in asked:
         if not any(extra in e.supports for e in chosen):
             able = names(extra)
-            which = f"method{'s' if len(able) > 1 else ''} {listed(able)}"
-            raise EstimationError(f"{extra.value} is for {which}: add {able[0]} to --method")
+            able_methods = f"method{'s' if len(able) > 1 else ''} {listed(able)}"
+            raise EstimationError(f"{extra.value} is for {able_methods}: add {able[0]} to --method")

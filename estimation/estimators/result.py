@@ -133,11 +133,11 @@ class EstimateHistory:
 
     def to_json(self) -> dict[str, Any]:
         """`time` and each parameter by name; JSON knows no NaN, so what cannot be told yet is null."""
-        told = {
+        parameters = {
             n: {"estimate": [finite(v) for v in self.estimate[n]], "std": [finite(v) for v in self.std[n]]}
             for n in self.estimate
         }
-        return {"time": self.time.tolist(), **told}
+        return {"time": self.time.tolist(), **parameters}
 
 
 @dataclass(frozen=True)
@@ -241,8 +241,8 @@ def judged(status: Status, parameters: Mapping[str, Estimate]) -> tuple[Status, 
 def correlation(covariance: Array) -> Array:
     """Correlation matrix; rows of parameters without a bound are zero but for the diagonal."""
     d = np.sqrt(np.diag(covariance))
-    good = np.isfinite(d) & (d > 0)
-    scale = np.where(good, 1.0 / np.where(good, d, 1.0), 0.0)
+    bounded = np.isfinite(d) & (d > 0)
+    scale = np.where(bounded, 1.0 / np.where(bounded, d, 1.0), 0.0)
     result = np.where(np.isfinite(covariance), covariance, 0.0) * scale[:, None] * scale[None, :]
     np.fill_diagonal(result, 1.0)
     return result

@@ -80,7 +80,7 @@ class Model(ModelParts):
             self._apply_output(definitions, output, expression)
         equations = [f"{symbol} = {expression}" for symbol, expression in definitions.items()] + list(lines)
         fresh = {p.name: p for p in parameters}
-        kept = tuple(fresh.pop(p.name, p) for p in self.parameters)
+        parameters_before = tuple(fresh.pop(p.name, p) for p in self.parameters)
         return replace(
             self,
             name=name or self.name,
@@ -88,7 +88,7 @@ class Model(ModelParts):
             states=self.states + tuple(states),
             inputs=self.inputs + tuple(inputs),
             outputs=self.outputs + tuple(observed),
-            parameters=kept + tuple(fresh.values()),
+            parameters=parameters_before + tuple(fresh.values()),
             equations=tuple(equations),
             transforms=self.transforms + tuple(transforms),
             output_delays={**self.output_delays, **(output_delays or {})},
@@ -162,13 +162,14 @@ class Model(ModelParts):
 
         values: numbers at which initial values are held. Raises ModelError for a name that is no state's.
         """
-        given = dict(values or {})
-        wanted = (*(names or (() if given else self.state_names)), *given)
-        for name in wanted:
+        held_values = dict(values or {})
+        state_list = (*(names or (() if held_values else self.state_names)), *held_values)
+        for name in state_list:
             if name not in self.state_names:
                 raise ModelError(f"model {self.name}: no state {name!r}; it has {', '.join(self.state_names)}")
         states = tuple(
-            replace(s, held=held, start=given.get(s.name, s.start)) if s.name in wanted else s for s in self.states
+            replace(s, held=held, start=held_values.get(s.name, s.start)) if s.name in state_list else s
+            for s in self.states
         )
         return replace(self, states=states)
 
@@ -207,13 +208,13 @@ class Model(ModelParts):
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Model":
         """Inverse of `to_dict`; ModelError names the key that does not fit."""
-        known = {
+        known_keys = {
             "name", "title", "description", "states", "inputs", "outputs", "parameters", "transforms",
             "constants", "output_delays", "equations", "flown",
         }  # fmt: skip
-        unknown = sorted(set(data) - known)
+        unknown = sorted(set(data) - known_keys)
         if unknown:
-            raise ModelError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}")
+            raise ModelError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known_keys))}")
         for key in ("name", "states", "outputs", "parameters", "equations"):
             if key not in data:
                 raise ModelError(f"key {key!r} is missing")

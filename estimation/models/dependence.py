@@ -27,23 +27,23 @@ def force_states(model: Model, parameters: Collection[str] | None = None) -> tup
 def asked_for(model: Model, zero: Set[str]) -> frozenset[str]:
     """Names that rates and outputs of `model` reach with the parameters `zero` held at nothing."""
     definitions = model.definitions
-    wanted = [f"{s}_dot" for s in model.state_names]
-    wanted += [n for o in model.output_names for n in (f"{o}_measured", o) if n in definitions or n == o]
-    seen: set[str] = set()
-    while wanted:
-        name = wanted.pop()
-        if name not in seen:
-            seen.add(name)
+    pending = [f"{s}_dot" for s in model.state_names]
+    pending += [n for o in model.output_names for n in (f"{o}_measured", o) if n in definitions or n == o]
+    visited: set[str] = set()
+    while pending:
+        name = pending.pop()
+        if name not in visited:
+            visited.add(name)
             if name in definitions:
-                wanted += names_in_force(definitions[name], zero)
-    return frozenset(seen)
+                pending += names_in_force(definitions[name], zero)
+    return frozenset(visited)
 
 
 def names_in_force(expression: str, zero: Set[str]) -> frozenset[str]:
     """Names an expression asks for where those in `zero` are nothing. A term is left out only where it is zero times something
     or zero over something; a function of zero counts as if it were not."""
-    found = _in_force(parse(expression), zero)
-    return frozenset() if found is None else found
+    names = _in_force(parse(expression), zero)
+    return frozenset() if names is None else names
 
 
 def _in_force(node: ast.AST, zero: Set[str]) -> frozenset[str] | None:
@@ -54,14 +54,14 @@ def _in_force(node: ast.AST, zero: Set[str]) -> frozenset[str] | None:
         case ast.UnaryOp(operand=operand):
             return _in_force(operand, zero)
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            one, two = _in_force(left, zero), _in_force(right, zero)
-            return None if one is None or two is None else one | two
+            first, second = _in_force(left, zero), _in_force(right, zero)
+            return None if first is None or second is None else first | second
         case ast.BinOp(left=left, op=ast.Div(), right=right):
-            one = _in_force(left, zero)
-            return None if one is None else one | (_in_force(right, zero) or frozenset())
+            first = _in_force(left, zero)
+            return None if first is None else first | (_in_force(right, zero) or frozenset())
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-            one, two = _in_force(left, zero), _in_force(right, zero)
-            return None if one is None and two is None else (one or frozenset()) | (two or frozenset())
+            first, second = _in_force(left, zero), _in_force(right, zero)
+            return None if first is None and second is None else (first or frozenset()) | (second or frozenset())
         case ast.Call(args=arguments):
             return _together(arguments, zero)
         case _:

@@ -101,23 +101,23 @@ def compatibility_model(
     Raises ModelError for a factor that does not exist, and for IMU and vane positions along the same axis, because the
     kinematics hold for any point of the body: only the difference between the two shows.
     """
-    wanted, measured = tuple(factors), tuple(outputs)
-    given = dict(known or {})
-    unknown = [f for f in (*wanted, *given) if f not in FACTORS]
+    free, measured = tuple(factors), tuple(outputs)
+    fixed = dict(known or {})
+    unknown = [f for f in (*free, *fixed) if f not in FACTORS]
     if unknown:
         raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {', '.join(FACTORS)}")
     for axis in "xyz":
-        if f"{axis}_imu" in wanted and f"{axis}_vane" in wanted:
+        if f"{axis}_imu" in free and f"{axis}_vane" in free:
             raise ModelError(
                 f"compatibility: {axis}_imu and {axis}_vane cannot be told from each other, only their difference shows; "
                 f"measure one and give it, like {axis}_imu=0.06"
             )
 
     def value(name: str, neutral: float) -> str:
-        return name if name in wanted else f"({given.get(name, neutral)!r})"
+        return name if name in free else f"({fixed.get(name, neutral)!r})"
 
     def less(name: str, bias: str) -> str:
-        return f"({name} - {value(bias, 0.0)})" if bias in wanted or bias in given else name
+        return f"({name} - {value(bias, 0.0)})" if bias in free or bias in fixed else name
 
     errors = [(a, e) for a in ATTITUDE for e in FILTER_ERRORS] if filtered_attitude else []
 
@@ -125,7 +125,7 @@ def compatibility_model(
         return "".join(f" + {a}_{e}" for a, e in errors if a == angle)
 
     p, q, r = (less(n, f"d{n}") for n in "pqr")
-    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in wanted or n in given)
+    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in free or n in fixed)
     ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
     if lever:
         X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))
@@ -153,7 +153,7 @@ def compatibility_model(
         f"psi_measured = psi{wandering('psi')}",
         *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
     )
-    delayed = {FACTORS[f].late: f for f in wanted if FACTORS[f].late}
+    delayed = {FACTORS[f].late: f for f in free if FACTORS[f].late}
     return Model(
         name="compatibility",
         title="flight-path kinematics",
@@ -170,7 +170,7 @@ def compatibility_model(
             *(Signal(f"{n}_dot", "rad/s2") for n in "pqr" if lever),
         ),
         outputs=tuple(MEASUREMENTS[n] for n in measured),
-        parameters=tuple(FACTORS[f].parameter for f in wanted),
+        parameters=tuple(FACTORS[f].parameter for f in free),
         equations=equations,
         constants={"g": GRAVITY},
         output_delays=delayed,

@@ -31,8 +31,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     if text in BUILDERS:
         craft = _named(aircraft, f"model {text}")
         built = BUILDERS[text](craft)
-        whole = stated_terms(built, craft) if text in WHOLE else built
-        return _with_known_constants(whole, craft, f"model {text}")
+        extended = stated_terms(built, craft) if text in WHOLE else built
+        return _with_known_constants(extended, craft, f"model {text}")
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:
@@ -112,10 +112,10 @@ def _plain(value: Any) -> Any:
 
 
 def _import_class(text: str) -> type:
-    found = named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
-    if not isinstance(found, type):
-        raise ModelError(f"model {text!r}: that is {type(found).__name__}, not a class")
-    return found
+    imported = named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
+    if not isinstance(imported, type):
+        raise ModelError(f"model {text!r}: that is {type(imported).__name__}, not a class")
+    return imported
 
 
 def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:

@@ -137,10 +137,10 @@ class Names:
 
 def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     """The `Model` that a class as in the module head describes; ModelError says what it lacks."""
-    for needed in ("states", "measured", "parameters", "derivatives", "outputs"):
-        if not hasattr(cls, needed):
+    for attribute in ("states", "measured", "parameters", "derivatives", "outputs"):
+        if not hasattr(cls, attribute):
             raise ModelError(
-                f"model class {cls.__name__}: no {needed!r}; see 'A model of one's own' in docs/estimation.md"
+                f"model class {cls.__name__}: no {attribute!r}; see 'A model of one's own' in docs/estimation.md"
             )
     instance = _instance(cls, aircraft)
     states = tuple(_signal(n, v, "state") for n, v in instance.states.items())
@@ -150,11 +150,11 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     x, u = Names("state", [s.name for s in states]), Names("input", [s.name for s in inputs])
     p, xdot = Names("parameter", [q.name for q in parameters]), Names("state", [s.name for s in states], "_dot")
     rates = _in_order(instance.derivatives(x, u, p), [s.name for s in states], f"{cls.__name__}.derivatives")
-    shown = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
+    output_values = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
     targets = [(f"{s.name}_dot", r) for s, r in zip(states, rates, strict=True)]
-    taken = {*(s.name for s in (*states, *inputs)), *(q.name for q in parameters)} | {t for t, _ in targets}
-    for output, value in zip(measured, shown, strict=True):
-        name = f"{output.name}_measured" if output.name in taken else output.name
+    reserved = {*(s.name for s in (*states, *inputs)), *(q.name for q in parameters)} | {t for t, _ in targets}
+    for output, value in zip(measured, output_values, strict=True):
+        name = f"{output.name}_measured" if output.name in reserved else output.name
         if not (value.operator == "leaf" and value.arguments == (output.name,)):
             targets.append((name, value))
     return Model(
@@ -197,8 +197,8 @@ def _parameter(name: str, value: object) -> Parameter:
     if isinstance(value, str):
         return Parameter(name, value, role=usual_role(name))
     if isinstance(value, tuple) and 1 <= len(value) <= 4:
-        given = [float(v) for v in value[1:]]
-        start, lower, upper = (*given, *(0.0, -math.inf, math.inf)[len(given) :])
+        numbers = [float(v) for v in value[1:]]
+        start, lower, upper = (*numbers, *(0.0, -math.inf, math.inf)[len(numbers) :])
         return Parameter(name, str(value[0]), start, lower, upper, role=usual_role(name))
     raise ModelError(f"parameter {name!r}: give a unit, (unit, start), (unit, start, lower, upper) or a Parameter")
 
@@ -245,13 +245,18 @@ class _Writer:
         if node.operator == "leaf":
             text = str(node.arguments[0])
             return (f"({text})", 9) if text.startswith("-") else (text, 9)
-        written, level = self._operation(node)
-        if not top and self.uses[id(node)] > 1 and len(written) > SHORT and node.operator not in ("<", "<=", ">", ">="):
+        expression, level = self._operation(node)
+        if (
+            not top
+            and self.uses[id(node)] > 1
+            and len(expression) > SHORT
+            and node.operator not in ("<", "<=", ">", ">=")
+        ):
             name = f"common_{len(self.names) + 1}"
             self.names[id(node)] = name
-            self.made.append(f"{name} = {written}")
+            self.made.append(f"{name} = {expression}")
             return name, 9
-        return written, level
+        return expression, level
 
     def _operation(self, node: Symbol) -> tuple[str, int]:
         parts = [self._text(a) for a in node.arguments if isinstance(a, Symbol)]

@@ -59,8 +59,8 @@ def signal(key: str, data: object) -> Signal:
             value = data[name]
             kind = _KINDS.get(name, str)
             if not isinstance(value, kind):
-                wanted = "true or false" if kind is bool else "text" if kind is str else "text or a number"
-                raise ModelError(f"{key} {data.get('name')!r}: {name} = {value!r} must be {wanted}")
+                expected = "true or false" if kind is bool else "text" if kind is str else "text or a number"
+                raise ModelError(f"{key} {data.get('name')!r}: {name} = {value!r} must be {expected}")
     return item(Signal, key, _floats(data))  # type: ignore[no-any-return]
 
 
@@ -98,10 +98,12 @@ def item(cls: type[Any], key: str, data: object) -> Any:
         raise ModelError(f"{key}: each entry is a table with at least a name, not {data!r}")
     if not isinstance(data["name"], str):
         raise ModelError(f"{key}: name = {data['name']!r} must be text")
-    allowed = set(cls.__dataclass_fields__)
-    unknown = sorted(set(data) - allowed)
+    known_keys = set(cls.__dataclass_fields__)
+    unknown = sorted(set(data) - known_keys)
     if unknown:
-        raise ModelError(f"{key} {data['name']!r}: unknown key {unknown[0]!r}; known are {', '.join(sorted(allowed))}")
+        raise ModelError(
+            f"{key} {data['name']!r}: unknown key {unknown[0]!r}; known are {', '.join(sorted(known_keys))}"
+        )
     return cls(**data)
 
 
@@ -117,9 +119,9 @@ def parameter(data: object) -> Parameter:
                 number(value, f"parameter {data.get('name')!r}: {key}")
             if key in flags and not isinstance(value, bool):
                 raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be true or false")
-    made: Parameter = item(Parameter, "parameters", _floats(data))
-    stated = data.get("role") if isinstance(data, Mapping) else None
-    return replace(made, role=usual_role(made.name) if stated is None else _role(made.name, stated))
+    built: Parameter = item(Parameter, "parameters", _floats(data))
+    role = data.get("role") if isinstance(data, Mapping) else None
+    return replace(built, role=usual_role(built.name) if role is None else _role(built.name, role))
 
 
 def _role(name: str, value: object) -> ParameterRole:

@@ -50,8 +50,10 @@ def way_to(flight: Flight, name: str) -> Way | None:
 def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
     """The flight with those of the named columns added that it lacks and that can be made from others of its columns."""
     segments = [(s.start, s.stop) for s in flight.segments]
-    lacking = [n for n in names if not flight.measured(n) and way_to(flight, n) is not None]
-    return flight.with_columns(**{n: derive_column(flight, n, segments, []) for n in lacking}) if lacking else flight
+    derivable = [n for n in names if not flight.measured(n) and way_to(flight, n) is not None]
+    return (
+        flight.with_columns(**{n: derive_column(flight, n, segments, []) for n in derivable}) if derivable else flight
+    )
 
 
 def derive_column(flight: Flight, name: str, pieces: Sequence[tuple[int, int]], notes: list[Note]) -> Array:
@@ -113,10 +115,10 @@ autopilot makes V from p_dynamic with a ratio of its own, and the two then say n
 def require_columns(model: Model, flight: Flight) -> None:
     """Raise one MissingColumnError naming every column that the model needs and the flight has not and cannot make of others,
     with the built-in models that would do without."""
-    lacking = missing(model, flight)
-    if lacking:
-        fit = () if flight_without_motion(lacking, model) else models_for(flight)
-        raise MissingColumnError(flight.name, lacking, f"model {model.name}", fit, flight.unknown_columns)
+    missing_columns = missing(model, flight)
+    if missing_columns:
+        fit = () if flight_without_motion(missing_columns, model) else models_for(flight)
+        raise MissingColumnError(flight.name, missing_columns, f"model {model.name}", fit, flight.unknown_columns)
 
 
 def flight_without_motion(lacking: Iterable[str], model: Model) -> bool:
@@ -126,10 +128,10 @@ def flight_without_motion(lacking: Iterable[str], model: Model) -> bool:
 
 def missing(model: Model, flight: Flight) -> list[str]:
     """Columns that the model needs and the flight lacks; one that could be made of others is named with these ways."""
-    needed = dict.fromkeys(s.source for s in (*model.inputs, *model.outputs) if not s.optional)
-    plain = [c for c in needed if c not in DERIVED and not flight.measured(c)]
-    made = [c for c in needed if c in DERIVED and not flight.measured(c) and way_to(flight, c) is None]
-    return plain + [_with_ways(c) for c in made if not _comes_with(c, flight, plain)]
+    required = dict.fromkeys(s.source for s in (*model.inputs, *model.outputs) if not s.optional)
+    unmeasured = [c for c in required if c not in DERIVED and not flight.measured(c)]
+    underivable = [c for c in required if c in DERIVED and not flight.measured(c) and way_to(flight, c) is None]
+    return unmeasured + [_with_ways(c) for c in underivable if not _comes_with(c, flight, unmeasured)]
 
 
 def _comes_with(column: str, flight: Flight, lacking: list[str]) -> bool:

@@ -141,8 +141,8 @@ def drawn_between(flight: Flight, columns: Iterable[str]) -> dict[str, Mask]:
     by_rate: dict[float, list[str]] = {}
     sensed = [c for c in columns if flight.held(c) is None]  # a command holds: nothing is drawn between its records
     for column in sensed:
-        stated = [flight.native_rate(c) for c in (INTEGRATED if column in flight.reconstructed else (column,))]
-        rate = min((r for r in stated if r is not None), default=None)
+        native_rates = [flight.native_rate(c) for c in (INTEGRATED if column in flight.reconstructed else (column,))]
+        rate = min((r for r in native_rates if r is not None), default=None)
         if rate is not None and rate < NOT_SLOWER / flight.sample_interval:
             by_rate.setdefault(round(rate, 1), []).append(column)
     masks = {rate: _drawn_at_rate(flight, names, rate) for rate, names in by_rate.items()}
@@ -158,9 +158,9 @@ def _drawn_at_rate(flight: Flight, columns: Sequence[str], rate: float) -> Mask:
     interval = np.floor((flight.time - flight.time[0]) * rate + 1e-6).astype(np.int64)
     order = np.lexsort((-bend, interval))
     first = np.concatenate([[True], np.diff(interval[order]) > 0])
-    drawn = np.ones(len(flight), bool)
-    drawn[order[first]] = False
-    return drawn
+    mask = np.ones(len(flight), bool)
+    mask[order[first]] = False
+    return mask
 
 
 def _wild_note(flight: Flight, name: str, rows: NDArray[np.intp]) -> Note:

@@ -78,8 +78,10 @@ def inputs_at_samples(state: PreparationState) -> PreparationState:
             u[:, i] = 0.0
         elif flight.measured(signal.source):
             rows[i] = [state.own_samples(signal.source, a, b) for a, b in state.pieces]
-            for (a, b), own in zip(state.pieces, rows[i], strict=True):
-                u[a:b, i] = np.interp(np.arange(a, b), own, bridge(flight[signal.source][a:b])[own - a])
+            for (a, b), measured_rows in zip(state.pieces, rows[i], strict=True):
+                u[a:b, i] = np.interp(
+                    np.arange(a, b), measured_rows, bridge(flight[signal.source][a:b])[measured_rows - a]
+                )
             notes += state.conditioned.slow_notes(signal.source, "taken on straight lines between new values")
             notes += state.conditioned.stuck_notes(signal.source, "is its sensor stuck?")
         else:
@@ -133,8 +135,8 @@ def _draw_noise(
         level = max((noise_level(state.u[rows, i]) for rows in state.rows[i]), default=0.0)
         state.noise[state.model.inputs[i].name] = (level, 0.0)
         for (a, b), rows in zip(state.pieces, state.rows[i], strict=True):
-            drawn = level * rng.standard_normal((errors.shape[2], rows.size))
-            for k, values in enumerate(drawn):
+            noise = level * rng.standard_normal((errors.shape[2], rows.size))
+            for k, values in enumerate(noise):
                 errors[a:b, i, k] = np.interp(np.arange(a, b), rows, values)
 
 
@@ -147,10 +149,10 @@ def _take_off_noise(
     measured = [state.u[rows, i] for _, _, i, rows in places]
     smooth = denoise_many(measured, order=order, draws=errors.shape[2], rng=rng)
     for (a, b, i, rows), denoised in zip(places, smooth, strict=True):
-        whole, every = rows.size == b - a, np.arange(a, b)
-        state.u[a:b, i] = denoised.values if whole else np.interp(every, rows, denoised.values)
+        complete, samples = rows.size == b - a, np.arange(a, b)
+        state.u[a:b, i] = denoised.values if complete else np.interp(samples, rows, denoised.values)
         for k, error in enumerate(denoised.errors):
-            errors[a:b, i, k] = error if whole else np.interp(every, rows, error)
+            errors[a:b, i, k] = error if complete else np.interp(samples, rows, error)
         levels[i].append((denoised.noise, denoised.removed))
     for i in chosen:
         if levels[i]:
@@ -189,9 +191,9 @@ def feedback_restored(state: PreparationState) -> PreparationState:
             continue
         column = state.flight[signal.source]
         missing = ~np.isfinite(column) | state.conditioned.held(signal.source)
-        whole = [(a, b) for a, b in state.pieces if not missing[a:b].any() and level > QUIET * np.ptp(column[a:b])]
-        if whole:
-            removed = _restore_feedback(state, i, column, whole, level)
+        pieces = [(a, b) for a, b in state.pieces if not missing[a:b].any() and level > QUIET * np.ptp(column[a:b])]
+        if pieces:
+            removed = _restore_feedback(state, i, column, pieces, level)
             state.noise[signal.name] = (level, float(np.sqrt(np.mean(removed**2))))
     return state
 
@@ -202,16 +204,19 @@ def _restore_feedback(
     """Change one control, and its errors, in place; what is still taken off it, over all pieces."""
     assert state.errors is not None
     u, states, errors = state.u, state.states, state.errors
-    known = [j for j in range(states.shape[1]) if all(np.isfinite(states[a:b, j]).all() for a, b in pieces)]
-    parts = [ControlStretch(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, known]) for a, b in pieces]
-    feedback = gains(parts, level) if known else None
+    smooth_states = [j for j in range(states.shape[1]) if all(np.isfinite(states[a:b, j]).all() for a, b in pieces)]
+    parts = [
+        ControlStretch(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, smooth_states])
+        for a, b in pieces
+    ]
+    feedback = gains(parts, level) if smooth_states else None
     rng = np.random.default_rng([FEEDBACK_SEED, i])
     draws, reach = errors.shape[2], around(state.flight.sample_interval)
     for (a, b), part in zip(pieces, parts, strict=True):
         if feedback is not None:
-            u[a:b, i], drawn = following(part, feedback, level, draws, rng)
-            errors[a:b, i] = drawn.T
-        near = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
-        u[a + near, i] = part.values[near]
-        errors[a + near, i] = level * rng.standard_normal((near.size, draws))
+            u[a:b, i], error_draws = following(part, feedback, level, draws, rng)
+            errors[a:b, i] = error_draws.T
+        step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
+        u[a + step_rows, i] = part.values[step_rows]
+        errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))
     return np.concatenate([part.values - u[a:b, i] for (a, b), part in zip(pieces, parts, strict=True)])

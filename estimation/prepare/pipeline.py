@@ -51,11 +51,11 @@ def prepare_all(
 def columns_required(state: PreparationState) -> PreparationState:
     """Refuse a flight that lacks what the model needs; of the import's note on unknown columns, those the model knows go."""
     model, notes = state.model, []
-    used = {s.source for s in (*model.states, *model.inputs, *model.outputs)}
+    model_columns = {s.source for s in (*model.states, *model.inputs, *model.outputs)}
     for note in state.flight.notes:
         if note.kind is not NoteKind.UNKNOWN_COLUMNS:
             notes.append(note)
-        elif unused := {column: label for column, label in note.columns if column not in used}:
+        elif unused := {column: label for column, label in note.columns if column not in model_columns}:
             notes.append(unknown_columns(unused))
     require_columns(model, state.flight)
     return replace(state, notes=tuple(notes))

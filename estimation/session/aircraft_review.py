@@ -53,9 +53,9 @@ def review(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
 def _geometry(a: Aircraft) -> Iterator[ReviewNote]:
     filled = a.area / (a.span * a.chord)
     if math.isfinite(filled) and not FILLED[0] <= filled <= FILLED[1]:
-        told = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
-        about = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
-        yield ReviewNote("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?", about)
+        text = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
+        constants = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
+        yield ReviewNote("geometry", "warn", f"{text}: another unit, or not the mean aerodynamic chord?", constants)
     loading = a.mass / a.area
     if math.isfinite(loading) and not 0.5 <= loading <= 1000.0:
         yield ReviewNote(
@@ -74,9 +74,9 @@ def _inertia(a: Aircraft) -> Iterator[ReviewNote]:
         reach = getattr(a, length) * (0.5 if length == "span" else 1.0)
         ratio = math.sqrt(getattr(a, name) / a.mass) / reach
         if math.isfinite(ratio) and not low <= ratio <= high:
-            of = "half span" if length == "span" else length
-            told = f"{name}: radius of gyration is {ratio:.2g} of the {of}, usual are {low} to {high}"
-            yield ReviewNote("inertia", "warn", told, (name,))
+            reference = "half span" if length == "span" else length
+            text = f"{name}: radius of gyration is {ratio:.2g} of the {reference}, usual are {low} to {high}"
+            yield ReviewNote("inertia", "warn", text, (name,))
 
 
 def _signs(a: Aircraft) -> Iterator[ReviewNote]:
@@ -145,14 +145,14 @@ NOTHING = OfAircraft()
 def of_aircraft(aircraft: Aircraft, model: Model) -> OfAircraft:
     """What the review of an aircraft says of the constants that a model takes from it."""
     from_file = {n for n, v in aircraft.constants().items() if model.constants.get(n) == v}
-    used = frozenset[str]().union(*(names_in(text) for text in model.definitions.values())) & from_file
+    names = frozenset[str]().union(*(names_in(text) for text in model.definitions.values())) & from_file
     if "q_dot" not in model.definitions:  # without pitch it only couples, by what q and r or p and q do together
-        used = used - {"Iyy"}
-    notes = [n for n in review(aircraft) if _concerns(n, used)] if used else []
-    beyond = tuple(f"aircraft {aircraft.name}: {n.text} (sideslip aircraft check)" for n in notes)
+        names = names - {"Iyy"}
+    notes = [n for n in review(aircraft) if _concerns(n, names)] if names else []
+    impossible = tuple(f"aircraft {aircraft.name}: {n.text} (sideslip aircraft check)" for n in notes)
     built_in = model.name in BUILDERS
-    dropped = not_in_model(model, aircraft) if built_in else ()
-    return OfAircraft(beyond, dropped, aircraft.span**2 / aircraft.area)
+    unused = not_in_model(model, aircraft) if built_in else ()
+    return OfAircraft(impossible, unused, aircraft.span**2 / aircraft.area)
 
 
 def _concerns(note: ReviewNote, used: frozenset[str]) -> bool:

@@ -53,10 +53,10 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
 
     total, values = 0.0, 0
     for a, b in _channels(ml, fem):
-        known = np.isfinite(a) & np.isfinite(b)
-        count = int(known.sum())
+        measured = np.isfinite(a) & np.isfinite(b)
+        count = int(measured.sum())
         if count >= FEWEST:
-            ratio = float(np.mean(a[known] ** 2) / max(float(np.mean(b[known] ** 2)), 1e-300))
+            ratio = float(np.mean(a[measured] ** 2) / max(float(np.mean(b[measured] ** 2)), 1e-300))
             total += count * float(np.log(max(ratio, 1e-300)))
             values += count
     gains = sum(len(row) for row in fem.extra.get("gain", {}).values())
@@ -75,8 +75,8 @@ def driven(model: Model) -> frozenset[str]:
 
 def _channels(a: Result, b: Result) -> Iterator[tuple[Array, Array]]:
     """Residuals of both results, channel by channel over all flights, of the outputs that process noise drives."""
-    told = driven(a.model)
-    for c in (c for c, name in enumerate(a.model.output_names) if name in told):
+    outputs = driven(a.model)
+    for c in (c for c, name in enumerate(a.model.output_names) if name in outputs):
         yield (
             np.concatenate([f.residuals[:, c] for f in a.flights]),
             np.concatenate([f.residuals[:, c] for f in b.flights]),
@@ -85,25 +85,25 @@ def _channels(a: Result, b: Result) -> Iterator[tuple[Array, Array]]:
 
 def neighbours(result: Result) -> dict[str, float]:
     """Output -> correlation of neighbouring residuals."""
-    found = {}
+    correlations = {}
     for c, name in enumerate(result.model.output_names):
         products, power, pairs = 0.0, 0.0, 0
         for f in result.flights:
             r = f.residuals[:, c]
-            both = np.isfinite(r[1:]) & np.isfinite(r[:-1])
-            first, second = r[:-1][both], r[1:][both]
+            measured = np.isfinite(r[1:]) & np.isfinite(r[:-1])
+            first, second = r[:-1][measured], r[1:][measured]
             products += float(first @ second)
             power += 0.5 * float(first @ first + second @ second)
-            pairs += int(both.sum())
+            pairs += int(measured.sum())
         if pairs >= FEWEST and power > 0.0:
-            found[name] = products / power
-    return found
+            correlations[name] = products / power
+    return correlations
 
 
 def predictability(result: Result) -> float:
     """Mean of -log(1 - rho^2) over driven outputs: what the sample before would take off the log variance of residuals."""
-    told = driven(result.model)
-    rho = np.clip(np.array([v for n, v in neighbours(result).items() if n in told]), -0.999, 0.999)
+    outputs = driven(result.model)
+    rho = np.clip(np.array([v for n, v in neighbours(result).items() if n in outputs]), -0.999, 0.999)
     return float(np.mean(-np.log(1.0 - rho**2))) if rho.size else 0.0
 
 
@@ -129,8 +129,8 @@ def _share(flight: Flight) -> float:
     """Relative 1 sigma of every derivative by the airspeed of a flight; 0 where it was measured, or nothing is stated."""
     if "V" not in flight.reconstructed or not flight.measured("V"):
         return 0.0
-    stated = flight.provenance.detail.get(RECONSTRUCTED)
-    stds = stated.get("std") if isinstance(stated, Mapping) else None
+    detail = flight.provenance.detail.get(RECONSTRUCTED)
+    stds = detail.get("std") if isinstance(detail, Mapping) else None
     std = stds.get("V") if isinstance(stds, Mapping) else None
     if not isinstance(std, int | float) or not 0.0 < std < math.inf:
         return 0.0
@@ -165,11 +165,11 @@ def scatter(results: Sequence[Result]) -> dict[str, Scatter]:
     table = {}
     for name in results[0].parameters:
         usable = [r.parameters[name] for r in results if r.converged and name in r.parameters]
-        told = [e for e in usable if e.identifiable]
-        if not told:
+        identifiable = [e for e in usable if e.identifiable]
+        if not identifiable:
             continue
-        x = np.array([e.estimate for e in told])
-        bounds = np.array([e.std_coloured for e in told])
+        x = np.array([e.estimate for e in identifiable])
+        bounds = np.array([e.std_coloured for e in identifiable])
         std = float(np.std(x, ddof=1)) if x.size > 1 else math.nan
         bound = float(np.sqrt(np.mean(bounds**2)))
         probability = None

@@ -28,17 +28,17 @@ LONELY = 0.005
 def flown(model: Model, flights: Sequence[Flight]) -> dict[str, tuple[float, float]]:
     """Least and greatest value of what forces depend on: driven states, controls, and the motion that is measured as an input."""
     motion = ("V", "alpha", "beta", "p", "q", "r")
-    wanted = dict.fromkeys([*force_states(model), *(s.name for s in model.inputs if s.control or s.name in motion)])
+    names = dict.fromkeys([*force_states(model), *(s.name for s in model.inputs if s.control or s.name in motion)])
     sources = {s.name: s.source for s in (*model.states, *model.inputs)}
-    found = {}
-    for name in wanted:
+    ranges = {}
+    for name in names:
         column = sources[name]
         parts = [f[column][np.isfinite(f[column])] for f in flights if column in f.columns]
         values = np.concatenate(parts) if parts else np.zeros(0)
         if values.size:
             low, high = np.quantile(values, [LONELY, 1.0 - LONELY])
-            found[name] = (float(low), float(high))
-    return found
+            ranges[name] = (float(low), float(high))
+    return ranges
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Beyond:
     def text(self) -> str:
         """For a person, angles in degrees."""
         scale, unit = (math.degrees(1.0), "deg" + self.unit[3:]) if self.unit.startswith("rad") else (1.0, self.unit)
-        (low, high), (least, most) = (tuple(scale * v for v in ends) for ends in (self.here, self.flown))
-        return f"{self.name} from {low:.3g} to {high:.3g} {unit}, estimated from {least:.3g} to {most:.3g}"
+        (low, high), (flown_low, flown_high) = (tuple(scale * v for v in ends) for ends in (self.here, self.flown))
+        return f"{self.name} from {low:.3g} to {high:.3g} {unit}, estimated from {flown_low:.3g} to {flown_high:.3g}"
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `beyond` in `match --json`."""
@@ -65,15 +65,15 @@ class Beyond:
 def beyond(model: Model, flight: Flight) -> tuple[Beyond, ...]:
     """The variables in which a flight passes the ranges of a model by more than MARGIN of them."""
     units = {s.name: s.unit for s in (*model.states, *model.inputs)}
-    here = flown(model, [flight])
-    out = []
+    ranges = flown(model, [flight])
+    exceeded = []
     for name, (low, high) in model.flown.items():
-        if name not in here:
+        if name not in ranges:
             continue
         room = MARGIN * (high - low)
-        if here[name][0] < low - room or here[name][1] > high + room:
-            out.append(Beyond(name, units.get(name, ""), (low, high), here[name]))
-    return tuple(out)
+        if ranges[name][0] < low - room or ranges[name][1] > high + room:
+            exceeded.append(Beyond(name, units.get(name, ""), (low, high), ranges[name]))
+    return tuple(exceeded)
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = 
     fitted = result.flights[0]
     refitted = "initial states" + (f" and {', '.join(free)}" if free else "")
     text = f"predicted with frozen parameters, {refitted} refitted" if result.converged else result.text
-    left = beyond(model, flight) if isinstance(flight, Flight) else ()
+    exceeded = beyond(model, flight) if isinstance(flight, Flight) else ()
     return ProofOfMatch(
         fitted.name, result.converged, text, result.model.output_names, fitted.time, fitted.measured, fitted.outputs,
-        dict(fitted.fit), result, left,
+        dict(fitted.fit), result, exceeded,
     )  # fmt: skip

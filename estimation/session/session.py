@@ -68,40 +68,42 @@ class EstimationSession:
     def leading(self) -> Result | None:
         """The joint estimate that figures and tables of one estimate show: the recommended, else the usual method's, else the
         first."""
-        best = "" if self.verdict is None else self.verdict.recommended.method
-        return self.joint.get(best) or self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
+        method = "" if self.verdict is None else self.verdict.recommended.method
+        return self.joint.get(method) or self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
 
     @property
     def converged(self) -> bool:
         """Whether every method came to a usable end on every flight."""
-        each = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
-        lost = self.joint_failures or any(f.failures for f in self.flights)
-        return bool(each) and all(r.converged for r in each) and not lost
+        results = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
+        failures = self.joint_failures or any(f.failures for f in self.flights)
+        return bool(results) and all(r.converged for r in results) and not failures
 
     @property
     def text(self) -> str:
         """One sentence on how it went."""
-        bad = [f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged]
-        bad += [f"{f.flight.name} ({m})" for f in self.flights for m in f.failures]
-        bad += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
-        bad += [f"joint ({m})" for m in self.joint_failures]
-        if bad:
-            return f"not converged: {', '.join(bad)}"
+        not_converged = [
+            f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged
+        ]
+        not_converged += [f"{f.flight.name} ({m})" for f in self.flights for m in f.failures]
+        not_converged += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
+        not_converged += [f"joint ({m})" for m in self.joint_failures]
+        if not_converged:
+            return f"not converged: {', '.join(not_converged)}"
         blind = sorted(
             {n for f in self.flights for r in f.results.values() for n, e in r.parameters.items() if not e.identifiable}
         )
-        said = f"{len(self.flights)} flight{'s' if len(self.flights) > 1 else ''} estimated"
+        summary = f"{len(self.flights)} flight{'s' if len(self.flights) > 1 else ''} estimated"
         if not blind:
-            return said
-        return f"{said}; in some flights the data cannot tell {', '.join(blind)}{self._together(blind)}"
+            return summary
+        return f"{summary}; in some flights the data cannot tell {', '.join(blind)}{self._together(blind)}"
 
     def _together(self, blind: list[str]) -> str:
         """What the joint estimate makes of parameters that some flights cannot tell."""
         joint = next(iter(self.joint.values()), None)
         if joint is None:
             return ""
-        left = [n for n in blind if n in joint.parameters and not joint.parameters[n].identifiable]
-        return f"; nor can all together tell {', '.join(left)}" if left else "; all together can"
+        undetermined = [n for n in blind if n in joint.parameters and not joint.parameters[n].identifiable]
+        return f"; nor can all together tell {', '.join(undetermined)}" if undetermined else "; all together can"
 
     def to_json(self) -> dict[str, Any]:
         """As the interface description has it."""
@@ -141,8 +143,8 @@ def _flight_json(f: FlightEstimates) -> dict[str, Any]:
         "samples": len(f.flight),
         "methods": {m: r.to_json() for m, r in f.results.items()},
     }
-    for method, why in f.failures.items():
-        data["methods"][method] = {"converged": False, "status": why, "parameters": {}, "fit": {}}
+    for method, reason in f.failures.items():
+        data["methods"][method] = {"converged": False, "status": reason, "parameters": {}, "fit": {}}
     data |= _verdict_json(f.verdict, f.doubts)
     if f.structure is not None:
         data["structure"] = f.structure.to_json()

@@ -34,18 +34,18 @@ BEFORE, BEHIND = 0.15, 0.3  # s: the same of a servo of 35 ms
 
 def around(interval: float) -> range:
     """Samples of so many seconds, from the one before a step: its rounded corner, and the tail of a servo."""
-    before, behind = (math.ceil(seconds / interval - 1e-6) for seconds in (BEFORE, BEHIND))
-    return range(-min(before, CORNER), min(behind, TAIL) + 1)
+    samples_before, samples_behind = (math.ceil(seconds / interval - 1e-6) for seconds in (BEFORE, BEHIND))
+    return range(-min(samples_before, CORNER), min(samples_behind, TAIL) + 1)
 
 
 def near_steps(values: Array, noise: float, step: float, around: range) -> NDArray[np.bool_]:
     """(N,) whether a sample of a de-noised control (N,) lies by a change of more than `step` times its noise: `around` the one
     before it."""
     moves = np.flatnonzero(np.abs(np.diff(values)) > step * noise)
-    near = np.zeros(values.size, dtype=bool)
+    mask = np.zeros(values.size, dtype=bool)
     for shift in around:
-        near[np.clip(moves + shift, 0, values.size - 1)] = True
-    return near
+        mask[np.clip(moves + shift, 0, values.size - 1)] = True
+    return mask
 
 
 def noise_between_steps(values: Array, near: NDArray[np.bool_], found: float) -> float:
@@ -61,8 +61,8 @@ def with_raw_steps(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The de-noised control with its measured values by its steps, and where they were taken. All (N,), measured NaN where
     nothing was. interval: of the samples [s]."""
-    near = near_steps(smooth, noise, step, around(interval)) & np.isfinite(measured)
-    return np.where(near, np.nan_to_num(measured), smooth), near
+    step_mask = near_steps(smooth, noise, step, around(interval)) & np.isfinite(measured)
+    return np.where(step_mask, np.nan_to_num(measured), smooth), step_mask
 
 
 STRETCH = 40  # samples that a straight line covers at most: 20 tell half as much of slow feedback, 60 no more
@@ -99,24 +99,24 @@ def gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
     """Gains by which a control follows the motion in all pieces of a record; None where that may be chance. noise: of it."""
     from scipy.special import fdtrc
 
-    left = [stretch for piece in pieces for stretch in _stretches(piece, noise)]
-    if not left:
+    stretches = [stretch for piece in pieces for stretch in _stretches(piece, noise)]
+    if not stretches:
         return None
-    y, x = np.concatenate([v for v, _ in left]), np.concatenate([m for _, m in left])
+    y, x = np.concatenate([v for v, _ in stretches]), np.concatenate([m for _, m in stretches])
     size = np.sqrt(np.mean(x**2, axis=0))
     size[size == 0.0] = 1.0
     u, s, vt = np.linalg.svd(x / size, full_matrices=False)
-    told = s > DEPENDENT * s[0] if s[0] > 0.0 else np.zeros(s.size, bool)
-    u, s, vt = u[:, told], s[told], vt[told]
-    freedom = y.size - 2 * len(left) - s.size
+    resolved = s > DEPENDENT * s[0] if s[0] > 0.0 else np.zeros(s.size, bool)
+    u, s, vt = u[:, resolved], s[resolved], vt[resolved]
+    freedom = y.size - 2 * len(stretches) - s.size
     if s.size == 0 or freedom < s.size:
         return None
-    along = u.T @ y
-    variance = float(y @ y - along @ along) / freedom
-    if not variance > 0.0 or fdtrc(s.size, freedom, float(along @ along) / s.size / variance) > CHANCE:
+    projections = u.T @ y
+    variance = float(y @ y - projections @ projections) / freedom
+    if not variance > 0.0 or fdtrc(s.size, freedom, float(projections @ projections) / s.size / variance) > CHANCE:
         return None
     roots = vt.T / s * np.sqrt(max(variance, noise**2))
-    return Gains(vt.T @ (along / s) / size, roots / size[:, None])
+    return Gains(vt.T @ (projections / s) / size, roots / size[:, None])
 
 
 def following(
@@ -129,17 +129,17 @@ def following(
     rest = denoise_many([piece.values - follows], noise=noise, draws=draws, rng=rng)[0]
     if not draws:
         return rest.values + follows, rest.errors
-    others = (x @ found.roots).T  # what another gain adds, less what de-noising makes of the rest that this leaves
-    again = denoise_many([piece.values - follows - o for o in others], noise=noise)
-    by_gains = np.array([o + a.values - rest.values for o, a in zip(others, again, strict=True)])
-    return rest.values + follows, rest.errors + rng.standard_normal((draws, len(others))) @ by_gains
+    gain_errors = (x @ found.roots).T  # what another gain adds, less what de-noising makes of the rest that this leaves
+    denoised = denoise_many([piece.values - follows - o for o in gain_errors], noise=noise)
+    by_gains = np.array([o + a.values - rest.values for o, a in zip(gain_errors, denoised, strict=True)])
+    return rest.values + follows, rest.errors + rng.standard_normal((draws, len(gain_errors))) @ by_gains
 
 
 def _stretches(piece: ControlStretch, noise: float) -> Iterator[tuple[Array, Array]]:
     """Control (n,) and regressors (n, 2 motions) of each stretch between steps, less their straight lines."""
-    near = np.concatenate([[True], near_steps(piece.smooth, noise, STEP, AROUND), [True]])
+    step_mask = np.concatenate([[True], near_steps(piece.smooth, noise, STEP, AROUND), [True]])
     x = piece.regressors()
-    edges = np.flatnonzero(np.diff(near.astype(int)))
+    edges = np.flatnonzero(np.diff(step_mask.astype(int)))
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         if b - a < SHORTEST:
             continue

@@ -33,11 +33,13 @@ def curve(time: Array, values: Array, at: Array, *, edges: bool = False) -> Arra
 
     edges: a monotone cubic that never overshoots (a control surface), else a cubic spline. All NaN for fewer than FEWEST samples.
     """
-    known = np.isfinite(values)
-    if int(known.sum()) < FEWEST:
+    measured = np.isfinite(values)
+    if int(measured.sum()) < FEWEST:
         return np.full(at.shape, np.nan)
-    through = PchipInterpolator if edges else CubicSpline
-    return np.asarray(through(time[known], values[known])(np.clip(at, time[known][0], time[known][-1])), float)
+    interpolator = PchipInterpolator if edges else CubicSpline
+    return np.asarray(
+        interpolator(time[measured], values[measured])(np.clip(at, time[measured][0], time[measured][-1])), float
+    )
 
 
 def finite_transform(values: Array, step: float, first: float, spacing: float, count: int) -> Complex:
@@ -55,20 +57,20 @@ def finite_transform(values: Array, step: float, first: float, spacing: float, c
 
 def longest_hole(time: Array, values: Array) -> float:
     """Longest time [s] without a finite sample, ends included; infinite where there is none at all."""
-    known = time[np.isfinite(values)]
-    if not known.size:
+    measured = time[np.isfinite(values)]
+    if not measured.size:
         return float("inf")
-    return float(np.diff(known, prepend=time[0], append=time[-1]).max())
+    return float(np.diff(measured, prepend=time[0], append=time[-1]).max())
 
 
 def inner_slopes(chord: Array, step: Array) -> Array:
     """(N - 2, n) slopes at the samples but the first and the last, zero at a peak. chord: (N - 1, n) of each interval; step:
     (N - 1, 1) its length."""
-    before, after = chord[:-1], chord[1:]
-    same = before * after > 0.0
+    chord_in, chord_out = chord[:-1], chord[1:]
+    same_sign = chord_in * chord_out > 0.0
     w1, w2 = 2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]
-    mean = w1 / np.where(same, before, 1.0) + w2 / np.where(same, after, 1.0)
-    return np.asarray(np.where(same, (w1 + w2) / mean, 0.0))
+    mean = w1 / np.where(same_sign, chord_in, 1.0) + w2 / np.where(same_sign, chord_out, 1.0)
+    return np.asarray(np.where(same_sign, (w1 + w2) / mean, 0.0))
 
 
 def half_way(values: Array, slope: Array, step: Array) -> Array:

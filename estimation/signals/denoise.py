@@ -108,8 +108,8 @@ def _blocks(size: int) -> list[tuple[int, int, int, int]]:
     if size <= 2 * BLOCK:
         return [(0, size, 0, size)]
     starts = [*range(0, size - BLOCK, BLOCK - 2 * LONGEST_PIECE), size - BLOCK]
-    kept = [s + LONGEST_PIECE if s else 0 for s in starts] + [size]
-    return [(s, s + BLOCK, a, b) for s, a, b in zip(starts, kept[:-1], kept[1:], strict=True)]
+    bounds = [s + LONGEST_PIECE if s else 0 for s in starts] + [size]
+    return [(s, s + BLOCK, a, b) for s, a, b in zip(starts, bounds[:-1], bounds[1:], strict=True)]
 
 
 def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -125,8 +125,8 @@ def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) 
     begin = by_length(count, signals, longest)
     for n in range(1, longest + 1):
         begin[: count - n + 1, :, n - 1] = score[n:, :, n - 1]
-    both = _recursion(np.exp(np.concatenate([score[1:], begin[::-1]], axis=1)))  # in one loop over the samples
-    forward, backward = both[:, :signals], both[::-1, signals:]
+    sums = _recursion(np.exp(np.concatenate([score[1:], begin[::-1]], axis=1)))  # in one loop over the samples
+    forward, backward = sums[:, :signals], sums[::-1, signals:]
     mean = fits.average(forward, backward, score)
     return mean, fits.draw(forward, score, draws, rng) - mean if draws else np.zeros((0, *mean.shape))
 
@@ -135,19 +135,19 @@ def _recursion(weight: Array) -> Array:
     """log a[k] of a[k] = sum over n of weight[k-1, :, n-1] a[k-n], a[0] = 1; weight (N, signals, L), result (N+1, signals)."""
     count, signals, longest = weight.shape
     # newest value last, so that a window of the past is a plain slice; rescaled before it can leave double precision
-    past = np.zeros((signals, count + longest))
-    past[:, longest - 1] = 1.0
+    values = np.zeros((signals, count + longest))
+    values[:, longest - 1] = 1.0
     scale = np.zeros(signals)
     result = np.zeros((count + 1, signals))
     flipped = np.ascontiguousarray(weight[:, :, ::-1])
     for k in range(count):
-        value = np.einsum("sn,sn->s", flipped[k], past[:, k : k + longest])
-        past[:, k + longest] = value
+        value = np.einsum("sn,sn->s", flipped[k], values[:, k : k + longest])
+        values[:, k + longest] = value
         result[k + 1] = value
         if k % RESCALE == RESCALE - 1 or k == count - 1:
             first = k - k % RESCALE
             result[first + 1 : k + 2] = np.log(result[first + 1 : k + 2]) + scale
-            past[:, k + 1 : k + longest + 1] /= value[:, None]
+            values[:, k + 1 : k + longest + 1] /= value[:, None]
             scale += np.log(value)
     return result
 
@@ -167,9 +167,9 @@ class Fits:
         w = y - self.offset
         # amplitude prior: coefficients wide compared with the data, so that its size hardly matters
         width = float(np.max(np.maximum(10.0, 3.0 * np.std(w, axis=1))))
-        at = np.arange(count) - 0.5 * count
+        time = np.arange(count) - 0.5 * count
         zero = np.zeros((signals, 1))
-        sums = [np.concatenate([zero, np.cumsum(w * at**k, axis=1)], axis=1) for k in range(terms)]
+        sums = [np.concatenate([zero, np.cumsum(w * time**k, axis=1)], axis=1) for k in range(terms)]
         square = np.concatenate([zero, np.cumsum(w**2, axis=1)], axis=1)
         self.evidence = by_length(count + 1, signals, longest)
         self.moments: list[list[Array]] = []  # of every length: terms of (signals, stretches)
@@ -179,7 +179,7 @@ class Fits:
             basis = _basis(n, order)
             gram = basis.T @ basis + np.eye(terms) / width**2
             inverse: Array = np.linalg.inv(gram).astype(np.float64)
-            moments = _centred([c[:, n:] - c[:, :-n] for c in sums], at[: count - n + 1] + 0.5 * (n - 1), n)
+            moments = _centred([c[:, n:] - c[:, :-n] for c in sums], time[: count - n + 1] + 0.5 * (n - 1), n)
             local = [sum(inverse[i, j] * moments[j] for j in range(terms)) for i in range(terms)]
             explained = sum(m * c for m, c in zip(moments, local, strict=True))
             energy = square[:, n:] - square[:, :-n]
@@ -198,17 +198,17 @@ class Fits:
         count, signals = forward.shape[0] - 1, forward.shape[1]
         change = np.zeros((self.order + 2, signals, count + 1))
         evidence = forward[count]
-        at = np.arange(count) - 0.5 * count
+        time = np.arange(count) - 0.5 * count
         for n in range(1, self.longest + 1):
             log_p = forward[: count - n + 1] + score[n:, :, n - 1] + backward[n:] - evidence
             p = np.exp(np.minimum(log_p, 0.0)).T
-            centre = at[: count - n + 1] + 0.5 * (n - 1)
+            centre = time[: count - n + 1] + 0.5 * (n - 1)
             common = _common(self.local[n - 1], centre, 0.5 * (n - 1) if n > 1 else 1.0)
             for k, entry in enumerate([p, *(p * c for c in common)]):
                 change[k, :, : count - n + 1] += entry
                 change[k, :, n:] -= entry
         running = np.cumsum(change[:, :, :-1], axis=2)
-        value = sum(running[k + 1] * at**k for k in range(self.order + 1))
+        value = sum(running[k + 1] * time**k for k in range(self.order + 1))
         return np.asarray(value / running[0] + self.offset)
 
     def draw(self, forward: Array, score: Array, draws: int, rng: np.random.Generator) -> Array:
@@ -224,29 +224,29 @@ class Fits:
             moments[n - 1, : count - n + 1] = np.array(self.moments[n - 1]).transpose(2, 1, 0)
         inverses = np.stack(self.inverses)
         roots = np.linalg.cholesky(inverses)
-        before = np.concatenate([np.full((self.longest, signals), -np.inf), forward])
-        back = np.arange(1, self.longest + 1)
-        at = np.arange(count) - 0.5 * count
+        padded = np.concatenate([np.full((self.longest, signals), -np.inf), forward])
+        lengths = np.arange(1, self.longest + 1)
+        time = np.arange(count) - 0.5 * count
         change = np.zeros((count + 1, draws * signals, terms))
         signal, end = np.tile(np.arange(signals), draws), np.full(draws * signals, count)
         live = np.arange(end.size)
         while live.size:
             e, s = end[live], signal[live]
-            log_p = before[e[:, None] + self.longest - back, s[:, None]] + score[e, s] - forward[e, s][:, None]
-            reached = np.cumsum(np.exp(log_p), axis=1)
-            n = 1 + np.sum(reached < rng.random(live.size)[:, None] * reached[:, -1:], axis=1)
+            log_p = padded[e[:, None] + self.longest - lengths, s[:, None]] + score[e, s] - forward[e, s][:, None]
+            cumulative = np.cumsum(np.exp(log_p), axis=1)
+            n = 1 + np.sum(cumulative < rng.random(live.size)[:, None] * cumulative[:, -1:], axis=1)
             n = np.minimum(n, self.longest)
             begin = e - n
             white = rng.standard_normal((live.size, terms))
             local = np.einsum("rij,rj->ri", inverses[n - 1], moments[n - 1, begin, s])
             local += np.einsum("rij,rj->ri", roots[n - 1], white)
-            entry = np.stack(_common(local.T, at[begin] + 0.5 * (n - 1), np.where(n > 1, 0.5 * (n - 1), 1.0)), axis=1)
+            entry = np.stack(_common(local.T, time[begin] + 0.5 * (n - 1), np.where(n > 1, 0.5 * (n - 1), 1.0)), axis=1)
             change[begin, live] += entry
             change[e, live] -= entry
             end[live] = begin
             live = live[begin > 0]
         running = np.cumsum(change[:-1], axis=0)
-        value = sum(running[:, :, k] * at[:, None] ** k for k in range(terms))
+        value = sum(running[:, :, k] * time[:, None] ** k for k in range(terms))
         return np.asarray(value).T.reshape(draws, signals, count) + self.offset
 
 

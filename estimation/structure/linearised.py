@@ -52,9 +52,9 @@ class FlightProducts:
 
     def in_order(self, index: NDArray[np.intp]) -> "FlightProducts":
         """Some columns, in another order; the residual last."""
-        pick, without = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
+        pick, inner = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
         return FlightProducts(
-            self.name, self.gram[pick], self.plain[without], self.noise[index], self.edges[index], self.common[index]
+            self.name, self.gram[pick], self.plain[inner], self.noise[index], self.edges[index], self.common[index]
         )
 
 
@@ -78,8 +78,8 @@ class LinearisedFit:
 
     def total(self, members: Sequence[int] | None = None) -> Array:
         """Gram matrix over some flights (all), priors included."""
-        chosen = [f.gram for i, f in enumerate(self.flights) if members is None or i in members]
-        gram = np.sum(chosen, axis=0)
+        grams = [f.gram for i, f in enumerate(self.flights) if members is None or i in members]
+        gram = np.sum(grams, axis=0)
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 
@@ -91,25 +91,25 @@ class LinearisedFit:
 
     def without(self, kind: CandidateKind) -> "LinearisedFit":
         """The same without candidates of a kind."""
-        n, kept = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
-        order = np.array([*range(n), *(n + k for k in kept), n + len(self.tested)], np.intp)
+        n, remaining = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
+        order = np.array([*range(n), *(n + k for k in remaining), n + len(self.tested)], np.intp)
         flights = tuple(f.in_order(order) for f in self.flights)
-        return replace(self, tested=tuple(self.tested[k] for k in kept), flights=flights)
+        return replace(self, tested=tuple(self.tested[k] for k in remaining), flights=flights)
 
     def absorbing(self, names: Collection[str]) -> "LinearisedFit":
         """The same with some candidates counted among the parameters, at nothing."""
         n = self.n
-        taken = [k for k, c in enumerate(self.tested) if c.name in names]
-        left = [k for k in range(len(self.tested)) if k not in taken]
+        absorbed = [k for k, c in enumerate(self.tested) if c.name in names]
+        remaining = [k for k in range(len(self.tested)) if k not in absorbed]
         columns = len(self.tested) + n
-        order = np.array([*range(n), *(n + k for k in taken), *(n + k for k in left), columns], int)
-        prior = np.zeros((n + len(taken), n + len(taken)))
+        order = np.array([*range(n), *(n + k for k in absorbed), *(n + k for k in remaining), columns], int)
+        prior = np.zeros((n + len(absorbed), n + len(absorbed)))
         prior[:n, :n] = self.prior
         return replace(
             self,
-            shared=(*self.shared, *(self.tested[k].name for k in taken)),
-            values=np.concatenate([self.values, np.zeros(len(taken))]),
-            tested=tuple(self.tested[k] for k in left),
+            shared=(*self.shared, *(self.tested[k].name for k in absorbed)),
+            values=np.concatenate([self.values, np.zeros(len(absorbed))]),
+            tested=tuple(self.tested[k] for k in remaining),
             flights=tuple(f.in_order(order) for f in self.flights),
             prior=prior,
         )
@@ -117,14 +117,14 @@ class LinearisedFit:
     def by_inputs(self, combine: Array) -> Array:
         """(rows, rows) covariance of scores from the inputs' errors. combine: (rows, columns) of what is scored."""
         total = np.zeros((len(combine), len(combine)))
-        along = np.zeros((len(combine), self.common.shape[0]))
+        projection = np.zeros((len(combine), self.common.shape[0]))
         for f in self.flights:
             for draws, size in ((f.noise, 1.0), (f.edges, self.edges)):
                 if draws.shape[1]:
-                    moved = combine @ draws
-                    total += size / draws.shape[1] * (moved @ moved.T)
-            along += combine @ f.common
-        return total + along @ self.common @ along.T
+                    combined = combine @ draws
+                    total += size / draws.shape[1] * (combined @ combined.T)
+            projection += combine @ f.common
+        return total + projection @ self.common @ projection.T
 
 
 def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
@@ -142,21 +142,21 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
     point = problem.evaluate(unknowns, derivatives=True)
     if not np.isfinite(point.cost):
         return None
-    made = [_products(problem, unknowns, point, i) for i in range(len(flights))]
-    evidence = [e for _, e in made]
+    products = [_products(problem, unknowns, point, i) for i in range(len(flights))]
+    evidence = [e for _, e in products]
     edges = edge_size(evidence)
     shared = tuple(problem.free[i] for i in problem.shared)
     n = len(shared) - len(tested)
-    found = LinearisedFit(
+    linear = LinearisedFit(
         shared[:n],
         unknowns[:n].copy(),
         tested,
-        tuple(p for p, _ in made),
+        tuple(p for p, _ in products),
         np.diag(problem.prior_weight[problem.shared[:n]]),
         edges,
         common_error(evidence, edges),
     )
-    return _visible(found)
+    return _visible(linear)
 
 
 def _visible(found: LinearisedFit) -> LinearisedFit:
@@ -175,15 +175,15 @@ def _products(
     problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int
 ) -> tuple[FlightProducts, InputErrorEvidence]:
     """Inner products of one flight, and what its residuals show of edges and timing."""
-    pieces, own = segments_in_noise(problem, point, index)
+    pieces, state_covariances = segments_in_noise(problem, point, index)
     responses = disturbed(problem, unknowns, index)
-    white = white_responses(pieces, own, responses, point)
-    inverse, left = _without_everything(pieces, own)
-    projected = without_nuisance(pieces, own)
+    white = white_responses(pieces, state_covariances, responses, point)
+    inverse, residuals = _without_everything(pieces, state_covariances)
+    projected = without_nuisance(pieces, state_covariances)
     quiet = [w[:, : responses[0].noise] for w in white]
     change = inverse @ np.sum([J.T @ w for J, w in zip(projected, quiet, strict=True)], axis=0)
-    lags = input_lags(left, projected, quiet, change)
-    spectrum = noise_spectrum(left, projected, inverse, own, lags)
+    lags = input_lags(residuals, projected, quiet, change)
+    spectrum = noise_spectrum(residuals, projected, inverse, state_covariances, lags)
     metric = np.linalg.inv(spectrum + LEAST_NOISE * np.eye(problem.ny)).astype(np.complex128)
     order = np.concatenate([problem.local, problem.shared])
     grams = [eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)]
@@ -192,8 +192,8 @@ def _products(
     columns = np.concatenate([order, np.arange(len(problem.free), len(gram))])
     gram = eliminated(gram[np.ix_(columns, columns)], len(problem.local))
     stacked = np.concatenate(projected)[:, order]
-    plain = eliminated(stacked.T @ stacked, len(problem.local))
-    return _sorted(problem.flights[index].name, gram, plain, responses[0]), InputErrorEvidence(
+    unweighted = eliminated(stacked.T @ stacked, len(problem.local))
+    return _sorted(problem.flights[index].name, gram, unweighted, responses[0]), InputErrorEvidence(
         rest, responses[0].noise, responses[0].edges
     )
 
@@ -213,10 +213,10 @@ def _without_everything(pieces: list[ResidualSegment], own: list[Array]) -> tupl
     inverse = pseudo_inverse(stacked.T @ stacked)[0]
     flat = [p.residual.ravel() for p in pieces]
     change = inverse @ (stacked.T @ np.concatenate(flat))
-    left = []
-    for p, J, r, mine in zip(pieces, projected, flat, own, strict=True):
+    fitted = []
+    for p, J, r, covariance in zip(pieces, projected, flat, own, strict=True):
         rest = r - J @ change
         if p.nuisance.shape[1]:
-            rest = rest - p.nuisance @ (mine @ (p.nuisance.T @ rest))
-        left.append(ResidualSegment(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
-    return inverse, left
+            rest = rest - p.nuisance @ (covariance @ (p.nuisance.T @ rest))
+        fitted.append(ResidualSegment(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
+    return inverse, fitted

@@ -76,10 +76,10 @@ def bounds(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint) ->
 
 def _whole(problem: FrequencyProblem, covariance: Array, block: FlightBlocks) -> Array:
     """(n, n) covariance of shared and local parameters side by side."""
-    whole = np.zeros((len(problem.free), len(problem.free)))
-    whole[np.ix_(problem.shared, problem.shared)] = covariance
-    whole[np.ix_(problem.local, problem.local)] = block.ll_inverse
-    return whole
+    combined = np.zeros((len(problem.free), len(problem.free)))
+    combined[np.ix_(problem.shared, problem.shared)] = covariance
+    combined[np.ix_(problem.local, problem.local)] = block.ll_inverse
+    return combined
 
 
 def _reduction(problem: FrequencyProblem, block: FlightBlocks) -> Array:
@@ -97,13 +97,15 @@ def _local(
     covariance: Array,
     coloured: Array,
 ) -> list[tuple[Array, Array]]:
-    found = []
+    covariances = []
     for block, score in zip(blocks, scores, strict=True):
-        whole = score.independent + score.common @ score.common.T
-        own = block.ll_inverse @ whole[np.ix_(problem.local, problem.local)] @ block.ll_inverse
+        total = score.independent + score.common @ score.common.T
+        local_coloured = block.ll_inverse @ total[np.ix_(problem.local, problem.local)] @ block.ll_inverse
         lever = block.ll_inverse @ block.sl.T
-        found.append((block.ll_inverse + lever @ covariance @ lever.T, own + lever @ coloured @ lever.T))
-    return found
+        covariances.append(
+            (block.ll_inverse + lever @ covariance @ lever.T, local_coloured + lever @ coloured @ lever.T)
+        )
+    return covariances
 
 
 def _score(
@@ -134,9 +136,9 @@ def _score(
 
 def _leverage(J: Array, rows: SegmentRows, covariance: Array, nuisance_inverse: Array, shape: tuple[int, int]) -> Array:
     """(bins, ny) share of each number that the fit takes up. J: nuisances projected out; covariance: (n, n) of the parameters."""
-    taken = np.einsum("rn,nm,rm->r", J, covariance, J)
-    taken += np.einsum("rk,kl,rl->r", rows.nuisance, nuisance_inverse, rows.nuisance)
-    return np.asarray(0.5 * _complex(taken, shape).real + 0.5 * _complex(taken, shape).imag)
+    leverage = np.einsum("rn,nm,rm->r", J, covariance, J)
+    leverage += np.einsum("rk,kl,rl->r", rows.nuisance, nuisance_inverse, rows.nuisance)
+    return np.asarray(0.5 * _complex(leverage, shape).real + 0.5 * _complex(leverage, shape).imag)
 
 
 def _complex(values: Array, shape: tuple[int, ...]) -> Complex:
@@ -149,14 +151,14 @@ def _smoothed(residual: Complex, taken: Array) -> Complex:
 
     taken: (bins, ny) leverage, by which residuals are smaller than the noise.
     """
-    every = 0.5 * np.einsum("ko,kp->kop", residual, residual.conj())
-    lowest = every[1 : SMOOTHED + 1]
-    every[0] = lowest[np.argmax(np.trace(lowest.real, axis1=1, axis2=2))]  # a mean tells nothing of its own scatter
-    count = len(every)
+    power = 0.5 * np.einsum("ko,kp->kop", residual, residual.conj())
+    lowest = power[1 : SMOOTHED + 1]
+    power[0] = lowest[np.argmax(np.trace(lowest.real, axis1=1, axis2=2))]  # a mean tells nothing of its own scatter
+    count = len(power)
     windows = [slice(max(k - SMOOTHED, 0), min(k + SMOOTHED + 1, count)) for k in range(count)]
-    left = np.stack([np.maximum(1.0 - taken[w].mean(axis=0), LEAST_LEFT) for w in windows])
-    spectra = np.stack([every[w].mean(axis=0) for w in windows])
-    return np.asarray(spectra / np.sqrt(left[:, :, None] * left[:, None, :]))
+    remaining = np.stack([np.maximum(1.0 - taken[w].mean(axis=0), LEAST_LEFT) for w in windows])
+    spectra = np.stack([power[w].mean(axis=0) for w in windows])
+    return np.asarray(spectra / np.sqrt(remaining[:, :, None] * remaining[:, None, :]))
 
 
 def noise_shapes(problem: FrequencyProblem, point: FrequencyPoint) -> list[list[Array]]:
@@ -204,16 +206,16 @@ def frequency_output_error(
 
     Raises DataError or MissingColumnError for a flight that cannot feed the model; a fit that fails is a Result that says so.
     """
-    chosen = load_model(model)
-    chosen, data = without_absent_outputs(chosen, prepare_all(chosen, flights))
+    loaded = load_model(model)
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights))
     band = _band(data, options)
     data = [_long_enough(d, band) for d in data]
-    simulator = Simulator.build(chosen)
+    simulator = Simulator.build(loaded)
     problem = FrequencyProblem(data, simulator, band, drift=options.drift)
     _enough(problem)
-    starts = [chosen.starts(), start_values(simulator, data) or chosen.starts()]
-    begun = [problem.clip(problem.begin(s)) for s in starts]
-    first = min(begun, key=lambda u: problem.evaluate(u, False).cost)
+    starts = [loaded.starts(), start_values(simulator, data) or loaded.starts()]
+    candidates = [problem.clip(problem.begin(s)) for s in starts]
+    first = min(candidates, key=lambda u: problem.evaluate(u, False).cost)
     outcome = minimise(problem, first, AS_USUAL_LOOP)
     for _ in range(options.rounds if outcome.status.usable else 0):
         problem = problem.shaped(noise_shapes(problem, outcome.point))
@@ -238,17 +240,19 @@ def _long_enough(flight: FlightData, band: Band) -> FlightData:
     def bins(seconds: float) -> int:
         return int(band.high * seconds) - max(1, int(np.ceil(band.low * seconds))) + 1
 
-    kept = tuple(s for s in flight.segments if bins(float(s.time[-1] - s.time[0])) >= FEWEST_BINS)
-    if not kept:
+    long_segments = tuple(s for s in flight.segments if bins(float(s.time[-1] - s.time[0])) >= FEWEST_BINS)
+    if not long_segments:
         raise DataError(
             f"{flight.name}: no stretch is long enough for method ml-frequency: {FEWEST_BINS / band.high:.2g} s "
             "without a gap are "
             "needed; take method ml"
         )
-    if len(kept) == len(flight.segments):
+    if len(long_segments) == len(flight.segments):
         return flight
-    text = f"{len(flight.segments) - len(kept)} stretches too short to be transformed: left out by ml-frequency"
-    return replace(flight, segments=kept, notes=(*flight.notes, Note(NoteKind.LEFT_OUT, text)))
+    text = (
+        f"{len(flight.segments) - len(long_segments)} stretches too short to be transformed: left out by ml-frequency"
+    )
+    return replace(flight, segments=long_segments, notes=(*flight.notes, Note(NoteKind.LEFT_OUT, text)))
 
 
 def _enough(problem: FrequencyProblem) -> None:
@@ -272,13 +276,13 @@ def _described(problem: FrequencyProblem, outcome: Fit) -> Result:
         return failed(problem, outcome, NAME)
     problem.segment_blocks(point)
     spread = bounds(problem, unknowns, point)
-    found, pairs = estimates(
+    estimated, pairs = estimates(
         model, names, unknowns[: len(names)], spread.covariance, spread.coloured, spread.blind, problem.flights
     )
     flights, R = _flights(problem, unknowns, spread)
     if len(problem.local):
-        found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
-    ordered = {n: found[n] for n in problem.free if n in found}
+        estimated |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
+    ordered = {n: estimated[n] for n in problem.free if n in estimated}
     status, text = judged(outcome.status, ordered)
     return Result(
         model, NAME, status, f"{text}; {_compared(problem)}", outcome.iterations, outcome.evaluations, point.cost, R, names,
@@ -296,10 +300,10 @@ def _flights(problem: FrequencyProblem, unknowns: Array, spread: Bounds) -> tupl
     values = [problem.values(unknowns, i) for i in range(len(problem.flights))]
     fits, R = simulated_fits(problem.model, problem.flights, values)
     names = tuple(problem.free[i] for i in problem.local)
-    seen = np.zeros(len(names), bool)
+    blind = np.zeros(len(names), bool)
     result = []
     for i, (fit, flight) in enumerate(zip(fits, problem.flights, strict=True)):
-        at = problem.parameters(unknowns, i)[problem.local]
-        local, _ = estimates(problem.model, names, at, *spread.local[i], seen, [flight])
+        local_values = problem.parameters(unknowns, i)[problem.local]
+        local, _ = estimates(problem.model, names, local_values, *spread.local[i], blind, [flight])
         result.append(replace(fit, local=local))
     return tuple(result), R

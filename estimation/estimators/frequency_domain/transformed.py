@@ -42,12 +42,12 @@ class LinearisedSystem:
 def matrices(traced: Traced, state: Array, inputs: Array, p: Array) -> tuple[Array, Array]:
     """(A (nx, nx), C (ny, nx)) at one point. p: parameters and constants as traced."""
     nx, _, _, ny = traced.sizes
-    found = []
+    jacobians = []
     for function, key, rows in ((traced.rates_jacobian, "f_x", nx), (traced.outputs_jacobian, "y_x", ny)):
         matrix = np.zeros((rows, nx))
         matrix[traced.patterns[key]] = np.asarray(function(state, inputs, p)[1]).ravel()
-        found.append(matrix)
-    return found[0], found[1]
+        jacobians.append(matrix)
+    return jacobians[0], jacobians[1]
 
 
 def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, inputs: Array) -> LinearisedSystem:
@@ -58,10 +58,10 @@ def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, 
     names = simulator.model.parameter_names
     for j, name in enumerate(simulator.free):
         h = RELATIVE * max(abs(values[name]), RELATIVE)
-        up, down = p.copy(), p.copy()
-        up[names.index(name)] += h
-        down[names.index(name)] -= h
-        (A1, C1), (A0, C0) = matrices(traced, state, inputs, up), matrices(traced, state, inputs, down)
+        plus, minus = p.copy(), p.copy()
+        plus[names.index(name)] += h
+        minus[names.index(name)] -= h
+        (A1, C1), (A0, C0) = matrices(traced, state, inputs, plus), matrices(traced, state, inputs, minus)
         A_p[j], C_p[j] = (A1 - A0) / (2 * h), (C1 - C0) / (2 * h)
     return LinearisedSystem(A, C, A_p, C_p)
 
@@ -158,33 +158,33 @@ class SpectralSegment:
 
     def _transform(self, values: Array) -> Complex:
         """(bins, columns): the mean's bin, then the band."""
-        whole = np.isfinite(values).all(axis=0)
+        complete = np.isfinite(values).all(axis=0)
         result = np.full((1 + self._count, values.shape[1]), np.nan + 0j)
         spacing = 2 * np.pi / self.duration
-        chosen = values[:, whole]
-        result[:1, whole] = finite_transform(chosen, self._step, 0.0, spacing, 1)
-        result[1:, whole] = finite_transform(chosen, self._step, self._first * spacing, spacing, self._count)
+        columns = values[:, complete]
+        result[:1, complete] = finite_transform(columns, self._step, 0.0, spacing, 1)
+        result[1:, complete] = finite_transform(columns, self._step, self._first * spacing, spacing, self._count)
         return result
 
     # ------------------------------------------------------------------------------------------------ the model
     def response(self, values: Mapping[str, float], ends: Array) -> SpectralResponse:
         """Outputs and their slopes at parameter `values` and end differences d (nx,)."""
-        known = self._nonlinear(values)
+        transforms = self._nonlinear(values)
         linear = linearised(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
         nx = linear.A.shape[0]
         system = 1j * self.omega[:, None, None] * np.eye(nx) - linear.A
-        told = self.means_told(linear.A)
-        if not told:
+        means_known = self.means_told(linear.A)
+        if not means_known:
             system[0] = np.eye(nx)
-        forcing = known.F - self._X @ linear.A.T + ends
+        forcing = transforms.F - self._X @ linear.A.T + ends
         inverse = _inverse(np.asarray(system, np.complex128))
         X = np.einsum("kij,kj->ki", inverse, forcing)
-        off = X - self._X
-        y = X @ linear.C.T + known.G - self._X @ linear.C.T
-        X_p = np.einsum("kij,kjn->kin", inverse, known.F_p + np.einsum("nij,kj->kin", linear.A_p, off))
-        y_p = _slopes(linear.C, linear.C_p, X_p, known.G_p, off)
+        deviation = X - self._X
+        y = X @ linear.C.T + transforms.G - self._X @ linear.C.T
+        X_p = np.einsum("kij,kjn->kin", inverse, transforms.F_p + np.einsum("nij,kj->kin", linear.A_p, deviation))
+        y_p = _slopes(linear.C, linear.C_p, X_p, transforms.G_p, deviation)
         y_d = np.einsum("oi,kij->koj", linear.C, inverse)
-        if not told:
+        if not means_known:
             y[0] = np.nan
         return self._delayed(values, SpectralResponse(y, y_p, y_d))
 
@@ -197,7 +197,7 @@ class SpectralSegment:
         """Transforms of f and g at the measured motion, and their slopes; remembered where parameters enter linearly."""
         simulator = self._simulator
         free = [simulator.model.parameter_names.index(n) for n in simulator.free]
-        at = np.array([values[n] for n in simulator.free])
+        free_values = np.array([values[n] for n in simulator.free])
         u, du, names = self._driven(values)
         f, f_p, y, y_p = simulator.kernel.evaluate(self._x, u, simulator.vector(values))
         f_p, y_p = f_p[:, :, free], y_p[:, :, free]
@@ -205,19 +205,21 @@ class SpectralSegment:
             f_p, y_p = self._by_transforms(values, u, du, names, f_p.copy(), y_p.copy())
         old = self._memory
         if old is not None and not names and _same(old.slopes, (f_p, y_p)):
-            change = at - old.values
-            return _Remembered(at, old.F + old.F_p @ change, old.G + old.G_p @ change, old.F_p, old.G_p, old.slopes)
+            change = free_values - old.values
+            return _Remembered(
+                free_values, old.F + old.F_p @ change, old.G + old.G_p @ change, old.F_p, old.G_p, old.slopes
+            )
         F, G = self._transform(f), self._transform(y)
-        self._memory = _Remembered(at, F, G, self._slopes(f_p), self._slopes(y_p), (f_p, y_p))
+        self._memory = _Remembered(free_values, F, G, self._slopes(f_p), self._slopes(y_p), (f_p, y_p))
         return self._memory
 
     def _slopes(self, values: Array) -> Complex:
         """(bins, rows, n) transforms of slopes (M, rows, n), most of which are zero."""
         count, rows, n = values.shape
         flat = values.reshape(count, rows * n)
-        there = np.flatnonzero(np.abs(flat).max(axis=0) > 0.0)
+        nonzero = np.flatnonzero(np.abs(flat).max(axis=0) > 0.0)
         result = np.zeros((1 + self._count, rows * n), complex)
-        result[:, there] = self._transform(flat[:, there])
+        result[:, nonzero] = self._transform(flat[:, nonzero])
         return result.reshape(-1, rows, n)
 
     def _driven(self, values: Mapping[str, float]) -> tuple[Array, Array, tuple[str, ...]]:

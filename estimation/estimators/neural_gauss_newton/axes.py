@@ -21,11 +21,11 @@ LATERAL, LONGITUDINAL = ("lateral", "lateral-simple"), ("longitudinal",)
 def refusal(model: str, parameters: Collection[str] | None = None) -> str:
     """Why a model of that name, and with those parameters, cannot be taken; empty where it can."""
     if model not in (*LATERAL, *LONGITUDINAL):
-        known = "lateral, lateral-simple and longitudinal"
-        return f"model {model}: Neural Gauss-Newton has a formulation for {known}; use method ml"
-    usual = LATERAL_DERIVATIVES if model in LATERAL else LONGITUDINAL_DERIVATIVES
-    if parameters is not None and (more := [n for n in parameters if n not in usual]):
-        return f"model {model}: Neural Gauss-Newton has no formulation with {', '.join(more)}; use method ml"
+        models = "lateral, lateral-simple and longitudinal"
+        return f"model {model}: Neural Gauss-Newton has a formulation for {models}; use method ml"
+    names = LATERAL_DERIVATIVES if model in LATERAL else LONGITUDINAL_DERIVATIVES
+    if parameters is not None and (extra := [n for n in parameters if n not in names]):
+        return f"model {model}: Neural Gauss-Newton has no formulation with {', '.join(extra)}; use method ml"
     return ""
 
 
@@ -79,11 +79,11 @@ class LateralAxis:
         """Linear in all parameters."""
         p_hat = s["p"] * self.aircraft.span / (2 * s["V"])
         r_hat = s["r"] * self.aircraft.span / (2 * s["V"])
-        one = np.ones_like(p_hat)
+        ones = np.ones_like(p_hat)
         regressors = np.zeros((p_hat.size, 3, len(self.parameters)))
-        regressors[:, 0, 0:5] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_r"]])
-        regressors[:, 1, 5:11] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_a"], s["delta_r"]])
-        regressors[:, 2, 11:16] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_r"]])
+        regressors[:, 0, 0:5] = np.column_stack([ones, s["beta"], p_hat, r_hat, s["delta_r"]])
+        regressors[:, 1, 5:11] = np.column_stack([ones, s["beta"], p_hat, r_hat, s["delta_a"], s["delta_r"]])
+        regressors[:, 2, 11:16] = np.column_stack([ones, s["beta"], p_hat, r_hat, s["delta_r"]])
         return regressors @ theta, regressors
 
 

@@ -64,11 +64,11 @@ def describe(
     shared = [i for i, f in enumerate(unknowns.owner) if f < 0]
     names = tuple(unknowns.names[i] for i in shared)
     pick = np.ix_(shared, shared)
-    found, pairs = _estimates(model, names, solution, np.array(shared, int), data)
+    parameters, pairs = _estimates(model, names, solution, np.array(shared, int), data)
     fitted, R = _fitted_flights(model, data, unknowns, solution, rows.notes)
     means = mean_of_locals(fitted, tuple(fitted[0].local))
-    found |= {n: replace(e, identifiable=True, why="") for n, e in means.items()}
-    ordered = {n: found[n] for n in model.free_names if n in found}
+    parameters |= {n: replace(e, identifiable=True, why="") for n, e in means.items()}
+    ordered = {n: parameters[n] for n in model.free_names if n in parameters}
     status, text = _status(solution, ordered)
     cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
     return Result(
@@ -106,7 +106,7 @@ def _fitted_flights(
     notes: tuple[Note, ...],
 ) -> tuple[tuple[FlightFit, ...], Array]:
     """Each flight simulated at its estimates, with its local ones; and the (ny, ny) variances of the residuals."""
-    every = [
+    values = [
         {
             n: float(v)
             for n, v, owner in zip(unknowns.names, solution.theta, unknowns.owner, strict=True)
@@ -114,12 +114,12 @@ def _fitted_flights(
         }
         for index in range(len(data))
     ]
-    fits, R = simulated_fits(model, data, every)
+    fits, R = simulated_fits(model, data, values)
     flights = []
     for index, (flight, fit) in enumerate(zip(data, fits, strict=True)):
-        own = np.array([i for i, owner in enumerate(unknowns.owner) if owner == index], int)
-        names = tuple(unknowns.names[i] for i in own)
-        local = _estimates(model, names, solution, own, [flight])[0] if own.size else {}
+        local_index = np.array([i for i, owner in enumerate(unknowns.owner) if owner == index], int)
+        names = tuple(unknowns.names[i] for i in local_index)
+        local = _estimates(model, names, solution, local_index, [flight])[0] if local_index.size else {}
         flights.append(replace(fit, local=local, notes=(*fit.notes, *notes)))
     return tuple(flights), R
 
@@ -129,11 +129,11 @@ def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", where: NDArra
     deviations = solution.bootstrap[:, where]
     if len(deviations) < 2:
         return None
-    found = solution.theta[where] + deviations
-    low, high = np.percentile(found, PERCENTILES, axis=0)
-    std, bias = found.std(axis=0, ddof=1), deviations.mean(axis=0)
+    replicates = solution.theta[where] + deviations
+    low, high = np.percentile(replicates, PERCENTILES, axis=0)
+    std, bias = replicates.std(axis=0, ddof=1), deviations.mean(axis=0)
     spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
-    return Bootstrap(names, found, spreads, 0)
+    return Bootstrap(names, replicates, spreads, 0)
 
 
 def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: "NeuralSolution") -> dict[str, Any]:
@@ -175,8 +175,8 @@ def estimate_ngn(
     bootstraps and seed over what the options say; bootstraps asked for are in the result's `bootstrap`.
     Raises EstimationError for another model, MissingColumnError and DataError for a flight that cannot be used.
     """
-    many = [flights] if isinstance(flights, Flight) else list(flights)
-    return _estimate(aircraft, [many], model, improved, options, device, bootstraps, seed)[0]
+    flight_list = [flights] if isinstance(flights, Flight) else list(flights)
+    return _estimate(aircraft, [flight_list], model, improved, options, device, bootstraps, seed)[0]
 
 
 def estimate_campaign(
@@ -209,10 +209,10 @@ def _estimate(
 ) -> list[Result]:
     from estimation.models import load_model
 
-    chosen = load_model("lateral", aircraft) if model is None else model
-    axis = axis_for(chosen.name, aircraft)
+    ngn_model = load_model("lateral", aircraft) if model is None else model
+    axis = axis_for(ngn_model.name, aircraft)
     if axis is None:
-        raise EstimationError(refusal(chosen.name))
+        raise EstimationError(refusal(ngn_model.name))
     opt = options or default_options(improved, axis.name)
     opt = replace(
         opt,
@@ -221,10 +221,10 @@ def _estimate(
         seed=opt.seed if seed is None else seed,
     )
     with one_thread():
-        problems = [_problem(axis, chosen, flights, opt) for flights in sets]
+        problems = [_problem(axis, ngn_model, flights, opt) for flights in sets]
         solutions = solve(problems, opt)
     return [
-        describe(chosen, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
+        describe(ngn_model, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
         for flights, p, s in zip(sets, problems, solutions, strict=True)
     ]
 

@@ -90,9 +90,9 @@ class Frozen:
         m = stretch.u.shape[1] - 3
         coefficients, d_theta = regressors(theta)
         u = torch.as_tensor(self.standard.u(np.column_stack([stretch.u[:, :m], coefficients])))
-        out, d_u = input_slopes(self.shape, self.weights, u)
+        outputs, d_u = input_slopes(self.shape, self.weights, u)
         slopes = (d_u[:, :, m:].numpy() / self.standard.u_std[m:]) @ d_theta
-        return self.standard.z(stretch.z) - out.numpy(), slopes
+        return self.standard.z(stretch.z) - outputs.numpy(), slopes
 
 
 Predict = Callable[[Array], tuple[list[Array], list[Array]]]
@@ -129,21 +129,21 @@ def fit_parameters(
         return not place[3] > limit
 
     theta, (residuals, slopes, R, cost) = min(((t, look(t)) for t in starts), key=lambda tried: tried[1][3])
-    converged, used = False, 0
+    converged, count = False, 0
     for _ in range(iterations):
-        used += 1
+        count += 1
         information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
         step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
         converged = settled(step, information)
-        reached = halved(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
-        if reached is None:
+        lowered = halved(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
+        if lowered is None:
             break
-        theta = theta + reached[0] * step
-        residuals, slopes, R, cost = reached[1]
+        theta = theta + lowered[0] * step
+        residuals, slopes, R, cost = lowered[1]
         if converged:
             break
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
-    return FrozenFit(theta, information, R, tuple(residuals), used, converged)
+    return FrozenFit(theta, information, R, tuple(residuals), count, converged)
 
 
 def fit_with_instruments(
@@ -161,12 +161,12 @@ def fit_with_instruments(
     """
     theta = start.copy()
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
-    converged, used = False, 0
+    converged, count = False, 0
     for _ in range(iterations):
-        used += 1
+        count += 1
         residuals, slopes = predict(theta)
-        _, left = instrument(theta)
-        matrix, right = normal_equations(left, slopes, residuals, counts, variance(residuals, counts))
+        _, instruments = instrument(theta)
+        matrix, right = normal_equations(instruments, slopes, residuals, counts, variance(residuals, counts))
         step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
         theta = theta + step
         converged = settled(step, normal_equations(slopes, slopes, residuals, counts, variance(residuals, counts))[0])
@@ -175,7 +175,7 @@ def fit_with_instruments(
     residuals, slopes = predict(theta)
     R = variance(residuals, counts)
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
-    return FrozenFit(theta, information, R, tuple(residuals), used, converged)
+    return FrozenFit(theta, information, R, tuple(residuals), count, converged)
 
 
 def settled(step: NDArray[np.floating[Any]], information: Array) -> bool:

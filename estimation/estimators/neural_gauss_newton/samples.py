@@ -80,18 +80,18 @@ def window_mean(values: Array, steps: int) -> Array:
 
 def require_columns(axis: Axis, flight: Flight) -> None:
     """MissingColumnError naming what the axis must have and the flight has not."""
-    needed = [c for c in axis.columns if c not in axis.optional]
-    flight.require(needed, f"Neural Gauss-Newton, {axis.name} axis")
+    required = [c for c in axis.columns if c not in axis.optional]
+    flight.require(required, f"Neural Gauss-Newton, {axis.name} axis")
 
 
 def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
     """Motion variables that the network has to do without: those that would cost some flight a tenth of its samples."""
-    needed = [c for c in axis.columns if c not in axis.optional]
+    required = [c for c in axis.columns if c not in axis.optional]
 
     def costs(flight: Flight, column: str) -> bool:
         if not flight.measured(column):
             return True
-        usable = np.isfinite(np.column_stack([flight[c] for c in needed])).all(axis=1)
+        usable = np.isfinite(np.column_stack([flight[c] for c in required])).all(axis=1)
         return float(np.isfinite(flight[column])[usable].sum()) < (1.0 - COSTLY) * float(usable.sum())
 
     return tuple(c for c in axis.optional if any(costs(f, c) for f in flights))
@@ -104,18 +104,18 @@ def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -
     """
     columns = [c for c in axis.columns if c not in axis.optional or c in motion]
     table = np.column_stack([flight[c] for c in columns])
-    known = np.asarray(np.isfinite(table).all(axis=1))
-    found = []
-    for start, stop in runs_in_segments(flight, known):
+    complete = np.asarray(np.isfinite(table).all(axis=1))
+    sample_stretches = []
+    for start, stop in runs_in_segments(flight, complete):
         if stop - start >= SHORTEST:
             signals = {c: flight[c][start:stop] for c in columns}
-            found.append(_stretch(axis, signals, flight.time[start:stop], start, form, motion))
-    if not found:
+            sample_stretches.append(_stretch(axis, signals, flight.time[start:stop], start, form, motion))
+    if not sample_stretches:
         raise DataError(
             f"{flight.name}: no stretch of {SHORTEST} samples in a row with all of {', '.join(columns)}; "
             "Neural Gauss-Newton needs one"
         )
-    return found
+    return sample_stretches
 
 
 def _stretch(
@@ -160,9 +160,9 @@ def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion
     smooth = _without_noise(axis, raw, motion=2)
     none = {c: np.zeros(len(time)) for c in axis.angular_rates}
     increments = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
-    nothing = {c: np.zeros(len(time) - steps) for c in raw}
+    zeros = {c: np.zeros(len(time) - steps) for c in raw}
     # inertial loads are linear in the rate derivatives: mean of the rest, plus what the exact increments carry
-    loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(nothing, increments)
+    loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(zeros, increments)
     u = np.column_stack(
         [*(raw[c][:-steps] for c in motion), loads / window_mean(dynamic_pressure(raw), steps)[:, None]]
     )
@@ -182,25 +182,25 @@ def predicted_signals(
     inputs = np.vstack([t[0][:-1] for t in tables])
     drives = np.vstack([t[1] for t in tables])
     targets = np.vstack([t[0][1:] for t in tables])
-    both = np.hstack([inputs, drives])
-    scale = np.where(both.std(axis=0) > 0, both.std(axis=0), 1.0)
-    map_ = np.linalg.lstsq(both / scale, targets, rcond=1e-8)[0] / scale[:, None]
+    regressors = np.hstack([inputs, drives])
+    scale = np.where(regressors.std(axis=0) > 0, regressors.std(axis=0), 1.0)
+    map_ = np.linalg.lstsq(regressors / scale, targets, rcond=1e-8)[0] / scale[:, None]
     block = max(2, round(RESTART_S / step))
     result = []
     for stretch, (x, drive) in zip(stretches, tables, strict=True):
-        out = x.copy()
+        predicted = x.copy()
         starts = np.arange(0, len(x) - 1, block)
-        now, at = x[starts], starts
+        state, rows = x[starts], starts
         for _ in range(block):
-            keep = at + 1 < len(x)
-            at, now = at[keep], now[keep]
-            if not at.size:
+            keep = rows + 1 < len(x)
+            rows, state = rows[keep], state[keep]
+            if not rows.size:
                 break
-            now = np.hstack([now, drive[at]]) @ map_
-            at = at + 1
-            fresh = ~np.isin(at, starts)
-            out[at[fresh]] = now[fresh]
-        result.append({**stretch.smooth, **{c: out[:, i] for i, c in enumerate(motion)}})
+            state = np.hstack([state, drive[rows]]) @ map_
+            rows = rows + 1
+            fresh = ~np.isin(rows, starts)
+            predicted[rows[fresh]] = state[fresh]
+        result.append({**stretch.smooth, **{c: predicted[:, i] for i, c in enumerate(motion)}})
     return result
 
 

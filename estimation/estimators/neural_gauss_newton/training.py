@@ -62,8 +62,10 @@ def train_jobs(jobs: Sequence[Job], options: TrainingOptions, device: str = "cpu
     for batch in _batches(jobs, LARGEST_BATCH_ROWS[torch.device(device).type]):
         longest = max(len(j.u) for j in batch)
         shared = all(j.u is batch[0].u and j.z is batch[0].z for j in batch)
-        many = batch[:1] if shared else batch
-        u, z = (torch.stack([_padded(v, longest) for v in vs]) for vs in ([j.u for j in many], [j.z for j in many]))
+        sources = batch[:1] if shared else batch
+        u, z = (
+            torch.stack([_padded(v, longest) for v in vs]) for vs in ([j.u for j in sources], [j.z for j in sources])
+        )
         weights, iterations = OPTIMISERS[options.optimiser](
             batch[0].shape,
             (u[0] if shared else u).to(device),
@@ -116,33 +118,33 @@ def levenberg_marquardt(
     w = starts.clone()
     damping = torch.full((len(w),), 1e-2, dtype=w.dtype, device=w.device)
     cost = _costs(shape, w, u, z, weights, options.decay)
-    used = torch.zeros(len(w), dtype=torch.int64, device=w.device)
+    iterations = torch.zeros(len(w), dtype=torch.int64, device=w.device)
     active = torch.arange(len(w), device=w.device)
     for _ in range(options.iterations):
         if not len(active):
             break
-        mine = _Batch.of(u, z, weights, active)
-        matrix, right = weight_normal_equations(shape, w[active], mine.u, mine.z, mine.weights)
+        rows = _Batch.of(u, z, weights, active)
+        matrix, right = weight_normal_equations(shape, w[active], rows.u, rows.z, rows.weights)
         matrix.diagonal(dim1=1, dim2=2).add_(options.decay)
         right -= options.decay * w[active]
         scale = matrix.diagonal(dim1=1, dim2=2).mean(dim=1)
         gain = torch.full_like(scale, -1.0)
         for _ in range(TRIES):
-            left = torch.nonzero(gain < 0).squeeze(1)
-            if not len(left):
+            pending = torch.nonzero(gain < 0).squeeze(1)
+            if not len(pending):
                 break
-            now = active[left]
-            step = _damped_step(matrix[left], right[left], damping[now] * scale[left])
-            trial = w[now] + step
-            part = mine.only(left)
+            nets = active[pending]
+            step = _damped_step(matrix[pending], right[pending], damping[nets] * scale[pending])
+            trial = w[nets] + step
+            part = rows.only(pending)
             new = _costs(shape, trial, part.u, part.z, part.weights, options.decay)
-            better = new < cost[now]
-            gain[left[better]] = ((cost[now] - new) / cost[now])[better]
-            w[now[better]], cost[now[better]] = trial[better], new[better]
-            damping[now] = torch.where(better, torch.clamp(damping[now] / 3.0, min=1e-10), damping[now] * 4.0)
-        used[active[gain >= 0]] += 1
+            lowered = new < cost[nets]
+            gain[pending[lowered]] = ((cost[nets] - new) / cost[nets])[lowered]
+            w[nets[lowered]], cost[nets[lowered]] = trial[lowered], new[lowered]
+            damping[nets] = torch.where(lowered, torch.clamp(damping[nets] / 3.0, min=1e-10), damping[nets] * 4.0)
+        iterations[active[gain >= 0]] += 1
         active = active[gain >= ENOUGH]
-    return w, used
+    return w, iterations
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,24 +184,24 @@ def _lbfgs(
     shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
 ) -> tuple[Tensor, Tensor]:
     """One network after the other: a line search cannot be shared."""
-    found, used = [], []
+    trained, iterations = [], []
     for k in range(len(starts)):
-        own = [v[k] if v.dim() == 3 else v for v in (u, z)]
+        rows = [v[k] if v.dim() == 3 else v for v in (u, z)]
         w = starts[k : k + 1].clone().requires_grad_(True)
         optimiser = torch.optim.LBFGS(
             [w], max_iter=10 * options.iterations, history_size=30, line_search_fn="strong_wolfe"
         )
 
-        def closure(w: Tensor = w, own: list[Tensor] = own, weight: Tensor = weights[k : k + 1]) -> float:
+        def closure(w: Tensor = w, own: list[Tensor] = rows, weight: Tensor = weights[k : k + 1]) -> float:
             w.grad = None
             cost = _costs(shape, w, own[0], own[1], weight, options.decay).sum()
             cost.backward()  # type: ignore[no-untyped-call]
             return float(cost.detach())
 
         optimiser.step(closure)
-        found.append(w.detach()[0])
-        used.append(int(optimiser.state[w].get("n_iter", 0)))
-    return torch.stack(found), torch.tensor(used)
+        trained.append(w.detach()[0])
+        iterations.append(int(optimiser.state[w].get("n_iter", 0)))
+    return torch.stack(trained), torch.tensor(iterations)
 
 
 def _adam(
