@@ -125,11 +125,7 @@ class GapAnswer(Answer):
         """The model with what was found as .toml, everything as .json, the table as .csv."""
         from estimation.models import write_model
 
-        return {
-            **super().writers(),
-            ".toml": lambda path: write_model(self.model, path),
-            **table_writers(self),
-        }
+        return {**super().writers(), ".toml": lambda path: write_model(self.model, path), **table_writers(self)}
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""

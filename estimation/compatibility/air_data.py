@@ -24,14 +24,7 @@ from estimation.compatibility.air_filter import (
     likelihoods,
     smooth,
 )
-from estimation.compatibility.air_nodes import (
-    FIX,
-    INERTIAL,
-    AirStretch,
-    fresh_values,
-    measured_noise,
-    stretches_of,
-)
+from estimation.compatibility.air_nodes import FIX, INERTIAL, AirStretch, fresh_values, measured_noise, stretches_of
 from estimation.compatibility.records import attitude_errors
 from estimation.errors import DataError
 from estimation.prepare.columns import with_derived

@@ -155,15 +155,7 @@ def joined(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 
-USEFUL: Mapping[str, float] = {
-    "m/s2": 0.2,
-    "rad/s": 0.01,
-    "1": 0.1,
-    "rad": 0.02,
-    "m": 0.25,
-    "s": 0.03,
-    "m/s": 1.0,
-}
+USEFUL: Mapping[str, float] = {"m/s2": 0.2, "rad/s": 0.01, "1": 0.1, "rad": 0.02, "m": 0.25, "s": 0.03, "m/s": 1.0}
 """A bound wider than this, by unit, says nothing worth knowing of an instrument of this kind."""
 CORRELATION_WINDOW_S = 2.0
 SINGULAR = 1e-9

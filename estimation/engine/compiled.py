@@ -179,12 +179,7 @@ def _source(traced: Traced, folder: Path) -> str:
 
     generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
     rates = [hoisted(f, traced.sizes) for f in (traced.rates, traced.rates_jacobian, traced.rates_by_all)]
-    functions = (
-        *(f for pair in rates for f in pair),
-        traced.outputs,
-        traced.outputs_jacobian,
-        traced.outputs_by_all,
-    )
+    functions = (*(f for pair in rates for f in pair), traced.outputs, traced.outputs_jacobian, traced.outputs_by_all)
     for function in functions:
         generator.add(function)
     generator.generate(str(folder) + os.sep)

@@ -26,9 +26,8 @@ from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
-from estimation.prepare.pipeline import prepare_all
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from estimation.signals.goodness_of_fit import fits
-from groundstation.flight import Flight
 
 Index = NDArray[np.intp]
 
@@ -76,12 +75,7 @@ def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[st
     return values
 
 
-def equation_error(
-    model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    *,
-    stepwise: bool = False,
-) -> Result:
+def equation_error(model: Model | str, flights: FlightsToFit, *, stepwise: bool = False) -> Result:
     """Estimates by equation error with bounds, over one flight or several together.
 
     stepwise: choose the parameters by partial F; the rest stay at zero and say so. Raises DataError where a state of

@@ -28,20 +28,13 @@ from estimation.estimators.frequency_domain.transformed import matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
 from estimation.estimators.input_path import in_own_terms, with_paths, without
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.output_error import (
-    STANDARD,
-    OutputErrorOptions,
-    describe,
-    free_states_of,
-    output_error,
-)
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, describe, free_states_of, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
 from estimation.models.dependence import force_states
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
-from estimation.prepare.pipeline import prepare_all
-from groundstation.flight import Flight
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from groundstation.flight.quality.noise import noise as noise_of
 
 STEP = 1e-4  # of a noise, for the slope of the gain
@@ -202,7 +195,7 @@ class ProcessNoiseProblem(_Filtered):
 
 def filter_error(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     start: Mapping[str, float] | None = None,
     options: OutputErrorOptions = STANDARD,
 ) -> Result:
@@ -250,7 +243,7 @@ def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOpt
 
 def process_noise_error(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     start: Mapping[str, float] | None = None,
     options: OutputErrorOptions = STANDARD,
 ) -> Result:

@@ -23,7 +23,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.estimators.coloured import ResidualSegment, Spectrum, white_products
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.normal_equations import eliminated
+from estimation.estimators.normal_equations import projected_out
 from estimation.models.base import Model
 from estimation.prepare.flight_data import Segment, draws_for
 
@@ -85,10 +85,10 @@ def evidence(
     inverse: Spectrum = np.asarray(np.linalg.inv(spectrum + floor), np.complex128)
     total: Array | None = None
     for piece, columns in zip(pieces, responses, strict=True):
-        gram = eliminated(white_products(piece, columns, inverse), piece.nuisance.shape[1])
+        gram = projected_out(white_products(piece, columns, inverse), piece.nuisance.shape[1])
         total = gram if total is None else total + gram
     assert total is not None
-    return InputErrorEvidence(eliminated(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
+    return InputErrorEvidence(projected_out(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
 
 
 def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:

@@ -103,10 +103,17 @@ def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
 
 def eliminated(gram: Array, first: int) -> Array:
     """A Gram matrix (n + m, n + m) with its first n columns projected out of the rest: (m, m), the Schur complement."""
-    if not first:
-        return gram
     cross = gram[:first, first:]
     return np.asarray(gram[first:, first:] - cross.T @ solved(gram[:first, :first], cross))
+
+
+def projected_out(gram: Array, first: int) -> Array:
+    """As `eliminated`, of nothing too, with the products grouped the other way round: what is tested beside a fit is so weakly
+    determined that the grouping shows in the eighth figure."""
+    if not first:
+        return gram
+    lever = gram[first:, :first] @ pseudo_inverse(gram[:first, :first])[0]
+    return np.asarray(gram[first:, first:] - lever @ gram[:first, first:])
 
 
 def solved(information: Array, right: Array) -> Array:

@@ -5,7 +5,7 @@ segment has initial states of its own, each flight its own values of `local` par
 bounds and says what the data could not tell.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -31,9 +31,8 @@ from estimation.prepare.flight_data import (
     cut_into_pieces,
     without_absent_outputs,
 )
-from estimation.prepare.pipeline import prepare_all
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from estimation.signals.goodness_of_fit import fits
-from groundstation.flight import Flight
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ FINEST = 16  # substeps
 
 def output_error(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     start: Mapping[str, float] | None = None,
     options: OutputErrorOptions = STANDARD,
 ) -> Result:
@@ -230,10 +229,7 @@ def free_states_of(model: Model, options: OutputErrorOptions) -> NDArray[np.bool
 
 
 def reopened(
-    model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    result: Result,
-    options: OutputErrorOptions = STANDARD,
+    model: Model | str, flights: FlightsToFit, result: Result, options: OutputErrorOptions = STANDARD
 ) -> tuple[OutputErrorProblem, Fit]:
     """The problem of an earlier fit at its optimum, in the same pieces and steps."""
     loaded = load_model(model).with_starts(result.fitted_model.starts())

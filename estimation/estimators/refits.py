@@ -14,7 +14,6 @@ believes residuals white; where they are coloured, deviance is scaled by the squ
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from estimation.estimators.result import Bootstrap, Profile, Result, Spread
 from estimation.estimators.uncertainty import noise_spectra
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData
-from groundstation.flight import Flight
+from estimation.prepare.pipeline import FlightsToFit
 
 FEWEST_REPLICATES = 10  # replicates
 PERCENTILES = (2.5, 97.5)
@@ -38,7 +37,7 @@ PERCENTILES = (2.5, 97.5)
 
 def parametric_bootstrap(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     result: Result,
     replicates: int,
     rng: np.random.Generator,
@@ -132,7 +131,7 @@ FEWEST_POINTS = 5  # points
 
 def profile_likelihood(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     parameter: str,
     result: Result,
     points: int = 13,

@@ -243,9 +243,4 @@ def six_dof(aircraft: Aircraft) -> Model:
 WHOLE = ("lateral", "longitudinal", "six-dof")
 """Models that take every derivative of the general linear model; `lateral-simple` is the paper's and stays so."""
 
-BUILDERS = {
-    "lateral": lateral,
-    "lateral-simple": lateral_simple,
-    "longitudinal": longitudinal,
-    "six-dof": six_dof,
-}
+BUILDERS = {"lateral": lateral, "lateral-simple": lateral_simple, "longitudinal": longitudinal, "six-dof": six_dof}

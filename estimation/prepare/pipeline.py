@@ -25,6 +25,9 @@ from groundstation.flight.quality.repeats import Mask, runs_of
 LONGEST_BRIDGE = 3  # missing input samples that a straight line may bridge
 FLAT = 1e-12
 
+FlightsToFit = Flight | FlightData | Sequence[Flight | FlightData]
+"""One flight or several, prepared already or not."""
+
 
 def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -> FlightData:
     """Columns of `flight` as inputs, outputs and starting states of `model`.
@@ -38,9 +41,7 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     return _flight_data(state)
 
 
-def prepare_all(
-    model: Model, flights: Flight | FlightData | Sequence[Flight | FlightData], preparation: Preparation = AS_USUAL
-) -> list[FlightData]:
+def prepare_all(model: Model, flights: FlightsToFit, preparation: Preparation = AS_USUAL) -> list[FlightData]:
     """Flights prepared for a model, those that are so already taken as they are."""
     listed = [flights] if isinstance(flights, Flight | FlightData) else list(flights)
     if not listed:

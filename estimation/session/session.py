@@ -157,7 +157,4 @@ def _verdict_json(verdict: Verdict | None, more: Sequence[Doubt] = ()) -> dict[s
     """`recommended` and `doubts`; nothing where there is no verdict. more: doubts beside those of the verdict."""
     if verdict is None:
         return {}
-    return {
-        "recommended": verdict.recommended.to_json(),
-        "doubts": [d.to_json() for d in (*verdict.doubts, *more)],
-    }
+    return {"recommended": verdict.recommended.to_json(), "doubts": [d.to_json() for d in (*verdict.doubts, *more)]}

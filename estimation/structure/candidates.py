@@ -63,12 +63,7 @@ class Candidate:
 
 def candidates(model: Model) -> tuple[Candidate, ...]:
     """Everything that is tested beside a model."""
-    every_candidate = (
-        *_terms(model),
-        *_late_controls(model),
-        *_sensors(model),
-        *_inertia(model),
-    )
+    every_candidate = (*_terms(model), *_late_controls(model), *_sensors(model), *_inertia(model))
     return tuple(c for c in every_candidate if c.name not in model.parameter_names)
 
 

@@ -24,7 +24,7 @@ from estimation.estimators.input_error import (
 )
 from estimation.estimators.input_path import at_paths_of
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
-from estimation.estimators.normal_equations import eliminated, pseudo_inverse
+from estimation.estimators.normal_equations import projected_out, pseudo_inverse
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, segments_in_noise, white_responses
@@ -162,7 +162,7 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
 def _visible(found: LinearisedFit) -> LinearisedFit:
     """Without candidates that these flights do not excite, or that are combinations of the parameters."""
     gram, n = found.total(), found.n
-    rest = eliminated(gram, n)
+    rest = projected_out(gram, n)
     raw = np.diag(gram)[n:-1]
     keep = np.flatnonzero(np.diag(rest)[:-1] > SEEN * np.maximum(raw, 1e-300))
     index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(np.intp)
@@ -186,13 +186,15 @@ def _products(
     spectrum = noise_spectrum(residuals, projected, inverse, state_covariances, lags)
     metric = np.linalg.inv(spectrum + LEAST_NOISE * np.eye(problem.ny)).astype(np.complex128)
     order = np.concatenate([problem.local, problem.shared])
-    grams = [eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)]
+    grams = [
+        projected_out(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)
+    ]
     gram = np.asarray(np.sum(grams, axis=0))
-    rest = eliminated(gram, len(problem.free))
+    rest = projected_out(gram, len(problem.free))
     columns = np.concatenate([order, np.arange(len(problem.free), len(gram))])
-    gram = eliminated(gram[np.ix_(columns, columns)], len(problem.local))
+    gram = projected_out(gram[np.ix_(columns, columns)], len(problem.local))
     stacked = np.concatenate(projected)[:, order]
-    unweighted = eliminated(stacked.T @ stacked, len(problem.local))
+    unweighted = projected_out(stacked.T @ stacked, len(problem.local))
     return _sorted(problem.flights[index].name, gram, unweighted, responses[0]), InputErrorEvidence(
         rest, responses[0].noise, responses[0].edges
     )

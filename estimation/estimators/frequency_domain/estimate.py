@@ -28,9 +28,8 @@ from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
-from estimation.prepare.pipeline import prepare_all
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from estimation.signals.curves import Complex
-from groundstation.flight import Flight
 from groundstation.flight.notes import Note, NoteKind
 
 SMOOTHED = 4  # bins to either side over which the spectra of residuals are averaged
@@ -197,11 +196,7 @@ AS_USUAL = FrequencyOptions()
 Fit = SolverOutcome[FrequencyPoint]
 
 
-def frequency_output_error(
-    model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    options: FrequencyOptions = AS_USUAL,
-) -> Result:
+def frequency_output_error(model: Model | str, flights: FlightsToFit, options: FrequencyOptions = AS_USUAL) -> Result:
     """Fit `model`, linearised about each stretch, to the transforms of one flight or of several together.
 
     Raises DataError or MissingColumnError for a flight that cannot feed the model; a fit that fails is a Result that says so.

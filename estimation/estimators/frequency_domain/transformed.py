@@ -239,10 +239,7 @@ class SpectralSegment:
         simulator = self._simulator
         traced = trace(simulator.model.structure)
         p = simulator.vector(values)
-        for function, key, slopes in (
-            (traced.rates_by_input, "f_u", f_p),
-            (traced.outputs_by_input, "y_u", y_p),
-        ):
+        for function, key, slopes in ((traced.rates_by_input, "f_u", f_p), (traced.outputs_by_input, "y_u", y_p)):
             rows, columns = traced.patterns[key]
             entries = np.asarray(function.map(len(u))(self._x.T, u.T, np.tile(p[:, None], len(u))))
             for k, (row, column) in enumerate(zip(rows, columns, strict=True)):

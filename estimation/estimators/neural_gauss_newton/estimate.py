@@ -99,11 +99,7 @@ def _estimates(
 
 
 def _fitted_flights(
-    model: Model,
-    data: list[FlightData],
-    unknowns: FlightUnknowns,
-    solution: "NeuralSolution",
-    notes: tuple[Note, ...],
+    model: Model, data: list[FlightData], unknowns: FlightUnknowns, solution: "NeuralSolution", notes: tuple[Note, ...]
 ) -> tuple[tuple[FlightFit, ...], Array]:
     """Each flight simulated at its estimates, with its local ones; and the (ny, ny) variances of the residuals."""
     values = [

@@ -116,11 +116,7 @@ class NeuralProblem:
         multiplicity = self.rows.split(drawn)
         if not self.instruments:
             return fit_parameters(
-                self.predict(frozen, self.smooth),
-                self.counts,
-                [start],
-                multiplicity=multiplicity,
-                iterations=FEW_STEPS,
+                self.predict(frozen, self.smooth), self.counts, [start], multiplicity=multiplicity, iterations=FEW_STEPS
             ).theta
         return fit_with_instruments(
             self.predict(frozen, self.measured),
@@ -142,7 +138,7 @@ def solve(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[Neural
         for p, nets, rows in zip(problems, trained, multiplicities, strict=True)
         for k, row in enumerate(rows)
     ]
-    short = replace(options.training, optimiser="lm", iterations=options.bootstrap_iterations)
+    short = replace(options.training, iterations=options.bootstrap_iterations)
     retrained = iter(train_jobs(jobs, short, options.device))
     solutions = []
     for problem, nets, fits, rows in zip(problems, trained, fitted, multiplicities, strict=True):

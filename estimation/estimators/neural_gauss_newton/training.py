@@ -1,18 +1,15 @@
-"""Training of networks side by side: Levenberg-Marquardt (default), L-BFGS or Adam, in float64, on a CPU or a GPU; its settings.
+"""Training of networks side by side by Levenberg-Marquardt, in float64, on a CPU or a GPU; its settings.
 
 On a CPU the same jobs give the same weights bit for bit.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import torch
 from torch import Tensor
 
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, forward, weight_normal_equations
-
-Optimiser = Literal["lm", "lbfgs", "adam"]
 
 TRIES = 8  # dampings of one step before a network counts as trained
 LARGEST_BATCH_ROWS = {"cpu": 40_000, "cuda": 1_000_000}  # of all networks of a batch: 0.1 and 2 GB while training
@@ -23,11 +20,9 @@ ENOUGH = 1e-7  # part of the cost that a step must gain
 class TrainingOptions:
     """How to train. decay: weight of the sum of squared weights in the cost (standardised data, summed residuals)."""
 
-    optimiser: Optimiser = "lm"
     iterations: int = 60
     restarts: int = 2
     decay: float = 1e-4
-    learning_rate: float = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +61,7 @@ def train_jobs(jobs: Sequence[Job], options: TrainingOptions, device: str = "cpu
         u, z = (
             torch.stack([_padded(v, longest) for v in vs]) for vs in ([j.u for j in sources], [j.z for j in sources])
         )
-        weights, iterations = OPTIMISERS[options.optimiser](
+        weights, iterations = levenberg_marquardt(
             batch[0].shape,
             (u[0] if shared else u).to(device),
             (z[0] if shared else z).to(device),
@@ -178,50 +173,6 @@ def _damped_step(matrix: Tensor, right: Tensor, damping: Tensor) -> Tensor:
 def _costs(shape: NetworkShape, w: Tensor, u: Tensor, z: Tensor, weights: Tensor, decay: float) -> Tensor:
     """(nets,) weighted sum of squared errors with the decay of the weights."""
     return (weights[:, :, None] * (z - forward(shape, w, u)) ** 2).sum(dim=(1, 2)) + decay * (w**2).sum(dim=1)
-
-
-def _lbfgs(
-    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
-) -> tuple[Tensor, Tensor]:
-    """One network after the other: a line search cannot be shared."""
-    trained, iterations = [], []
-    for k in range(len(starts)):
-        rows = [v[k] if v.dim() == 3 else v for v in (u, z)]
-        w = starts[k : k + 1].clone().requires_grad_(True)
-        optimiser = torch.optim.LBFGS(
-            [w], max_iter=10 * options.iterations, history_size=30, line_search_fn="strong_wolfe"
-        )
-
-        def closure(w: Tensor = w, own: list[Tensor] = rows, weight: Tensor = weights[k : k + 1]) -> float:
-            w.grad = None
-            cost = _costs(shape, w, own[0], own[1], weight, options.decay).sum()
-            cost.backward()  # type: ignore[no-untyped-call]
-            return float(cost.detach())
-
-        optimiser.step(closure)
-        trained.append(w.detach()[0])
-        iterations.append(int(optimiser.state[w].get("n_iter", 0)))
-    return torch.stack(trained), torch.tensor(iterations)
-
-
-def _adam(
-    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
-) -> tuple[Tensor, Tensor]:
-    """20 steps for each iteration of the others, with a learning rate that falls to a hundredth."""
-    w = starts.clone().requires_grad_(True)
-    steps = 20 * options.iterations
-    optimiser = torch.optim.Adam([w], lr=options.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, eta_min=options.learning_rate * 1e-2)
-    for _ in range(steps):
-        optimiser.zero_grad()
-        cost = _costs(shape, w, u, z, weights, options.decay).sum()
-        cost.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        schedule.step()
-    return w.detach(), torch.full((len(starts),), steps)
-
-
-OPTIMISERS = {"lm": levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
 
 
 @dataclass(frozen=True, slots=True)
