@@ -12,7 +12,7 @@ MISTAKES = (
 """What a mistake in somebody's own module or class raises."""
 
 
-def named(text: str, what: str, example: str, error: type[EstimationError] = EstimationError) -> object:
+def import_named(text: str, what: str, example: str, error: type[EstimationError] = EstimationError) -> object:
     """What `module:NAME` names. what: begins the sentence of the error that is raised where there is no such thing;
     example: as it is written.
     """
@@ -26,7 +26,7 @@ def named(text: str, what: str, example: str, error: type[EstimationError] = Est
     try:
         module = importlib.import_module(module_name)
     except MISTAKES as mistake:
-        raise error(f"{what}: cannot import {module_name}: {said(mistake)}") from mistake
+        raise error(f"{what}: cannot import {module_name}: {mistake_text(mistake)}") from mistake
     finally:
         if inserted:
             sys.path.remove(folder)
@@ -35,7 +35,7 @@ def named(text: str, what: str, example: str, error: type[EstimationError] = Est
     return getattr(module, name)
 
 
-def said(error: Exception) -> str:
+def mistake_text(error: Exception) -> str:
     """An error of somebody's Python text, with its place where that is known."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:

@@ -13,10 +13,10 @@ from estimation.aircraft import Aircraft, unknown_aircraft
 from estimation.aircraft.of_flight import aircraft_of
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Estimator
-from estimation.estimators.registry import find
+from estimation.estimators.registry import find_estimator
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
-from estimation.prepare.stretches import select_segments, separated, unique_names
+from estimation.prepare.stretches import flights_of_segments, select_segments, unique_names
 from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, settled
 from groundstation.flight import Flight, read_flight
 
@@ -60,7 +60,7 @@ def resolve(
     methods or model, before a flight is read.
     """
     method_names = tuple(dict.fromkeys(comma_separated(methods)))
-    estimators = [find(name) for name in method_names]
+    estimators = [find_estimator(name) for name in method_names]
     if isinstance(model, str | Path):
         check_model(str(model))
     read = read_flights(flights, segments, each_segment=each_segment)
@@ -79,7 +79,7 @@ def read_flights(flights: Flights, segments: str | None = None, *, each_segment:
     """Flights that are given as such or as files, the stretches `segments` of each, with names of their own."""
     listed = as_listed(flights)
     read = [select_segments(f if isinstance(f, Flight) else read_flight(f), segments) for f in listed]
-    return unique_names([part for f in read for part in separated(f)] if each_segment else read)
+    return unique_names([part for f in read for part in flights_of_segments(f)] if each_segment else read)
 
 
 def as_listed(flights: Flights) -> list[Flight | str | Path]:

@@ -66,7 +66,7 @@ def choose_stretches(flight: Flight) -> ChosenStretches:
             part = select_segments(flight, f"mode:{mode}")
         except FlightError:
             continue  # never in it on the wings, or for a moment only
-        if _duration(part) >= ENOUGH and moved(part):
+        if _duration(part) >= ENOUGH and moved_controls(part):
             return ChosenStretches(part, f"mode:{mode}", _new_notes(flight, part))
     if modes:
         mode_names = ", ".join(sorted(modes))
@@ -97,7 +97,7 @@ def _duration(flight: Flight) -> float:
     return float(sum(flight.time[s.stop - 1] - flight.time[s.start] for s in flight.segments))
 
 
-def moved(flight: Flight) -> tuple[str, ...]:
+def moved_controls(flight: Flight) -> tuple[str, ...]:
     """Controls that were moved."""
     controls = []
     for name in CONTROLS:

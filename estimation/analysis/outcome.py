@@ -29,7 +29,7 @@ class Analysis(Answer):
     def passed(self) -> bool:
         """Whether something is recommended, and nothing contradicts it."""
         stopped = any(c.get("stops") for c in self.content["contradictions"])
-        return recommended(self.content["estimate"]).get("method", "none") != "none" and not stopped
+        return recommendation_of(self.content["estimate"]).get("method", "none") != "none" and not stopped
 
     def headline(self) -> str:
         """The verdict."""
@@ -46,7 +46,7 @@ class Analysis(Answer):
     def derivatives(self) -> list[tuple[str, str, str, str]]:
         """Name, estimate, corrected bound and why not, of the method that is recommended, or the first."""
         rows = []
-        for name, p in parameters(self.content["estimate"]).items():
+        for name, p in parameters_of(self.content["estimate"]).items():
             if p.get("estimate") is not None:
                 value, bound = pair(p["estimate"], p["std_coloured"])
                 rows.append((name, value, bound, "" if p.get("identifiable") else str(p.get("why", "cannot tell"))))
@@ -61,7 +61,7 @@ class Analysis(Answer):
         from estimation.answers.answer import panels
 
         (axes,) = panels(ax, 1)
-        identifiable = {n: p for n, p in parameters(self.content["estimate"]).items() if p.get("identifiable")}
+        identifiable = {n: p for n, p in parameters_of(self.content["estimate"]).items() if p.get("identifiable")}
         sizes = [abs(p["estimate"]) or 1.0 for p in identifiable.values()]
         axes.errorbar(
             range(len(identifiable)),
@@ -121,7 +121,7 @@ def _channels(content: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
-def recommended(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def recommendation_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """The recommendation on all flights together, else on the first."""
     if not estimate:
         return {}
@@ -131,12 +131,12 @@ def recommended(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
     return recommendation if isinstance(recommendation, Mapping) else {}
 
 
-def parameters(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[str, Any]]:
+def parameters_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[str, Any]]:
     """Of the method that is recommended, or the first: jointly where there is a joint estimate."""
     if not estimate:
         return {}
     methods: Mapping[str, Any] = estimate.get("joint") or next((f["methods"] for f in estimate.get("flights", [])), {})
-    method = recommended(estimate).get("method", "none")
+    method = recommendation_of(estimate).get("method", "none")
     first: Mapping[str, Any] = next(iter(methods.values()), {})
     return dict((methods.get(method) or first).get("parameters", {}))
 
@@ -145,7 +145,7 @@ def verdict_of(estimate: Mapping[str, Any] | None, where: str, contradictions: S
     """One sentence: what is recommended with its numbers, or why nothing is."""
     if not estimate:
         return where
-    recommendation = recommended(estimate)
+    recommendation = recommendation_of(estimate)
     method = recommendation.get("method", "none")
     model, aircraft = estimate.get("model", ""), estimate.get("aircraft", "")
     stopping = [c["text"] for c in contradictions if c.get("stops")]
@@ -154,7 +154,7 @@ def verdict_of(estimate: Mapping[str, Any] | None, where: str, contradictions: S
         return f"No derivatives of {aircraft} are recommended ({model} {where}): {reason}"
     values = [
         f"{n} {' +- '.join(pair(p['estimate'], p['std_coloured']))}"
-        for n, p in parameters(estimate).items()
+        for n, p in parameters_of(estimate).items()
         if p.get("identifiable") and not n.endswith("_0")
     ]
     rest = f" and {len(values) - SHOWN} more" if len(values) > SHOWN else ""

@@ -7,8 +7,8 @@ from typing import Any
 
 from daq.contract.errors import UserError
 from daq.contract.outputs import write_json
-from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved
-from estimation.analysis.outcome import Analysis, recommended, verdict_of
+from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved_controls
+from estimation.analysis.outcome import Analysis, recommendation_of, verdict_of
 from estimation.analysis.stages import Stage, Stages
 from estimation.analysis.unknown_aircraft import without_aircraft
 from estimation.session.recipe import AIR, AIRSPEED, RECONSTRUCTION, Recipe, recipe
@@ -119,7 +119,7 @@ def _estimated(
 ) -> Stage:
     """The estimate of the richest model whose estimate is recommended; of the richest, where none is."""
     flights = [c.flight for c in training]
-    models = models_to_try(found, sorted({c for f in flights for c in moved(f)}))
+    models = models_to_try(found, sorted({c for f in flights for c in moved_controls(f)}))
 
     def work() -> dict[str, Any]:
         from estimation.answers.estimates import Estimates, estimate
@@ -133,7 +133,7 @@ def _estimated(
                 continue  # no term would help
             tell(f"estimate of {model}", 0.35 + 0.3 * i / (len(STRUCTURES) * len(models)))
             answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure=structure)
-            recommendation = recommended(answer.to_json())
+            recommendation = recommendation_of(answer.to_json())
             if recommendation.get("method", "none") != "none":
                 return _kept(answer, stages.folder, rejected)
             lacks = bool(recommendation.get("lacks"))
@@ -161,7 +161,7 @@ def _gap(
     tell: Tell,
 ) -> Stage | None:
     """What the model lacks, where flights are enough and something is recommended that could lack it."""
-    if len(training) + len(held) < FEWEST_FOR_GAP or recommended(estimate).get("method", "none") == "none":
+    if len(training) + len(held) < FEWEST_FOR_GAP or recommendation_of(estimate).get("method", "none") == "none":
         return None
     model = str((estimate or {}).get("model", RICHEST[1]))
 
@@ -250,7 +250,7 @@ def _no_model(training: Sequence[ChosenStretches], found: Recipe) -> str:
     """Why no model can be estimated."""
     able = [m.model for m in found.models if m.able]
     if able:
-        controls = sorted({c for t in training for c in moved(t.flight)})
+        controls = sorted({c for t in training for c in moved_controls(t.flight)})
         moved_text = f"only {', '.join(controls)} moved" if controls else "no surface moved"
         return f"No derivatives: {moved_text}, which is no input for {', '.join(able)}; fly doublets or 3-2-1-1s"
     nearest = min(found.models, key=lambda m: (bool(m.slow), len(m.missing)))
@@ -275,7 +275,7 @@ def _next(
             f"channels: {found.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
         )
     steps += [c.hint for c in training if c.hint]
-    recommendation = recommended(estimate)
+    recommendation = recommendation_of(estimate)
     lacks = ", ".join(str(term) for term in recommendation.get("lacks", ()))
     steps += (
         [f"settle what the model may lack ({lacks}): what is said of each stands on the page of the derivatives"]

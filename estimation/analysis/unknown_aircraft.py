@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.analysis.choice import models_to_try, moved
+from estimation.analysis.choice import models_to_try, moved_controls
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
 
@@ -32,7 +32,9 @@ def without_aircraft(flights: Sequence[Flight], found: Recipe, air: Sequence[Map
     lines: list[str] = []
     compatibility = _compatibility(flights, lines)
     wind = _wind(flights, air, lines)
-    models = [m for m in models_to_try(found, sorted({c for f in flights for c in moved(f)})) if m != "six-dof"]
+    models = [
+        m for m in models_to_try(found, sorted({c for f in flights for c in moved_controls(f)})) if m != "six-dof"
+    ]
     modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
     answers = ", ".join(
         [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "what the instruments say of each other"]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LEADING = 12  # hypotheses of a gap that a plot shows: the page has them all
 
 
-def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A small HTML table; all text is escaped."""
     heads = "".join(f"<th>{html.escape(h)}</th>" for h in head)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
@@ -225,7 +225,7 @@ class Answer(ABC):
         return f"<{self.headline()}>"
 
     def _repr_html_(self) -> str:
-        return table(self.headline(), *self.rows())
+        return html_table(self.headline(), *self.rows())
 
 
 def table_writers(answer: Any) -> dict[str, Callable[[Path], Any]]:
@@ -244,7 +244,7 @@ def picture_writers(write: Callable[[Path], Any]) -> dict[str, Callable[[Path], 
     return dict.fromkeys(PICTURES, write)
 
 
-def rounded(estimate: Any) -> tuple[str, str]:
+def rounded_texts(estimate: Any) -> tuple[str, str]:
     """Estimate and corrected bound to the second figure of the bound."""
     from estimation.report.tables import rounded as to_figures
 

@@ -6,7 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_reconstructed, rounded, table_writers
+from estimation.answers.answer import (
+    Answer,
+    Figures,
+    Rows,
+    picture_writers,
+    plot_reconstructed,
+    rounded_texts,
+    table_writers,
+)
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -34,7 +42,7 @@ def check(
     joint: also one set of factors that several flights share. aircraft: whose derivatives predict what each flight can tell.
     """
     from estimation.compatibility.reconstruction import compatibility
-    from estimation.compatibility.records import left_out_findings, measurements
+    from estimation.compatibility.records import compared_measurements, left_out_findings
     from estimation.resolve import read_flights
     from groundstation.flight.quality.report import quality_report
 
@@ -45,7 +53,7 @@ def check(
     quality = {
         f.name: (
             *quality_report(f),
-            *left_out_findings(measurements(f, keep_held=keep_held)[1]),
+            *left_out_findings(compared_measurements(f, keep_held=keep_held)[1]),
             *_excitation(f, aircraft),
         )
         for f in read
@@ -164,9 +172,9 @@ class Check(Answer):
 
     def corrected(self) -> "list[Flight]":
         """The flights with the instrument factors taken out."""
-        from estimation.compatibility.correct import corrected
+        from estimation.compatibility.correct import correct_flight
 
-        return [corrected(flight, self.results[flight.name]) for flight in self.flights]
+        return [correct_flight(flight, self.results[flight.name]) for flight in self.flights]
 
     def lines(self) -> Iterator[str]:
         """Factors and findings, as `sideslip check` prints them."""
@@ -218,7 +226,9 @@ class Check(Answer):
 
     def rows(self) -> Rows:
         """A row for each flight and factor."""
-        rows = [(flight, n, *rounded(f), f.unit) for flight, result in self.named for n, f in result.factors.items()]
+        rows = [
+            (flight, n, *rounded_texts(f), f.unit) for flight, result in self.named for n, f in result.factors.items()
+        ]
         return ("flight", "factor", "estimate", "corrected bound", "unit"), rows
 
 

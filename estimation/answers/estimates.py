@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.contract.input_files import read_text
 from daq.contract.plain_words import comma_separated
-from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_estimates, rounded
+from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_estimates, rounded_texts
 from estimation.errors import EstimationError
 from estimation.threads import single_threaded
 
@@ -213,10 +213,10 @@ class Estimates(Answer):
     @property
     def model(self) -> "Model":
         """The model with the estimates as its values, and the ranges it was estimated from."""
-        from estimation.session.proof_of_match import flown
+        from estimation.session.proof_of_match import flown_ranges
 
         flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
-        return replace(self.best.fitted_model, flown=flown(self.best.model, flights))
+        return replace(self.best.fitted_model, flown=flown_ranges(self.best.model, flights))
 
     @property
     def passed(self) -> bool:
@@ -307,7 +307,7 @@ class Estimates(Answer):
     def rows(self) -> Rows:
         """A row for each parameter of `best`."""
         rows = [
-            (n, *rounded(e), "" if e.reference is None else f"{e.reference:.4g}", e.why)
+            (n, *rounded_texts(e), "" if e.reference is None else f"{e.reference:.4g}", e.why)
             for n, e in self.best.parameters.items()
         ]
         return ("parameter", "estimate", "corrected bound", "before", ""), rows

@@ -146,9 +146,9 @@ class GapAnswer(Answer):
         return ("effect", "", "score", "threshold", "closed"), rows
 
     def _repr_html_(self) -> str:
-        from estimation.answers.answer import table
+        from estimation.answers.answer import html_table
 
-        return table(f"{self.headline()}. {self.result.text}", *self.rows())
+        return html_table(f"{self.headline()}. {self.result.text}", *self.rows())
 
 
 def _lines(result: "GapResult") -> list[str]:

@@ -34,12 +34,12 @@ def match(
     limit: Theil's coefficient above which a channel does not match.
     """
     from estimation.resolve import resolve
-    from estimation.session.proof_of_match import predict
+    from estimation.session.proof_of_match import predict_flight
     from estimation.simulation.base_model import Free
 
     problem = resolve(flights, model, aircraft, segments=segments, simulation=simulation, free=Free.NOTHING)
     free_names = comma_separated(free)
-    proofs = tuple(predict(problem.model, flight, free=free_names) for flight in problem.flights)
+    proofs = tuple(predict_flight(problem.model, flight, free=free_names) for flight in problem.flights)
     return Match(proofs, str(problem.model.name), limit, problem.flights, problem.notes)
 
 

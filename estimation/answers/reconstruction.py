@@ -70,9 +70,9 @@ class Reconstruction(Answer):
 
     def lines(self) -> Iterator[str]:
         """What `sideslip reconstruct` prints."""
-        from estimation.compatibility.air_data import sentence
+        from estimation.compatibility.air_data import air_data_sentence
 
-        yield f"{self.name}: {sentence(self.air)}"
+        yield f"{self.name}: {air_data_sentence(self.air)}"
         north, east = self.air.wind[:2]
         speed, from_deg = math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
         std = float(max(self.air.wind_std[:2]))

@@ -21,8 +21,8 @@ from estimation.compatibility.air_filter import (
     Assumptions,
     Noise,
     Smoothed,
-    likelihoods,
-    smooth,
+    gust_likelihoods,
+    smooth_states,
 )
 from estimation.compatibility.air_nodes import FIX, INERTIAL, AirStretch, fresh_values, measured_noise, stretches_of
 from estimation.compatibility.records import attitude_errors
@@ -89,8 +89,8 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     noise = _noise(flight, airspeed, assumed)
     nodes = [s.nodes for s in stretches]
     wind = _first_wind(stretches)
-    gust = _expected_gust(likelihoods(nodes, noise, GUSTS, assumed, wind))
-    smoothed = smooth(nodes, noise, gust, assumed, wind)
+    gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
+    smoothed = smooth_states(nodes, noise, gust, assumed, wind)
     values, std = _air(flight, stretches, smoothed, noise)
     widened = max(1.0, *(v for kind, v in smoothed.scatter.items() if kind != "sideslip"))
     if widened > WORTH_SAYING:
@@ -159,7 +159,8 @@ def with_air(flight: Flight, air: AirData) -> Flight:
     detail["uncertainty"] = {**(uncertainty if isinstance(uncertainty, dict) else {}), **typical}
     names = ", ".join(filled)
     note = Note(
-        NoteKind.DERIVED, f"{names} reconstructed from velocity fixes, IMU and {air.airspeed}: {sentence(air, filled)}"
+        NoteKind.DERIVED,
+        f"{names} reconstructed from velocity fixes, IMU and {air.airspeed}: {air_data_sentence(air, filled)}",
     )
     share = 2.0 * typical["V"] / float(np.nanmedian(air.values["V"]))
     common = f"V off by its uncertainty moves every derivative by {share:.1%}, which the corrected bounds of an estimate count"
@@ -168,7 +169,7 @@ def with_air(flight: Flight, air: AirData) -> Flight:
     return replace(flight.with_columns(**columns).with_notes(*notes), provenance=provenance)
 
 
-def sentence(air: AirData, names: Sequence[str] = AIR) -> str:
+def air_data_sentence(air: AirData, names: Sequence[str] = AIR) -> str:
     """How sure the reconstruction is, for a person."""
     size = {"alpha": (57.29577951308232, "deg"), "beta": (57.29577951308232, "deg"), "V": (1.0, "m/s")}
     parts = [f"{n} +- {air.typical(n) * size[n][0]:.2g} {size[n][1]}" for n in names]

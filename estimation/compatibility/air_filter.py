@@ -108,7 +108,7 @@ def skew(v: Array) -> Array:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def smooth(
+def smooth_states(
     stretches: Sequence[Nodes], noise: Noise, gust: float, assumed: Assumptions, first_wind: Array, passes: int = PASSES
 ) -> Smoothed:
     """Filter and smoother over all stretches of a flight, wind and instruments carried on from one to the next.
@@ -122,7 +122,7 @@ def smooth(
     return smoothed
 
 
-def likelihoods(
+def gust_likelihoods(
     stretches: Sequence[Nodes], noise: Noise, gusts: Sequence[float], assumed: Assumptions, first_wind: Array
 ) -> dict[float, float]:
     """Log-likelihood of the innovations by level of the gusts [m/s]: forward only, all about the same air velocity."""

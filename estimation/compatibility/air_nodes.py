@@ -9,7 +9,7 @@ from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from estimation.compatibility.air_filter import INTERVAL, Nodes
-from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps, attitude_rates, unbroken
+from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps, attitude_rates, unbroken_stretches
 from estimation.errors import DataError
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
@@ -41,9 +41,9 @@ def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], lis
     complete = np.all(np.isfinite(np.column_stack([flight[c] for c in INERTIAL])), axis=1)
     with np.errstate(invalid="ignore"):
         usable = complete & ~(airspeed < FLYING)
-    fixes, speeds = fresh(flight, FIX), fresh_values(flight, "V", airspeed)
+    fixes, speeds = fresh_samples(flight, FIX), fresh_values(flight, "V", airspeed)
     stretches, notes = [], []
-    for first, last in unbroken(flight, usable, attitude_jumps(flight)):
+    for first, last in unbroken_stretches(flight, usable, attitude_jumps(flight)):
         rows = slice(first, last)
         if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
             notes.append(
@@ -60,7 +60,7 @@ def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], lis
     return stretches, notes
 
 
-def fresh(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
+def fresh_samples(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
     """(N,) where a new sample of channels that come together stands, for a channel slower than the flight's rate.
 
     Its rate is the one stated by the import (`native_hz`), or is seen: repeated values are held ones, and values on straight
@@ -98,7 +98,7 @@ def _interval(flight: Flight, columns: Sequence[str], values: Array) -> float:
 
 def fresh_values(flight: Flight, column: str, values: Array) -> NDArray[np.bool_]:
     """(N,) where a new sample of a channel stands that is not, or not as it is, a column of the flight."""
-    return fresh(flight.with_columns(**{column: values}), (column,))
+    return fresh_samples(flight.with_columns(**{column: values}), (column,))
 
 
 def _stretch(

@@ -10,7 +10,7 @@ from estimation.compatibility.records import with_rate_derivatives
 from groundstation.flight import Flight
 
 
-def corrected(flight: Flight, result: Compatibility) -> Flight:
+def correct_flight(flight: Flight, result: Compatibility) -> Flight:
     """Biases and scales removed, late channels moved back, accelerations and flow angles moved to the centre of gravity.
 
     Factors held at a value given are applied as those that were estimated; of the latter only the identifiable ones. Those

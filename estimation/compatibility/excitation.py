@@ -18,7 +18,7 @@ from estimation.aircraft import Aircraft
 from estimation.engine.simulate import simulate_with_sensitivities
 from estimation.errors import DataError
 from estimation.estimators.normal_equations import pseudo_inverse
-from estimation.estimators.uncertainty import STILL, TIED, estimates, input_movement
+from estimation.estimators.uncertainty import STILL, TIED, input_movement, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import PIECES, FlightData, cut_into_pieces
@@ -132,7 +132,7 @@ def _prediction(model: Model, flight: Flight, aircraft: str) -> Prediction:
     names = model.free_names
     prior = np.array([model.parameter(n).start for n in names])
     widened = covariance * USUAL_WIDENING**2
-    judged, _ = estimates(model, names, prior, covariance, widened, undetermined, [data])
+    judged, _ = judge_estimates(model, names, prior, covariance, widened, undetermined, [data])
     bounds = []
     for name, value in zip(names, prior.tolist(), strict=True):
         e = judged[name]

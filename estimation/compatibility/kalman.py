@@ -216,7 +216,7 @@ _ROUNDS = 4
 _STEP = 1e-4  # of each state, for differences: m/s or rad
 
 
-def integrated(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
+def integrated_motion(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
     """(N, ny) outputs of a record integrated from its inputs.
 
     p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to

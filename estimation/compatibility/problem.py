@@ -36,14 +36,14 @@ class CompatibilityProblem:
         recorded = [records_of(model, f) for f in flights]
         self.records = [r for r, _ in recorded]
         self.notes = [(*n, *_filter_note(errors)) for (_, n), errors in zip(recorded, self.attitude, strict=True)]
-        self.inputs = [np.array([noise_level(joined(f[c])) for c in model.input_names]) for f in flights]
+        self.inputs = [np.array([noise_level(finite_values(f[c])) for c in model.input_names]) for f in flights]
         self.outputs = [self._output_noise(rs) for rs in self.records]
         self.turbulence = 0.05
 
     def _output_noise(self, records: list[FilterRecord]) -> Array:
         levels = []
         for j in range(records[0].z.shape[1]):
-            column = joined(np.concatenate([r.z[:, j] for r in records]))
+            column = finite_values(np.concatenate([r.z[:, j] for r in records]))
             span = float(np.ptp(column)) if column.size else 1.0
             levels.append(max(noise_level(column) if column.size else 1.0, 1e-4 * span, SMALLEST))
         return np.array(levels)
@@ -151,7 +151,7 @@ def _filter_note(errors: dict[str, float]) -> tuple[str, ...]:
     )
 
 
-def joined(values: Array) -> Array:
+def finite_values(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 
@@ -161,7 +161,7 @@ CORRELATION_WINDOW_S = 2.0
 SINGULAR = 1e-9
 
 
-def normal(runs: list[list[Run]], slopes: list[list[Array]]) -> tuple[Array, Array]:
+def information_and_gradient(runs: list[list[Run]], slopes: list[list[Array]]) -> tuple[Array, Array]:
     n = slopes[0][0].shape[2]
     information, gradient = np.zeros((n, n)), np.zeros(n)
     for flight_runs, flight_slopes in zip(runs, slopes, strict=True):

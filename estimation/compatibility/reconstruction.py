@@ -10,18 +10,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.compatibility.kalman import Run, integrated
+from estimation.compatibility.kalman import Run, integrated_motion
 from estimation.compatibility.problem import (
     USEFUL,
     CompatibilityProblem,
+    information_and_gradient,
     lag_window_covariance,
     lagged_products,
-    normal,
     refuse_singular,
 )
-from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, measurements, shows_motion
+from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, compared_measurements, shows_motion
 from estimation.errors import DataError
-from estimation.estimators.gauss_newton import halved
+from estimation.estimators.gauss_newton import halve_until
 from estimation.models.base import Model
 from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from groundstation.flight import Array, Flight, MissingColumnError
@@ -87,7 +87,7 @@ def compatibility(
     DataError naming them when factors cannot be told from each other at all.
     """
     flight_list = [flights] if isinstance(flights, Flight) else list(flights)
-    conditioned = [measurements(f, keep_held=keep_held)[0] for f in flight_list]
+    conditioned = [compared_measurements(f, keep_held=keep_held)[0] for f in flight_list]
     full_model = compatibility_model(factors, tuple(MEASUREMENTS), known)
     absent = _absent(full_model, conditioned)
     filtered = any(max(attitude_errors(f).values()) > 0 for f in conditioned)
@@ -129,7 +129,7 @@ def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, li
             f"{problem.names}: the motion integrated from accelerations and rates runs away at once; check their units and signs"
         )
     for iteration in range(1, iterations + 1):
-        information, gradient = normal(runs, problem.slopes(p, _steps(problem.model)))
+        information, gradient = information_and_gradient(runs, problem.slopes(p, _steps(problem.model)))
         refuse_singular(problem.model, information, problem.names)
         change: Array = np.asarray(-np.linalg.solve(information, gradient), float)
         p, runs, change_made = _step(problem, p, change, runs)
@@ -148,7 +148,7 @@ def _step(
     """The largest of the step, its half, quarter, ... that lowers the cost."""
     cost = problem.cost(runs)
     limit = cost + 1e-9 * abs(cost)
-    lowered = halved(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
+    lowered = halve_until(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
     if lowered is None:
         return p, runs, np.zeros_like(p)
     fraction, trial = lowered
@@ -166,7 +166,7 @@ def _describe(
     converged: bool,
     used: int,
 ) -> Compatibility:
-    information, _ = normal(runs, slopes)
+    information, _ = information_and_gradient(runs, slopes)
     cramer_rao = np.asarray(np.linalg.inv(information), float)
     full = lag_window_covariance(runs, slopes, information, problem.records[0][0].step)
     estimated = _factors(problem.model, p, cramer_rao, full)
@@ -212,7 +212,7 @@ def _reconstructed(
     for record, run in zip(problem.records[index], runs, strict=True):
         rows = slice(record.first, record.first + len(record.time))
         measured[rows] = record.z
-        motion[rows] = integrated(problem.model, record, p, run.states, spread)
+        motion[rows] = integrated_motion(problem.model, record, p, run.states, spread)
     whiteness = {}
     for j, name in enumerate(names):
         gamma = lagged_products([r.normalised[:, j] for r in runs], 2)

@@ -12,7 +12,7 @@ from estimation.compatibility.kalman import FilterRecord
 from estimation.errors import DataError
 from estimation.models.base import Model
 from estimation.models.kinematic import ATTITUDE, MEASUREMENTS
-from estimation.prepare.conditioned import ConditionedFlight, condition, repair
+from estimation.prepare.conditioned import ConditionedFlight, condition_columns, repair_columns
 from estimation.prepare.stretches import runs_in_segments
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
@@ -62,7 +62,7 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
     usable = complete & _flying(flight, notes)
     jumps = attitude_jumps(flight)
     records = []
-    for first, last in unbroken(flight, usable, jumps):
+    for first, last in unbroken_stretches(flight, usable, jumps):
         if first in jumps:
             notes.append(
                 f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
@@ -80,7 +80,7 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
     return records, notes
 
 
-def unbroken(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
+def unbroken_stretches(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
     """[first, last) of each run of usable samples (N,), cut at the rows at which the attitude jumps."""
     for a, b in runs_in_segments(flight, usable):
         yield from pairwise([a, *(j for j in sorted(jumps) if a < j < b), b])
@@ -238,14 +238,14 @@ def _output(flight: Flight, name: str) -> Array:
 CHECK = "left out"
 
 
-def measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Note, ...]]:
+def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Note, ...]]:
     """The flight as a check compares it, and what was left out of it.
 
     Outputs are NaN where they only repeat themselves; inputs, which are integrated, run on straight lines there.
     Raises DataError where time is in another unit.
     """
-    inputs = repair(flight, COLUMNS, keep_held=keep_held)
-    outputs = condition(inputs.flight, MEASUREMENTS, keep_held=keep_held)
+    inputs = repair_columns(flight, COLUMNS, keep_held=keep_held)
+    outputs = condition_columns(inputs.flight, MEASUREMENTS, keep_held=keep_held)
     notes = [*inputs.notes, *outputs.notes]
     columns = {}
     for name in MEASUREMENTS:

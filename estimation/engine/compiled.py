@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, SensitivityColumns
-from estimation.engine.trace import Traced, hoisted, trace
+from estimation.engine.trace import Traced, hoist_inputs, trace
 from estimation.models import expressions
 from estimation.models.parts import ModelStructure
 
@@ -178,7 +178,7 @@ def _source(traced: Traced, folder: Path) -> str:
     import casadi as ca
 
     generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
-    rates = [hoisted(f, traced.sizes) for f in (traced.rates, traced.rates_jacobian, traced.rates_by_all)]
+    rates = [hoist_inputs(f, traced.sizes) for f in (traced.rates, traced.rates_jacobian, traced.rates_by_all)]
     functions = (*(f for pair in rates for f in pair), traced.outputs, traced.outputs_jacobian, traced.outputs_by_all)
     for function in functions:
         generator.add(function)

@@ -123,7 +123,7 @@ def _nonzeros(matrix: ca.SX) -> ca.SX:
     return ca.vertcat(*nonzeros) if nonzeros else ca.SX(0, 1)  # type: ignore[call-overload]
 
 
-def hoisted(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca.Function, ca.Function]:
+def hoist_inputs(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca.Function, ca.Function]:
     """A function of (x, u, p) as one of (x, u, p, h), and h of (u, p): sines of measured angles, dynamic pressure, all that does
     not change from stage to stage with the state."""
     x, u, p = (ca.SX.sym(name, size) for name, size in zip("xup", sizes[:3], strict=True))

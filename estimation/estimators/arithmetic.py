@@ -65,7 +65,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
-def believable(result: Result) -> Result:
+def mark_not_finite(result: Result) -> Result:
     """The result; diverged where it calls itself converged on estimates that are no numbers."""
     not_finite = [n for n, e in result.parameters.items() if e.identifiable and not np.isfinite(e.estimate)]
     if not result.converged or not not_finite:

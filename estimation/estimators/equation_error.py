@@ -22,12 +22,12 @@ from estimation.estimators.coloured import ResidualSegment, score_covariance
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.uncertainty import TIED, estimates
+from estimation.estimators.uncertainty import TIED, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
 from estimation.prepare.pipeline import FlightsToFit, prepare_all
-from estimation.signals.goodness_of_fit import fits
+from estimation.signals.goodness_of_fit import channel_fits
 
 Index = NDArray[np.intp]
 
@@ -86,11 +86,11 @@ def equation_error(model: Model | str, flights: FlightsToFit, *, stepwise: bool 
     if not states_measured(data):
         raise DataError(f"model {loaded.name}: equation error needs every state measured; use method ml")
     simulator = Simulator.build(loaded)
-    solution = solve(simulator, data, stepwise=stepwise)
+    solution = solve_regression(simulator, data, stepwise=stepwise)
     return _describe(simulator, data, solution, stepwise)
 
 
-def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool = False) -> EquationError:
+def solve_regression(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool = False) -> EquationError:
     """Weighted least squares with Cramer-Rao and coloured covariances."""
     values = simulator.model.starts()
     active = np.arange(len(simulator.free))
@@ -242,7 +242,7 @@ def _apply(simulator: Simulator, values: dict[str, float], change: Array) -> Non
 def _describe(simulator: Simulator, data: list[FlightData], solution: EquationError, stepwise: bool) -> Result:
     model = simulator.model
     vector = np.array([solution.values[n] for n in solution.names])
-    parameters, pairs = estimates(
+    parameters, pairs = judge_estimates(
         model, solution.names, vector, solution.covariance, solution.coloured, solution.undetermined, data
     )
     flights, R = simulated_fits(model, data, [solution.values] * len(data))
@@ -264,7 +264,7 @@ def simulated_fits(
     for flight, parameters in zip(data, values, strict=True):
         predicted = simulate(model, flight, parameters)
         time, measured = flight.histories(len(model.outputs))
-        fit = fits(model.output_names, measured, predicted)
+        fit = channel_fits(model.output_names, measured, predicted)
         x0 = tuple(s.x0 for s in flight.segments)
         residuals.append(measured - predicted)
         flights.append(

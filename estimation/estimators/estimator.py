@@ -107,10 +107,10 @@ class Task:
     @property
     def repaired(self) -> "Sequence[Flight]":
         """The flights for a method that reads their columns itself, without wild values and repeats."""
-        from estimation.prepare.conditioned import repair
+        from estimation.prepare.conditioned import repair_columns
 
         columns = [s.source for s in (*self.model.inputs, *self.model.outputs, *self.model.states)]
-        return [repair(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
+        return [repair_columns(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,11 @@ from scipy.linalg import expm, solve_discrete_are
 from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
-from estimation.estimators.frequency_domain.transformed import matrices
+from estimation.estimators.frequency_domain.transformed import state_matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
-from estimation.estimators.input_path import in_own_terms, with_paths, without
+from estimation.estimators.input_path import in_own_terms, with_paths, without_nuisance_parameters
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.output_error import STANDARD, OutputErrorOptions, describe, free_states_of, output_error
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, fit_result, free_states_of, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
@@ -235,7 +235,7 @@ def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOpt
     problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-    result = _without_gains(describe(problem, outcome, "fem"), chosen, names)
+    result = _without_gains(fit_result(problem, outcome, "fem"), chosen, names)
     if result.converged and any(e.identifiable for e in result.parameters.values()):
         return result
     return _by_process_noise(chosen, data, first, options).with_method("fem")
@@ -293,13 +293,13 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
         problem.law = _law(simulator, data, values, noise, unit)
         problem.law.gain(np.array([values[n] for n in names]))  # a law without a gain here says why
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-        last = describe(problem, outcome, "fem-noise")
+        last = fit_result(problem, outcome, "fem-noise")
         if not last.converged:
             break
         values = last.values
     assert last is not None
     if last.status is Status.DIVERGED:
-        return without(last, chosen, set(names), {})
+        return without_nuisance_parameters(last, chosen, set(names), {})
     dt = _step(data)
     sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(disturbed, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
@@ -307,7 +307,7 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
         s: dict(zip(chosen.output_names, row.tolist(), strict=True))
         for s, row in zip(chosen.state_names, K, strict=True)
     }
-    return without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
+    return without_nuisance_parameters(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
@@ -341,7 +341,9 @@ def _law(
         else starts[i]
         for i, n in enumerate(model.state_names)
     ]
-    A, C = matrices(trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values))
+    A, C = state_matrices(
+        trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values)
+    )
     states = tuple(model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 
@@ -352,4 +354,4 @@ def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Resu
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)
     }
-    return without(result, model, {n for row in names for n in row if n}, {"gain": gain})
+    return without_nuisance_parameters(result, model, {n for row in names for n in row if n}, {"gain": gain})

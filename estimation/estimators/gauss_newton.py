@@ -186,7 +186,7 @@ class _Past:
         return np.asarray(step.direction - (change + turn) @ share)
 
 
-def halved(
+def halve_until(
     evaluate: Callable[[float], Place], acceptable: Callable[[Place], bool], halvings: int
 ) -> tuple[float, Place] | None:
     """The largest of a whole step, its half, its quarter ... that leads to an acceptable place, and that place."""
@@ -222,7 +222,7 @@ def _search(
         count += 1
         if lower(place):
             return trial, place, count
-    lowered = halved(evaluate, lower, options.halvings)
+    lowered = halve_until(evaluate, lower, options.halvings)
     if lowered is None:
         return None, None, count
     return problem.clip(unknowns + lowered[0] * step.direction), lowered[1], count

@@ -77,7 +77,7 @@ class InputErrorEvidence:
         return information, self.rest[rows, -1], chance
 
 
-def evidence(
+def input_error_evidence(
     pieces: list[ResidualSegment], responses: list[Array], spectrum: Spectrum, kinds: Disturbed
 ) -> InputErrorEvidence:
     """Evidence of one flight. responses: (N ny, columns) of each piece in units of the noise."""
@@ -91,7 +91,7 @@ def evidence(
     return InputErrorEvidence(projected_out(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
 
 
-def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:
+def disturbed_outputs(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:
     """Responses of one flight, segment by segment."""
     flight = problem.flights[index]
     rng = np.random.default_rng([SEED, index])

@@ -20,7 +20,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.result import Estimate, Result, finite, judged
+from estimation.estimators.result import Estimate, Result, finite_or_none, judge_status
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 from estimation.prepare.flight_data import FlightData
 from groundstation.flight.notes import Note, NoteKind
@@ -100,11 +100,11 @@ class InputPath:
     def to_json(self) -> dict[str, Any]:
         """An entry of `inputs` in `estimate --json`."""
         return {
-            "lag": finite(self.lag),
-            "std": finite(self.std),
+            "lag": finite_or_none(self.lag),
+            "std": finite_or_none(self.std),
             "model": "delay and way between samples",
-            "bend": finite(self.bend),
-            "bend_std": finite(self.bend_std),
+            "bend": finite_or_none(self.bend),
+            "bend_std": finite_or_none(self.bend_std),
         }
 
 
@@ -157,7 +157,7 @@ def in_own_terms(result: Result, model: Model) -> Result:
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
     notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
     noted = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
-    return without(noted, model, set(e) - set(model.free_names), {"input_paths": paths})
+    return without_nuisance_parameters(noted, model, set(e) - set(model.free_names), {"input_paths": paths})
 
 
 def _sentence(control: str, path: InputPath) -> str:
@@ -172,13 +172,13 @@ def _path(lag: Estimate, bend: Estimate) -> InputPath:
     return InputPath(lag.estimate, lag.std_coloured, bend.estimate, bend.std_coloured)
 
 
-def without(result: Result, model: Model, nuisance: set[str], extra: Mapping[str, Any]) -> Result:
+def without_nuisance_parameters(result: Result, model: Model, nuisance: set[str], extra: Mapping[str, Any]) -> Result:
     """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
     keep = np.array([i for i, n in enumerate(result.names) if n not in nuisance], int)
     parameters = {n: e for n, e in result.parameters.items() if n not in nuisance}
     status, text = result.status, result.text
     if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
-        status, text = judged(status, parameters)
+        status, text = judge_status(status, parameters)
     pick = np.ix_(keep, keep)
     return replace(
         result,

@@ -19,8 +19,8 @@ from estimation.estimators.equation_error import start_values
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, P, SolverOutcome, Status, minimise
 from estimation.estimators.input_path import in_own_terms, path_values, with_paths
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
-from estimation.estimators.result import Estimate, FlightFit, Result, judged
-from estimation.estimators.uncertainty import ParameterEffect, effects_of, estimates, uncertainty
+from estimation.estimators.result import Estimate, FlightFit, Result, judge_status
+from estimation.estimators.uncertainty import ParameterEffect, bounds_at_optimum, effects_of, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import (
@@ -32,7 +32,7 @@ from estimation.prepare.flight_data import (
     without_absent_outputs,
 )
 from estimation.prepare.pipeline import FlightsToFit, prepare_all
-from estimation.signals.goodness_of_fit import fits
+from estimation.signals.goodness_of_fit import channel_fits
 
 
 @dataclass(frozen=True)
@@ -86,14 +86,14 @@ def output_error(
     full = with_paths(loaded, data) if options.paths else loaded
     problem = build_problem(full, data, options)
     _enough(problem)
-    outcome = optimum(problem, _starts(problem, options), options)
+    outcome = find_optimum(problem, _starts(problem, options), options)
     if _hopeless(problem, outcome) or _unstable(problem, outcome):
         problem, outcome = _rescued(full, data, options, problem, outcome)
     problem, outcome = _fine_enough(problem, outcome, options)
-    return in_own_terms(describe(problem, outcome, "ml"), loaded)
+    return in_own_terms(fit_result(problem, outcome, "ml"), loaded)
 
 
-def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
+def find_optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
     """The optimum from `start`: the way there with half the integration steps, the end with all of them."""
     steps = problem.simulator.substeps
     if steps < 2 or problem.size == 0:
@@ -228,7 +228,7 @@ def free_states_of(model: Model, options: OutputErrorOptions) -> NDArray[np.bool
     return np.array([n in options.free_states for n in model.state_names])
 
 
-def reopened(
+def reopen_fit(
     model: Model | str, flights: FlightsToFit, result: Result, options: OutputErrorOptions = STANDARD
 ) -> tuple[OutputErrorProblem, Fit]:
     """The problem of an earlier fit at its optimum, in the same pieces and steps."""
@@ -268,17 +268,17 @@ def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
     )
 
 
-def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
+def fit_result(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     """The result of an optimisation: bounds, verdicts, histories, fit."""
     model, unknowns = problem.model, outcome.unknowns
     point = outcome.point
     if outcome.status is Status.DIVERGED:
-        return failed(problem, outcome, method)
+        return failed_result(problem, outcome, method)
     problem.segment_blocks(point)
-    spread = uncertainty(problem, unknowns, point)
+    spread = bounds_at_optimum(problem, unknowns, point)
     effects = effects_of(problem, point)
     shared_names = tuple(problem.free[i] for i in problem.shared)
-    estimated, pairs = estimates(
+    estimated, pairs = judge_estimates(
         model,
         shared_names,
         unknowns[: len(shared_names)],
@@ -295,14 +295,14 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     if len(problem.local):
         estimated |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
     ordered = {n: estimated[n] for n in problem.free if n in estimated}
-    status, text = judged(outcome.status, ordered)
+    status, text = judge_status(outcome.status, ordered)
     return Result(
         model, method, status, text, outcome.iterations, outcome.evaluations, point.cost, point.R, shared_names, ordered,
         spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,
     )  # fmt: skip
 
 
-def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) -> Result:
+def failed_result(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) -> Result:
     """The result of a fit that found no usable simulation."""
     names = tuple(problem.free[i] for i in problem.shared)
     no_covariance = np.full((len(names), len(names)), np.nan)
@@ -340,9 +340,9 @@ def _flight_fit(
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
     blind = np.zeros(len(names), bool)
-    local, _ = estimates(problem.model, names, values, *covariances, blind, [flight], effects)
+    local, _ = judge_estimates(problem.model, names, values, *covariances, blind, [flight], effects)
     states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
-    fit = fits(problem.model.output_names, measured, outputs)
+    fit = channel_fits(problem.model.output_names, measured, outputs)
     return FlightFit(
         flight.name, flight.samples, time, measured, outputs, measured - outputs, states, local, fit, flight.notes
     )

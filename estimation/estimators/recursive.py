@@ -16,7 +16,7 @@ from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation
+from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation_matrix
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
 from estimation.prepare.columns import with_derived
@@ -37,7 +37,7 @@ class _RecursiveRun:
     history: EstimateHistory
 
 
-def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
+def estimate_recursively(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
     """Estimates with bounds after the last scan, and how they came about.
 
     model: one with the derivatives of `lateral`. Several flights are taken one after the other, as one aircraft; the history
@@ -52,7 +52,7 @@ def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Re
     return _result(compared_model, data, run)
 
 
-def refusal(model: Model) -> str:
+def unsupported_by_live(model: Model) -> str:
     """Why a model cannot be taken, empty where it can."""
     if set(model.parameter_names) != set(DERIVATIVES):
         return f"method live knows the derivatives of model lateral only, not those of {model.name}; take method ml"
@@ -62,7 +62,7 @@ def refusal(model: Model) -> str:
 
 def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
     """The airframe and what is believed of it, as a model and its aircraft have it."""
-    if objection := refusal(model):
+    if objection := unsupported_by_live(model):
         raise EstimationError(objection)
     lag = None if aircraft.servos is None else aircraft.servos.lag
     c = model.constants
@@ -192,7 +192,7 @@ def _matrix(names: tuple[str, ...], solutions: Mapping[str, RegressionSolution |
 
 
 def _pairs(names: tuple[str, ...], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    rho = correlation(covariance)
+    rho = correlation_matrix(covariance)
     pairs = [
         (names[i], names[j], round(float(rho[i, j]), 4))
         for i in range(len(names))

@@ -22,9 +22,9 @@ from estimation.engine.kernel import Array
 from estimation.errors import EstimationError
 from estimation.estimators.coloured import Spectrum, coloured_noise, square_root
 from estimation.estimators.gauss_newton import minimise
-from estimation.estimators.input_error import Disturbed, disturbed
+from estimation.estimators.input_error import Disturbed, disturbed_outputs
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
-from estimation.estimators.output_error import STANDARD, Fit, OutputErrorOptions, build_problem, reopened
+from estimation.estimators.output_error import STANDARD, Fit, OutputErrorOptions, build_problem, reopen_fit
 from estimation.estimators.result import Bootstrap, Profile, Result, Spread
 from estimation.estimators.uncertainty import noise_spectra
 from estimation.models.base import Model
@@ -50,11 +50,11 @@ def parametric_bootstrap(
     check_replicates(replicates)
     if not result.converged:
         return Bootstrap((), np.zeros((0, 0)), {}, 0, f"no bootstrap: {result.text}")
-    problem, fit = reopened(model, flights, result, options)
+    problem, fit = reopen_fit(model, flights, result, options)
     point = fit.point
     options = replace(options, substeps=problem.simulator.substeps)
     roots = [square_root(s) for s in noise_spectra(problem, fit.unknowns, point)]
-    inputs = [disturbed(problem, fit.unknowns, i) for i in range(len(problem.flights))]
+    inputs = [disturbed_outputs(problem, fit.unknowns, i) for i in range(len(problem.flights))]
     rows = []
     for _ in range(replicates):
         replicate = build_problem(
@@ -149,7 +149,7 @@ def profile_likelihood(
     if no_curve := _no_curve(result, parameter):
         everything = (-math.inf, math.inf)
         return Profile(parameter, estimate.estimate, np.zeros(0), np.zeros(0), everything, everything, no_curve)
-    problem, fit = reopened(model, flights, result, options)
+    problem, fit = reopen_fit(model, flights, result, options)
     line = _ProfileLine(problem, fit, parameter, replace(options, substeps=problem.simulator.substeps))
     ratio = estimate.std_coloured / estimate.std
     reach = BEYOND * ROOT_95 * ratio * estimate.std

@@ -16,7 +16,7 @@ from daq.contract.plain_words import meant
 from estimation.errors import EstimationError
 from estimation.estimators import methods
 from estimation.estimators.estimator import Estimator, Extra
-from estimation.own_code import MISTAKES, named, said
+from estimation.own_code import MISTAKES, import_named, mistake_text
 
 ENTRY_POINTS = "sideslip.estimators"
 
@@ -34,7 +34,7 @@ def _installed() -> Mapping[str, EntryPoint]:
     return {p.name: p for p in entry_points(group=ENTRY_POINTS)}
 
 
-def names(extra: Extra | None = None) -> tuple[str, ...]:
+def estimator_names(extra: Extra | None = None) -> tuple[str, ...]:
     """All names; with `extra` those of Sideslip's own that support it (others are not loaded to be asked)."""
     built_in_estimators = built_in()
     if extra is not None:
@@ -42,7 +42,7 @@ def names(extra: Extra | None = None) -> tuple[str, ...]:
     return (*built_in_estimators, *sorted(set(_installed()) - set(built_in_estimators)))
 
 
-def find(name: str) -> Estimator:
+def find_estimator(name: str) -> Estimator:
     """The estimator of that name, or of `module:NAME`; EstimationError naming what there is."""
     estimator, point = built_in().get(name), _installed().get(name)
     if estimator is not None and point is not None:
@@ -53,17 +53,19 @@ def find(name: str) -> Estimator:
         try:
             value = point.load()
         except MISTAKES as error:
-            raise EstimationError(f"method {name}: {point.value} cannot be loaded: {said(error)}") from error
+            raise EstimationError(f"method {name}: {point.value} cannot be loaded: {mistake_text(error)}") from error
         return _checked(value, f"method {name}: {point.value}", name)
     if ":" in name:
-        estimator_of_file = _checked(named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}")
-        if estimator_of_file.name in names():
+        estimator_of_file = _checked(
+            import_named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}"
+        )
+        if estimator_of_file.name in estimator_names():
             raise EstimationError(
                 f"method {name} calls itself {estimator_of_file.name!r}: the name is taken; give it another"
             )
         return estimator_of_file
-    alternatives = f"known are {', '.join(names())}, or give module:NAME"
-    raise EstimationError(f"method {name!r} is unknown; {alternatives}{meant(name, names())}")
+    alternatives = f"known are {', '.join(estimator_names())}, or give module:NAME"
+    raise EstimationError(f"method {name!r} is unknown; {alternatives}{meant(name, estimator_names())}")
 
 
 def _checked(value: object, where: str, name: str = "") -> Estimator:
@@ -74,7 +76,7 @@ def _checked(value: object, where: str, name: str = "") -> Estimator:
     return value
 
 
-def listed(words: Sequence[str]) -> str:
+def listed_words(words: Sequence[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
@@ -83,6 +85,6 @@ def check_extras(asked: Sequence[Extra], chosen: Sequence[Estimator]) -> None:
     """EstimationError for an extra that none of the chosen estimators heeds."""
     for extra in asked:
         if not any(extra in e.supports for e in chosen):
-            able = names(extra)
-            able_methods = f"method{'s' if len(able) > 1 else ''} {listed(able)}"
+            able = estimator_names(extra)
+            able_methods = f"method{'s' if len(able) > 1 else ''} {listed_words(able)}"
             raise EstimationError(f"{extra.value} is for {able_methods}: add {able[0]} to --method")

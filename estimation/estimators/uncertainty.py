@@ -26,13 +26,13 @@ from estimation.estimators.input_error import (
     Disturbed,
     InputErrorEvidence,
     common_error,
-    disturbed,
+    disturbed_outputs,
     edge_size,
-    evidence,
+    input_error_evidence,
 )
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
-from estimation.estimators.result import Estimate, correlation
+from estimation.estimators.result import Estimate, correlation_matrix
 from estimation.estimators.together import moving_together, text_of
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import products_in
@@ -91,7 +91,7 @@ def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str,
     }
 
 
-def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
+def bounds_at_optimum(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
     """Both bounds at an optimum evaluated with derivatives."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     information, _ = problem.shared_information(unknowns, blocks)
@@ -162,7 +162,7 @@ def flight_score(
     """Where the score of one flight scatters from: the outputs' noise, coloured as residuals show it, and the inputs."""
     pieces, nuisance_inverse = segments_in_noise(problem, point, index)
     inverse = _of_free_parameters(problem, covariance, blocks)
-    responses = disturbed(problem, unknowns, index)
+    responses = disturbed_outputs(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
     white = white_responses(pieces, nuisance_inverse, responses, point)
     white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
@@ -173,7 +173,7 @@ def flight_score(
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
     from_noise = filtered_covariance(pieces, projected, spectrum)
-    residual_evidence = evidence(pieces, white, spectrum, responses[0])
+    residual_evidence = input_error_evidence(pieces, white, spectrum, responses[0])
     return FlightScore(from_noise, inputs, edge, common, residual_evidence, spectrum)
 
 
@@ -230,7 +230,7 @@ def segments_in_noise(
 # ------------------------------------------------------------------------------------------------ identifiability
 
 
-def estimates(
+def judge_estimates(
     model: Model,
     names: tuple[str, ...],
     values: Array,
@@ -247,7 +247,7 @@ def estimates(
     std = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     std_coloured = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(coloured), 0.0)))
     std_coloured = np.maximum(std, std_coloured)
-    rho = correlation(covariance)
+    rho = correlation_matrix(covariance)
     diagonal = np.diag(covariance)  # zero where the data holds no information at all
     movement = input_movement(model, flights)
     gearing = moving_together(model, flights)
@@ -255,7 +255,7 @@ def estimates(
     for i, name in enumerate(names):
         parameter = model.parameter(name)
         size = (float(values[i]), float(std_coloured[i]))
-        reason = next((t for c in sorted(companions(model, name)) if (t := text_of(c, gearing))), "")
+        reason = next((t for c in sorted(inputs_beside(model, name)) if (t := text_of(c, gearing))), "")
         reason = reason or _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
         if not reason and undetermined[i] and diagonal[i] <= 0.0:
             reason = "has no effect on any output in this data"
@@ -286,7 +286,7 @@ def _why_not(
     movement: dict[str, tuple[float, float]],
     effect: ParameterEffect | None,
 ) -> str:
-    for name in sorted(companions(model, parameter.name)):
+    for name in sorted(inputs_beside(model, parameter.name)):
         if name in movement:
             movement_rms, noise = movement[name]
             if movement_rms <= max(STILL * noise, 1e-12):
@@ -347,7 +347,7 @@ def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[f
     return result
 
 
-def companions(model: Model, parameter: str) -> frozenset[str]:
+def inputs_beside(model: Model, parameter: str) -> frozenset[str]:
     """Input names that stand in a product with the parameter in some line of the model."""
     inputs = set(model.input_names)
     products = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)

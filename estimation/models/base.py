@@ -222,15 +222,17 @@ class Model(ModelParts):
             name=file_name(str(data["name"])),
             title=one_line(str(data.get("title", ""))),
             description=str(data.get("description", "")),
-            states=tuple(plain.signal("states", d) for d in plain.listed(data, "states")),
-            inputs=tuple(plain.signal("inputs", d) for d in plain.listed(data, "inputs")),
-            outputs=tuple(plain.signal("outputs", d) for d in plain.listed(data, "outputs")),
-            parameters=tuple(plain.parameter(d) for d in plain.listed(data, "parameters")),
-            transforms=tuple(plain.transform(d) for d in plain.listed(data, "transforms")),
-            constants={str(k): plain.number(v, f"constants.{k}") for k, v in plain.table(data, "constants").items()},
-            output_delays={str(k): str(v) for k, v in plain.table(data, "output_delays").items()},
-            equations=plain.lines(data["equations"]),
-            flown={str(k): plain.ends(v, f"flown.{k}") for k, v in plain.table(data, "flown").items()},
+            states=tuple(plain.read_signal("states", d) for d in plain.read_list(data, "states")),
+            inputs=tuple(plain.read_signal("inputs", d) for d in plain.read_list(data, "inputs")),
+            outputs=tuple(plain.read_signal("outputs", d) for d in plain.read_list(data, "outputs")),
+            parameters=tuple(plain.read_parameter(d) for d in plain.read_list(data, "parameters")),
+            transforms=tuple(plain.read_transform(d) for d in plain.read_list(data, "transforms")),
+            constants={
+                str(k): plain.read_number(v, f"constants.{k}") for k, v in plain.read_table(data, "constants").items()
+            },
+            output_delays={str(k): str(v) for k, v in plain.read_table(data, "output_delays").items()},
+            equations=plain.read_lines(data["equations"]),
+            flown={str(k): plain.read_ends(v, f"flown.{k}") for k, v in plain.read_table(data, "flown").items()},
         )
 
     @cached_property

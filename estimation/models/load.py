@@ -13,7 +13,7 @@ from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
 from estimation.models.library import BUILDERS, WHOLE, stated_terms
-from estimation.own_code import MISTAKES, named, said
+from estimation.own_code import MISTAKES, import_named, mistake_text
 
 
 def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None = None) -> Model:
@@ -112,7 +112,7 @@ def _plain(value: Any) -> Any:
 
 
 def _import_class(text: str) -> type:
-    imported = named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
+    imported = import_named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
     if not isinstance(imported, type):
         raise ModelError(f"model {text!r}: that is {type(imported).__name__}, not a class")
     return imported
@@ -125,4 +125,4 @@ def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
     try:
         return _with_known_constants(model_from_class(cls, craft), craft, f"model class {cls.__name__}")
     except MISTAKES as error:
-        raise ModelError(f"model class {cls.__name__}: {said(error)}") from error
+        raise ModelError(f"model class {cls.__name__}: {mistake_text(error)}") from error

@@ -16,7 +16,7 @@ from groundstation.flight.atmosphere import density, density_at_altitude, densit
 from groundstation.flight.notes import Note, NoteKind
 
 
-def bridge(values: Array) -> Array:
+def bridge_gaps(values: Array) -> Array:
     """The signal with samples that were not measured on straight lines between their neighbours. values: (N,)."""
     missing = ~np.isfinite(values)
     if missing.any():
@@ -26,9 +26,9 @@ def bridge(values: Array) -> Array:
     return values
 
 
-def slope(time: Array, values: Array) -> Array:
+def denoised_slope(time: Array, values: Array) -> Array:
     """Derivative of a signal from its de-noised curve, by central differences. time, values: (N,)."""
-    return np.gradient(denoise(bridge(values), order=2).values, time)
+    return np.gradient(denoise(bridge_gaps(values), order=2).values, time)
 
 
 @dataclass(frozen=True)
@@ -89,19 +89,19 @@ def _refuse_impossible_result(flight: Flight, name: str, origin: str, values: Ar
 
 
 def _density_of_air(time: Array, p_static: Array, temperature: Array) -> Array:
-    return density(bridge(p_static), bridge(temperature))
+    return density(bridge_gaps(p_static), bridge_gaps(temperature))
 
 
 def _density_at_pressure(time: Array, p_static: Array) -> Array:
-    return density_at_pressure(bridge(p_static))
+    return density_at_pressure(bridge_gaps(p_static))
 
 
 def _density_at_altitude(time: Array, altitude: Array) -> Array:
-    return density_at_altitude(bridge(altitude))
+    return density_at_altitude(bridge_gaps(altitude))
 
 
 DERIVED: Mapping[str, tuple[Way, ...]] = {
-    **{f"{n}_dot": (Way((n,), slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
+    **{f"{n}_dot": (Way((n,), denoised_slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
     "rho": (
         Way(("p_static", "temperature"), _density_of_air, is_of_the_air),
         Way(("p_static",), _density_at_pressure),
@@ -115,7 +115,7 @@ autopilot makes V from p_dynamic with a ratio of its own, and the two then say n
 def require_columns(model: Model, flight: Flight) -> None:
     """Raise one MissingColumnError naming every column that the model needs and the flight has not and cannot make of others,
     with the built-in models that would do without."""
-    missing_columns = missing(model, flight)
+    missing_columns = unmet_columns(model, flight)
     if missing_columns:
         fit = () if flight_without_motion(missing_columns, model) else models_for(flight)
         raise MissingColumnError(flight.name, missing_columns, f"model {model.name}", fit, flight.unknown_columns)
@@ -126,7 +126,7 @@ def flight_without_motion(lacking: Iterable[str], model: Model) -> bool:
     return {s.source for s in model.outputs if not s.optional} <= set(lacking)
 
 
-def missing(model: Model, flight: Flight) -> list[str]:
+def unmet_columns(model: Model, flight: Flight) -> list[str]:
     """Columns that the model needs and the flight lacks; one that could be made of others is named with these ways."""
     required = dict.fromkeys(s.source for s in (*model.inputs, *model.outputs) if not s.optional)
     unmeasured = [c for c in required if c not in DERIVED and not flight.measured(c)]
@@ -146,4 +146,4 @@ def _with_ways(column: str) -> str:
 def models_for(flight: Flight) -> tuple[str, ...]:
     """Built-in models whose columns the flight has. Which they are does not depend on the aircraft."""
     craft = unknown_aircraft("any")
-    return tuple(name for name, build in BUILDERS.items() if not missing(build(craft), flight))
+    return tuple(name for name, build in BUILDERS.items() if not unmet_columns(build(craft), flight))

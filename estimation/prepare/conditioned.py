@@ -88,7 +88,7 @@ class ConditionedFlight:
         return [Note(NoteKind.STUCK, text, ((column, column),))]
 
 
-def condition(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:
+def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:
     """Look at the named columns (those that are measured). keep_held: repeated values are taken for measurements.
 
     Raises DataError where time is in another unit.
@@ -108,10 +108,10 @@ def condition(flight: Flight, columns: Iterable[str], *, keep_held: bool = False
     return ConditionedFlight(flight, {n: repeats(flight, n) for n in names}, tuple(notes), drawn_between(flight, names))
 
 
-def repair(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:
+def repair_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:
     """The flight for a method that reads its columns itself: wild values and repeats of slow sensors on straight lines between
     their neighbours, samples of stuck sensors NaN; all said in the notes."""
-    conditioned = condition(flight, columns, keep_held=keep_held)
+    conditioned = condition_columns(flight, columns, keep_held=keep_held)
     notes, changed = list(conditioned.notes), {}
     for name in dict.fromkeys(columns):
         if not conditioned.flight.measured(name):

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.models.base import Model, Signal
-from estimation.prepare.columns import DERIVED, bridge, derive_column
+from estimation.prepare.columns import DERIVED, bridge_gaps, derive_column
 from estimation.prepare.conditioned import ConditionedFlight
 from estimation.prepare.flight_data import SHORTEST_SEGMENT, Preparation, draws_for
-from estimation.signals.controls import STEP, ControlStretch, around, following, gains, near_steps
+from estimation.signals.controls import STEP, ControlStretch, feedback_gains, near_steps, step_reach, with_feedback
 from estimation.signals.denoise import QUIET, denoise_many, noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
@@ -80,7 +80,7 @@ def inputs_at_samples(state: PreparationState) -> PreparationState:
             rows[i] = [state.own_samples(signal.source, a, b) for a, b in state.pieces]
             for (a, b), measured_rows in zip(state.pieces, rows[i], strict=True):
                 u[a:b, i] = np.interp(
-                    np.arange(a, b), measured_rows, bridge(flight[signal.source][a:b])[measured_rows - a]
+                    np.arange(a, b), measured_rows, bridge_gaps(flight[signal.source][a:b])[measured_rows - a]
                 )
             notes += state.conditioned.slow_notes(signal.source, "taken on straight lines between new values")
             notes += state.conditioned.stuck_notes(signal.source, "is its sensor stuck?")
@@ -173,7 +173,7 @@ def _derive_errors(state: PreparationState, errors: NDArray[np.float32]) -> None
 # ------------------------------------------------------------------------------------------------ controls that follow the motion
 
 
-def pitches(model: Model) -> bool:
+def has_pitch_rate(model: Model) -> bool:
     """Whether a model has a state of its own for pitch rate."""
     return any(s.source == PITCH_RATE for s in model.states)
 
@@ -183,7 +183,7 @@ def feedback_restored(state: PreparationState) -> PreparationState:
 
     A piece in which a control was not measured at every sample stays as it is.
     """
-    if not (state.preparation.denoise and state.preparation.feedback and pitches(state.model)):
+    if not (state.preparation.denoise and state.preparation.feedback and has_pitch_rate(state.model)):
         return state
     for i, signal in enumerate(state.model.inputs):
         level = state.noise.get(signal.name, (0.0, 0.0))[0]
@@ -209,12 +209,12 @@ def _restore_feedback(
         ControlStretch(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, smooth_states])
         for a, b in pieces
     ]
-    feedback = gains(parts, level) if smooth_states else None
+    feedback = feedback_gains(parts, level) if smooth_states else None
     rng = np.random.default_rng([FEEDBACK_SEED, i])
-    draws, reach = errors.shape[2], around(state.flight.sample_interval)
+    draws, reach = errors.shape[2], step_reach(state.flight.sample_interval)
     for (a, b), part in zip(pieces, parts, strict=True):
         if feedback is not None:
-            u[a:b, i], error_draws = following(part, feedback, level, draws, rng)
+            u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
             errors[a:b, i] = error_draws.T
         step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
         u[a + step_rows, i] = part.values[step_rows]

@@ -11,8 +11,8 @@ import numpy as np
 
 from estimation.errors import DataError
 from estimation.models.base import Model
-from estimation.prepare.columns import DERIVED, bridge, derive_column, require_columns, way_to
-from estimation.prepare.conditioned import ConditionedFlight, condition
+from estimation.prepare.columns import DERIVED, bridge_gaps, derive_column, require_columns, way_to
+from estimation.prepare.conditioned import ConditionedFlight, condition_columns
 from estimation.prepare.flight_data import AS_USUAL, SHORTEST_SEGMENT, FlightData, Preparation, Segment
 from estimation.prepare.inputs import PreparationState, feedback_restored, inputs_at_samples, inputs_without_noise
 from estimation.prepare.plausible import refuse_impossible
@@ -67,7 +67,7 @@ def measurements_conditioned(state: PreparationState) -> PreparationState:
     model = state.model
     starts = [s.start for s in model.states if isinstance(s.start, str)]
     columns = [*(s.source for s in (*model.inputs, *model.outputs, *model.states) if not s.computed), *starts]
-    conditioned = condition(state.flight, columns, keep_held=state.preparation.keep_held)
+    conditioned = condition_columns(state.flight, columns, keep_held=state.preparation.keep_held)
     return replace(state, conditioned=conditioned, notes=state.noted(conditioned.notes))
 
 
@@ -149,7 +149,7 @@ def states_smoothed(state: PreparationState) -> PreparationState:
         and flight.measured(source)
         and np.isfinite(flight[source][a:b]).sum() >= SHORTEST_SEGMENT // 2
     ]
-    parts = [bridge(flight[source][a:b])[rows - a] for a, b, _, source, rows in places]
+    parts = [bridge_gaps(flight[source][a:b])[rows - a] for a, b, _, source, rows in places]
     for (a, b, i, _, rows), denoised in zip(places, denoise_many(parts, order=2), strict=True):
         states[a:b, i] = np.interp(np.arange(a, b), rows, denoised.values)
     return replace(state, states=states)

@@ -84,7 +84,7 @@ def _cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) ->
     )
 
 
-def separated(flight: Flight) -> list[Flight]:
+def flights_of_segments(flight: Flight) -> list[Flight]:
     """Every segment as a flight of its own, named <flight>.1, <flight>.2 ..."""
     parts = flight.segments
     if len(parts) == 1:

@@ -45,7 +45,7 @@ class ReviewNote:
         return {"check": self.check, "verdict": self.verdict, "text": self.text}
 
 
-def review(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
+def review_aircraft(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
     """Notes on geometry, inertia, beliefs and each method. A "fail" is what no aircraft can be, or no method can do with."""
     return (*_geometry(aircraft), *_inertia(aircraft), *_signs(aircraft), *_places(aircraft), *_methods(aircraft))
 
@@ -130,7 +130,7 @@ def _simulation(a: Aircraft) -> ReviewNote:
 
 
 @dataclass(frozen=True)
-class OfAircraft:
+class AircraftObjections:
     """impossible: sentences on constants of the model; dropped: stated derivatives that the model has no term for; span,
     area, chord [m, m2, m]: NaN where not stated."""
 
@@ -139,20 +139,20 @@ class OfAircraft:
     aspect: float = float("nan")
 
 
-NOTHING = OfAircraft()
+NOTHING = AircraftObjections()
 
 
-def of_aircraft(aircraft: Aircraft, model: Model) -> OfAircraft:
+def aircraft_objections(aircraft: Aircraft, model: Model) -> AircraftObjections:
     """What the review of an aircraft says of the constants that a model takes from it."""
     from_file = {n for n, v in aircraft.constants().items() if model.constants.get(n) == v}
     names = frozenset[str]().union(*(names_in(text) for text in model.definitions.values())) & from_file
     if "q_dot" not in model.definitions:  # without pitch it only couples, by what q and r or p and q do together
         names = names - {"Iyy"}
-    notes = [n for n in review(aircraft) if _concerns(n, names)] if names else []
+    notes = [n for n in review_aircraft(aircraft) if _concerns(n, names)] if names else []
     impossible = tuple(f"aircraft {aircraft.name}: {n.text} (sideslip aircraft check)" for n in notes)
     built_in = model.name in BUILDERS
     unused = not_in_model(model, aircraft) if built_in else ()
-    return OfAircraft(impossible, unused, aircraft.span**2 / aircraft.area)
+    return AircraftObjections(impossible, unused, aircraft.span**2 / aircraft.area)
 
 
 def _concerns(note: ReviewNote, used: frozenset[str]) -> bool:

@@ -63,7 +63,7 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
     return FilterErrorGain(total, float(chi2.ppf(CHANCE, max(gains, 1))), total / max(values, 1))
 
 
-def driven(model: Model) -> frozenset[str]:
+def driven_outputs(model: Model) -> frozenset[str]:
     """Outputs in which process noise shows: all but states that only kinematics moves, such as attitude.
 
     Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in any air, by the slow errors of the
@@ -75,7 +75,7 @@ def driven(model: Model) -> frozenset[str]:
 
 def _channels(a: Result, b: Result) -> Iterator[tuple[Array, Array]]:
     """Residuals of both results, channel by channel over all flights, of the outputs that process noise drives."""
-    outputs = driven(a.model)
+    outputs = driven_outputs(a.model)
     for c in (c for c, name in enumerate(a.model.output_names) if name in outputs):
         yield (
             np.concatenate([f.residuals[:, c] for f in a.flights]),
@@ -83,7 +83,7 @@ def _channels(a: Result, b: Result) -> Iterator[tuple[Array, Array]]:
         )
 
 
-def neighbours(result: Result) -> dict[str, float]:
+def neighbour_correlations(result: Result) -> dict[str, float]:
     """Output -> correlation of neighbouring residuals."""
     correlations = {}
     for c, name in enumerate(result.model.output_names):
@@ -102,8 +102,8 @@ def neighbours(result: Result) -> dict[str, float]:
 
 def predictability(result: Result) -> float:
     """Mean of -log(1 - rho^2) over driven outputs: what the sample before would take off the log variance of residuals."""
-    outputs = driven(result.model)
-    rho = np.clip(np.array([v for n, v in neighbours(result).items() if n in outputs]), -0.999, 0.999)
+    outputs = driven_outputs(result.model)
+    rho = np.clip(np.array([v for n, v in neighbour_correlations(result).items() if n in outputs]), -0.999, 0.999)
     return float(np.mean(-np.log(1.0 - rho**2))) if rho.size else 0.0
 
 
@@ -158,7 +158,7 @@ class Scatter:
         return f"scatter over {self.count} flights is {self.ratio:.1f} times the bounds: these bounds are too small"
 
 
-def scatter(results: Sequence[Result]) -> dict[str, Scatter]:
+def parameter_scatter(results: Sequence[Result]) -> dict[str, Scatter]:
     """Mean and scatter of each parameter over the flights that could tell it, against their bounds."""
     from scipy.special import chdtrc  # here: whoever only describes a session needs no scipy
 

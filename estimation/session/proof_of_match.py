@@ -25,7 +25,7 @@ LONELY = 0.005
 """Share of samples at either end that do not count: single wild values and noise."""
 
 
-def flown(model: Model, flights: Sequence[Flight]) -> dict[str, tuple[float, float]]:
+def flown_ranges(model: Model, flights: Sequence[Flight]) -> dict[str, tuple[float, float]]:
     """Least and greatest value of what forces depend on: driven states, controls, and the motion that is measured as an input."""
     motion = ("V", "alpha", "beta", "p", "q", "r")
     names = dict.fromkeys([*force_states(model), *(s.name for s in model.inputs if s.control or s.name in motion)])
@@ -62,10 +62,10 @@ class Beyond:
         return {"flown": list(self.flown), "here": list(self.here)}
 
 
-def beyond(model: Model, flight: Flight) -> tuple[Beyond, ...]:
+def beyond_flown(model: Model, flight: Flight) -> tuple[Beyond, ...]:
     """The variables in which a flight passes the ranges of a model by more than MARGIN of them."""
     units = {s.name: s.unit for s in (*model.states, *model.inputs)}
-    ranges = flown(model, [flight])
+    ranges = flown_ranges(model, [flight])
     exceeded = []
     for name, (low, high) in model.flown.items():
         if name not in ranges:
@@ -98,7 +98,7 @@ class ProofOfMatch:
         return {**data, "beyond": {b.name: b.to_json() for b in self.beyond}} if self.result.model.flown else data
 
 
-def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = ()) -> ProofOfMatch:
+def predict_flight(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = ()) -> ProofOfMatch:
     """Predict one flight with every parameter frozen at the model's values but those named in `free`.
 
     Raises ModelError for an unknown name, DataError or MissingColumnError for a flight that cannot feed the model.
@@ -110,7 +110,7 @@ def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = 
     fitted = result.flights[0]
     refitted = "initial states" + (f" and {', '.join(free)}" if free else "")
     text = f"predicted with frozen parameters, {refitted} refitted" if result.converged else result.text
-    exceeded = beyond(model, flight) if isinstance(flight, Flight) else ()
+    exceeded = beyond_flown(model, flight) if isinstance(flight, Flight) else ()
     return ProofOfMatch(
         fitted.name, result.converged, text, result.model.output_names, fitted.time, fitted.measured, fitted.outputs,
         dict(fitted.fit), result, exceeded,

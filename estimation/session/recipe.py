@@ -170,7 +170,7 @@ def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
     model_columns = {s.source for s in (*model.inputs, *model.outputs)}
     silent = tuple(s.source for s in model.outputs if s.source not in all_there)
     slow = too_slow(flight, model_columns)
-    methods = () if missing or slow else registry.names()
+    methods = () if missing or slow else registry.estimator_names()
     return Possible(model.name, missing, tuple(n for n in reconstructed if n in model_columns), silent, methods, slow)
 
 

@@ -6,16 +6,16 @@ from dataclasses import replace
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.errors import AircraftError, DataError, EstimationError
-from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
+from estimation.estimators.arithmetic import NumericalFailure, mark_not_finite, numerical_failures
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
-from estimation.estimators.registry import check_extras, find, names
+from estimation.estimators.registry import check_extras, estimator_names, find_estimator
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.prepare.stretches import unique_names
-from estimation.session.aircraft_review import of_aircraft
-from estimation.session.evidence import scatter, with_airspeed_error
+from estimation.session.aircraft_review import aircraft_objections
+from estimation.session.evidence import parameter_scatter, with_airspeed_error
 from estimation.session.session import EstimationSession, FlightEstimates
-from estimation.session.structured import StructureWish, joint_model, structured
+from estimation.session.structured import StructureWish, joint_model, with_structure_tests
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
@@ -48,8 +48,8 @@ def estimate(
     flight cannot feed the model.
     """
     if not methods:
-        raise EstimationError(f"no method given; choose from {', '.join(names())}")
-    estimators = [find(m) for m in methods]
+        raise EstimationError(f"no method given; choose from {', '.join(estimator_names())}")
+    estimators = [find_estimator(m) for m in methods]
     _check(extras, model, estimators)
     for e in estimators:
         if e.needs_aircraft:
@@ -65,7 +65,7 @@ def estimate(
     session = _fitted(task, estimators, joint)
     if structure is not StructureWish.OFF:
         base_model = task.plain or model
-        session = structured(
+        session = with_structure_tests(
             session,
             task,
             structure,
@@ -91,7 +91,7 @@ def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> EstimationS
         results, failures = _split({m: outcomes[i] for m, outcomes in outcomes_by_method.items()})
         estimates.append(FlightEstimates(flight, results, failures))
     mean = {
-        m: scatter(r)
+        m: parameter_scatter(r)
         for m, outcomes in outcomes_by_method.items()
         if (r := [o for o in outcomes if isinstance(o, Result)])
     }
@@ -111,7 +111,7 @@ def _judged(session: EstimationSession) -> EstimationSession:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     reconstructed = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
-    craft = of_aircraft(session.aircraft, session.model)
+    craft = aircraft_objections(session.aircraft, session.model)
     flights = tuple(
         replace(
             f,
@@ -167,7 +167,7 @@ def _tried(estimator: Estimator, task: Task) -> Outcome:
     """One fit; where it fails, why: the results of other methods and flights stand."""
     try:
         with numerical_failures():
-            return believable(estimator.fit(task.for_estimator(estimator)))
+            return mark_not_finite(estimator.fit(task.for_estimator(estimator)))
     except (UserError, NumericalFailure) as error:
         return error
 
@@ -179,7 +179,7 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
         try:
             with numerical_failures():
-                return [believable(r) for r in estimator.fit_each(task.for_estimator(estimator))]
+                return [mark_not_finite(r) for r in estimator.fit_each(task.for_estimator(estimator))]
         except (UserError, NumericalFailure):
             pass  # one of them cannot be used: which one shows when each is tried by itself
     results = []
@@ -212,7 +212,7 @@ def run_method(
 ) -> Result:
     """One method over one flight or several together; NumericalFailure where its arithmetic fails."""
     with numerical_failures():
-        return believable(find(method).fit(Task(model, flights, aircraft, extras, device)))
+        return mark_not_finite(find_estimator(method).fit(Task(model, flights, aircraft, extras, device)))
 
 
 def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.result import Estimate, Result
-from estimation.estimators.uncertainty import companions
+from estimation.estimators.uncertainty import inputs_beside
 from estimation.models.base import Model, ParameterRole
 from estimation.signals.denoise import noise_level
 
@@ -91,7 +91,7 @@ def _ratios(model: Model, parameters: Mapping[str, Estimate]) -> Mapping[str, Ma
         s.source: {
             n: e.estimate / e.reference
             for n, e in identifiable.items()
-            if e.reference and s.name in companions(model, n)
+            if e.reference and s.name in inputs_beside(model, n)
         }
         for s in model.inputs
         if s.control
@@ -166,7 +166,7 @@ def doubts_of(result: Result) -> list[Doubt]:
     return doubts + [Doubt(DoubtKind.UNIT, t) for t in controls_of_another_unit(model, parameters)]
 
 
-def impossible(result: Result) -> list[str]:
+def impossible_values(result: Result) -> list[str]:
     """Biases and constants that no instrument and no trim can have, by more than their bounds; one sentence each."""
     sentences = []
     for e in (*result.parameters.values(), *(o for f in result.flights for o in f.local.values())):

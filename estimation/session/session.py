@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimation.aircraft import Aircraft
-from estimation.estimators.registry import names
-from estimation.estimators.result import Result, finite
+from estimation.estimators.registry import estimator_names
+from estimation.estimators.result import Result, finite_or_none
 from estimation.models.base import Model
 from estimation.session.evidence import Scatter
 from estimation.session.sanity_checks import Doubt, doubts_of
@@ -69,7 +69,7 @@ class EstimationSession:
         """The joint estimate that figures and tables of one estimate show: the recommended, else the usual method's, else the
         first."""
         method = "" if self.verdict is None else self.verdict.recommended.method
-        return self.joint.get(method) or self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
+        return self.joint.get(method) or self.joint.get(estimator_names()[0]) or next(iter(self.joint.values()), None)
 
     @property
     def converged(self) -> bool:
@@ -116,7 +116,7 @@ class EstimationSession:
             "status": self.text,
             "flights": [_flight_json(f) for f in self.flights],
             "mean": {
-                method: {n: {"mean": finite(s.mean), "std": finite(s.std)} for n, s in table.items()}
+                method: {n: {"mean": finite_or_none(s.mean), "std": finite_or_none(s.std)} for n, s in table.items()}
                 for method, table in self.mean.items()
             },
             "joint": {method: r.to_json() for method, r in self.joint.items()},
@@ -128,7 +128,7 @@ class EstimationSession:
             **({"truth": dict(self.truth)} if self.truth else {}),
             "scatter": {
                 method: {
-                    n: {"ratio": finite(s.ratio), "probability": s.probability, "text": s.text}
+                    n: {"ratio": finite_or_none(s.ratio), "probability": s.probability, "text": s.text}
                     for n, s in table.items()
                     if s.count > 1
                 }

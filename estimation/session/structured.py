@@ -18,9 +18,9 @@ from estimation.models.base import Model, ParameterRole
 from estimation.models.library import WHOLE
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.session import EstimationSession
-from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
-from estimation.structure.linearised import linearise
-from estimation.structure.odd_flights import OddFlight, excerpt, follows_controls, odd_flights
+from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
+from estimation.structure.linearised import linearise_fit
+from estimation.structure.odd_flights import OddFlight, first_part, follows_controls, odd_flights
 from estimation.structure.score_test import Lack, StructureTest, structure_of
 from groundstation.flight import Flight
 
@@ -53,7 +53,7 @@ class StructureWish(Enum):
         return cls(text)
 
 
-def structured(
+def with_structure_tests(
     session: EstimationSession, task: Task, wish: StructureWish, fitted: Callable[[Model], EstimationSession]
 ) -> EstimationSession:
     """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
@@ -68,7 +68,7 @@ def structured(
         new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
         if not new:
             break
-        by_name = {c.name: c for c in candidates(tested.model)}
+        by_name = {c.name: c for c in structure_candidates(tested.model)}
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         added_names += [t.name for t in terms]
         ambiguous += [lack for lack in new if lack.rivals]
@@ -160,7 +160,7 @@ def _of_result(
     """
     filtered = chosen.method in FILTERS
     linearised_result = chosen if filtered else basis
-    linear = linearise(*excerpt(linearised_result, ready))
+    linear = linearise_fit(*first_part(linearised_result, ready))
     if linear is None:
         return StructureTest((), (), why_not="not tested: the motion runs away from the smallest change"), ()
     if "imu" in places:

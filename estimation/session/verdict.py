@@ -15,10 +15,10 @@ import numpy as np
 
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
-from estimation.session.aircraft_review import NOTHING, OfAircraft
-from estimation.session.evidence import ProcessNoise, gain_of_filter, predictability, scatter
-from estimation.session.plausible_derivatives import implausible
-from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible
+from estimation.session.aircraft_review import NOTHING, AircraftObjections
+from estimation.session.evidence import ProcessNoise, gain_of_filter, parameter_scatter, predictability
+from estimation.session.plausible_derivatives import implausible_derivatives
+from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible_values
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import Lack, StructureTest
 
@@ -98,7 +98,7 @@ def verdict(
     members: Mapping[str, Sequence[Result]] | None = None,
     reconstructed: Sequence[str] = (),
     odd: Sequence[str] = (),
-    craft: OfAircraft = NOTHING,
+    craft: AircraftObjections = NOTHING,
     structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
 ) -> Verdict:
@@ -142,9 +142,9 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
     if not result.converged:
         case.object_to(method, DoubtKind.FAILED, result.text)
         return
-    for text in impossible(result):
+    for text in impossible_values(result):
         case.object_to(method, DoubtKind.INSTRUMENT, text)
-    for text in implausible(result, aspect):
+    for text in implausible_derivatives(result, aspect):
         case.object_to(method, DoubtKind.IMPLAUSIBLE, text)
     for doubt in doubts_of(result):
         if doubt.kind in (DoubtKind.SIGN, DoubtKind.CHANNEL_SIGN, DoubtKind.UNIT):
@@ -256,9 +256,9 @@ def _process_noise(case: _Case) -> ProcessNoise:
 
 def _judge_innovations(case: _Case, method: str) -> None:
     """Innovations of a right model are white; where they are not, the filter has not taken up what drives the aircraft."""
-    from estimation.session.evidence import neighbours
+    from estimation.session.evidence import neighbour_correlations
 
-    correlations = neighbours(case.results[method])
+    correlations = neighbour_correlations(case.results[method])
     name, rho = max(correlations.items(), key=lambda item: abs(item[1]), default=("", 0.0))
     if abs(rho) > COLOURED:
         text = f"innovations of {name} are not white (neighbours correlate by {rho:+.2f}): the model lacks something"
@@ -361,7 +361,7 @@ def _members(case: _Case, method: str, joint: Result, members: Sequence[Result])
             case.doubts.append(Doubt(DoubtKind.JOINT, f"{method}: {text}"))
             if distance > APART * bound:
                 case.against.setdefault(method, text)
-    for name, s in scatter(members).items():
+    for name, s in parameter_scatter(members).items():
         if s.text:
             case.doubts.append(Doubt(DoubtKind.SCATTER, f"{method}, {name}: {s.text}"))
 

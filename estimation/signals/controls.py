@@ -32,7 +32,7 @@ CORNER, TAIL = (
 BEFORE, BEHIND = 0.15, 0.3  # s: the same of a servo of 35 ms
 
 
-def around(interval: float) -> range:
+def step_reach(interval: float) -> range:
     """Samples of so many seconds, from the one before a step: its rounded corner, and the tail of a servo."""
     samples_before, samples_behind = (math.ceil(seconds / interval - 1e-6) for seconds in (BEFORE, BEHIND))
     return range(-min(samples_before, CORNER), min(samples_behind, TAIL) + 1)
@@ -61,7 +61,7 @@ def with_raw_steps(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The de-noised control with its measured values by its steps, and where they were taken. All (N,), measured NaN where
     nothing was. interval: of the samples [s]."""
-    step_mask = near_steps(smooth, noise, step, around(interval)) & np.isfinite(measured)
+    step_mask = near_steps(smooth, noise, step, step_reach(interval)) & np.isfinite(measured)
     return np.where(step_mask, np.nan_to_num(measured), smooth), step_mask
 
 
@@ -95,7 +95,7 @@ class ControlStretch:
         return np.column_stack([self.motion, np.concatenate([self.motion[:1], self.motion[:-1]])])
 
 
-def gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
+def feedback_gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
     """Gains by which a control follows the motion in all pieces of a record; None where that may be chance. noise: of it."""
     from scipy.special import fdtrc
 
@@ -119,7 +119,7 @@ def gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
     return Gains(vt.T @ (projections / s) / size, roots / size[:, None])
 
 
-def following(
+def with_feedback(
     piece: ControlStretch, found: Gains, noise: float, draws: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """The control of a piece (N,) without its noise, with what follows the motion; and (draws, N) what may be wrong with it."""

@@ -28,7 +28,7 @@ def fine_times(time: Array) -> Array:
     return np.asarray(time[0] + span / count * np.arange(count + 1))
 
 
-def curve(time: Array, values: Array, at: Array, *, edges: bool = False) -> Array:
+def curve_through(time: Array, values: Array, at: Array, *, edges: bool = False) -> Array:
     """Values at the times `at` (M,) of the curve through the finite samples of `values` (N,).
 
     edges: a monotone cubic that never overshoots (a control surface), else a cubic spline. All NaN for fewer than FEWEST samples.

@@ -66,7 +66,7 @@ def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
     )
 
 
-def fits(names: Sequence[str], measured: Array, predicted: Array) -> dict[str, ChannelFit]:
+def channel_fits(names: Sequence[str], measured: Array, predicted: Array) -> dict[str, ChannelFit]:
     """Fit of every channel; measured, predicted: (N, ny)."""
     return {name: channel_fit(measured[:, i], predicted[:, i]) for i, name in enumerate(names)}
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from estimation.aircraft import GRAVITY
 from estimation.models.base import Model, Signal
-from estimation.prepare.columns import bridge
+from estimation.prepare.columns import bridge_gaps
 from estimation.prepare.flight_data import FlightData, Preparation
 from estimation.prepare.pipeline import prepare
 from estimation.signals.denoise import denoise
@@ -154,8 +154,8 @@ def _alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -
     needed = ("ax", "az", "theta")
     if not all(flight.measured(n) for n in needed):
         return np.gradient(x["alpha"], time)
-    ax, az, theta = (bridge(flight[n][s]) for n in needed)
-    phi = bridge(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
+    ax, az, theta = (bridge_gaps(flight[n][s]) for n in needed)
+    phi = bridge_gaps(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
     gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
     c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
     rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))

@@ -61,7 +61,7 @@ class Candidate:
         return Parameter(self.name, unit.get(self.kind, "1/rad"), start=self.null, role=role)
 
 
-def candidates(model: Model) -> tuple[Candidate, ...]:
+def structure_candidates(model: Model) -> tuple[Candidate, ...]:
     """Everything that is tested beside a model."""
     every_candidate = (*_terms(model), *_late_controls(model), *_sensors(model), *_inertia(model))
     return tuple(c for c in every_candidate if c.name not in model.parameter_names)
@@ -69,7 +69,7 @@ def candidates(model: Model) -> tuple[Candidate, ...]:
 
 def linear_terms(model: Model) -> tuple[Candidate, ...]:
     """Derivatives of the general linear model that a model does not have."""
-    return tuple(c for c in candidates(model) if c.kind is CandidateKind.LINEAR)
+    return tuple(c for c in structure_candidates(model) if c.kind is CandidateKind.LINEAR)
 
 
 def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:

@@ -19,7 +19,7 @@ from estimation.estimators.input_error import (
     Disturbed,
     InputErrorEvidence,
     common_error,
-    disturbed,
+    disturbed_outputs,
     edge_size,
 )
 from estimation.estimators.input_path import at_paths_of
@@ -29,7 +29,7 @@ from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, segments_in_noise, white_responses
 from estimation.prepare.flight_data import FlightData
-from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
+from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 
 Array = NDArray[np.float64]
 
@@ -127,12 +127,12 @@ class LinearisedFit:
         return total + projection @ self.common @ projection.T
 
 
-def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
+def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
     """A fit with what its model may lack beside it; None where its motion cannot be simulated.
 
     result: by any method; data: its flights, prepared for its model.
     """
-    tested = candidates(result.model)
+    tested = structure_candidates(result.model)
     model = at_paths_of(with_candidates(result.model.with_starts(result.fitted_model.starts()), tested), result)
     flights = in_pieces_of(list(data), result)
     problem = OutputErrorProblem(model, flights, Simulator.build(model, substeps=substeps))
@@ -176,7 +176,7 @@ def _products(
 ) -> tuple[FlightProducts, InputErrorEvidence]:
     """Inner products of one flight, and what its residuals show of edges and timing."""
     pieces, state_covariances = segments_in_noise(problem, point, index)
-    responses = disturbed(problem, unknowns, index)
+    responses = disturbed_outputs(problem, unknowns, index)
     white = white_responses(pieces, state_covariances, responses, point)
     inverse, residuals = _without_everything(pieces, state_covariances)
     projected = without_nuisance(pieces, state_covariances)

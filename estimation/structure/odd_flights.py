@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.normal_equations import pseudo_inverse
-from estimation.estimators.result import FlightFit, Result, finite
+from estimation.estimators.result import FlightFit, Result, finite_or_none
 from estimation.models.base import ParameterRole
 from estimation.models.dependence import force_states
 from estimation.prepare.flight_data import FlightData, Segment
@@ -30,7 +30,7 @@ MOST_SAMPLES = 16_000
 130 MB."""
 
 
-def excerpt(result: Result, data: list[FlightData]) -> tuple[Result, list[FlightData]]:
+def first_part(result: Result, data: list[FlightData]) -> tuple[Result, list[FlightData]]:
     """A result and its flights, of each no more than MOST_SAMPLES from its beginning."""
     if all(d.used <= MOST_SAMPLES for d in data) or any(
         len(d.segments) != len(f.initial_states) for d, f in zip(data, result.flights, strict=True)
@@ -147,7 +147,7 @@ class OddFlight:
         return {
             "flight": self.flight,
             "what": self.what,
-            "ratio": finite(round(self.ratio, 4)),
+            "ratio": finite_or_none(round(self.ratio, 4)),
             "probability": self.probability,
             "moves": {self.parameter: round(self.moves, 2)},
         }

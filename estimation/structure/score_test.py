@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.normal_equations import pseudo_inverse
-from estimation.estimators.result import Result, finite
+from estimation.estimators.result import Result, finite_or_none
 from estimation.structure.candidates import Candidate, CandidateKind
 from estimation.structure.linearised import LinearisedFit
 
@@ -81,10 +81,10 @@ class Tested:
         notable = {n: round(m, 2) for n, m in sorted(self.moves.items(), key=lambda i: -i[1]) if m >= NOTABLE}
         return {
             "term": self.candidate.name,
-            "score": finite(round(self.score, 3)),
+            "score": finite_or_none(round(self.score, 3)),
             "threshold": self.threshold,
             "significant": self.significant,
-            "value": finite(self.value),
+            "value": finite_or_none(self.value),
             "moves": notable,
         }
 

@@ -17,7 +17,7 @@ from estimation.models import load_model
 from estimation.prepare.flight_data import Preparation
 from estimation.prepare.pipeline import prepare
 from estimation.prepare.plausible import stuck
-from estimation.prepare.stretches import select_segments, separated
+from estimation.prepare.stretches import flights_of_segments, select_segments
 from estimation.session import runner
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
@@ -155,10 +155,10 @@ def test_segments_say_what_is_wrong_with_them(made_flights: list[Flight]) -> Non
 
 def test_each_segment_becomes_a_flight(made_flights: list[Flight]) -> None:
     flight = select_segments(made_flights[0], "1:14,15:29")
-    first, second = separated(flight)
+    first, second = flights_of_segments(flight)
     assert (first.name, second.name) == (f"{flight.name}.1", f"{flight.name}.2")
     assert len(first) + len(second) == len(flight)
-    assert separated(made_flights[0]) == [made_flights[0]]
+    assert flights_of_segments(made_flights[0]) == [made_flights[0]]
 
 
 def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:

@@ -12,7 +12,7 @@ from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
-from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
+from estimation.estimators.arithmetic import NumericalFailure, mark_not_finite, numerical_failures
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.estimator import Estimator, Task
 from estimation.estimators.filter_error import GainLaw, ProcessNoiseProblem, gain_law
@@ -186,9 +186,9 @@ def test_mistakes_of_a_program_stay_what_they_are(work: Callable[[], object]) ->
 def test_estimates_that_are_no_numbers_have_not_converged() -> None:
     flight, model = _sound()
     sound = equation_error(model, flight)
-    assert believable(sound) is sound
+    assert mark_not_finite(sound) is sound
     lost = {**sound.parameters, "Cl_p": replace(sound.parameters["Cl_p"], estimate=math.nan, identifiable=True)}
-    found = believable(replace(sound, parameters=lost))
+    found = mark_not_finite(replace(sound, parameters=lost))
     assert found.status is Status.DIVERGED
     assert not found.converged
     assert "Cl_p" in found.text

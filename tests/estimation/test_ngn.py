@@ -21,7 +21,7 @@ from estimation.estimators.neural_gauss_newton.network import (
     usable_device,
     weight_normal_equations,
 )
-from estimation.estimators.neural_gauss_newton.samples import stretches, window_mean
+from estimation.estimators.neural_gauss_newton.samples import training_stretches, window_mean
 from estimation.estimators.neural_gauss_newton.solve import NeuralProblem
 from estimation.estimators.neural_gauss_newton.training import (
     Job,
@@ -150,7 +150,7 @@ def test_interval_moments_are_exact_for_constant_angular_acceleration():
     columns = {c: np.zeros(60) for c in LateralAxis(AIRCRAFT).columns}
     columns |= {"p": p_dot * t, "r": r_dot * t, "V": np.full(60, 16.0), "rho": np.full(60, 1.2)}
     axis = LateralAxis(AIRCRAFT)
-    only = stretches(axis, Flight.build("f", t, columns), "interval", axis.motion)[0]
+    only = training_stretches(axis, Flight.build("f", t, columns), "interval", axis.motion)[0]
     scale = 0.5 * 1.2 * 16.0**2 * AIRCRAFT.area * AIRCRAFT.span
     np.testing.assert_allclose(only.u[:, -2], (IXX * p_dot - IXZ * r_dot) / scale, rtol=1e-9)
     np.testing.assert_allclose(only.u[:, -1], (IZZ * r_dot - IXZ * p_dot) / scale, rtol=1e-9)
@@ -300,9 +300,9 @@ def test_gap_and_dropouts_are_never_crossed(made_flights):
     axis = LateralAxis(AIRCRAFT)
     steps = {
         round(float(flight.time[s.first[-1] + 1] - flight.time[s.first[0]]), 3) > 0
-        for s in stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
+        for s in training_stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
     }
-    found = stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
+    found = training_stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
     assert steps == {True}
     assert len(found) == 3
     assert all(np.max(np.diff(flight.time[s.first])) < 0.06 for s in found)

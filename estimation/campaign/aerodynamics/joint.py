@@ -30,7 +30,7 @@ from estimation.models.base import Model
 from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
 from estimation.prepare.stretches import unique_names
-from estimation.session.proof_of_match import flown
+from estimation.session.proof_of_match import flown_ranges
 from estimation.session.runner import joint_model
 from groundstation.flight import Flight
 
@@ -123,7 +123,7 @@ def global_model(
     for wave in ([t for t in tried if t.first], tried):
         for _ in range(ROUNDS):
             if why := fit.unusable(result):
-                return GlobalModel(result, gains, flown(result.model, flights), why)
+                return GlobalModel(result, gains, flown_ranges(result.model, flights), why)
             more = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
             if not more:
                 break
@@ -134,7 +134,7 @@ def global_model(
         gains = fit.needed(result, gains) if gains else gains
         tell(f"{len(gains)} terms are enough; fitting again with inputs as measured")
         result = fit.again(result, gains, AS_MEASURED)
-    return GlobalModel(result, gains, flown(result.model, flights), fit.unusable(result))
+    return GlobalModel(result, gains, flown_ranges(result.model, flights), fit.unusable(result))
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from estimation.estimators.equation_error import simulated_fits, start_values
 from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem, SegmentRows
 from estimation.estimators.frequency_domain.transformed import NYQUIST, Band
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, SolverOutcome, Status, minimise
-from estimation.estimators.input_error import disturbed
+from estimation.estimators.input_error import disturbed_outputs
 from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
-from estimation.estimators.output_error import failed, mean_of_locals
-from estimation.estimators.result import FlightFit, Result, judged
-from estimation.estimators.uncertainty import TIED, estimates
+from estimation.estimators.output_error import failed_result, mean_of_locals
+from estimation.estimators.result import FlightFit, Result, judge_status
+from estimation.estimators.uncertainty import TIED, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
@@ -59,7 +59,7 @@ class SpectralScore:
     common: Array
 
 
-def bounds(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint) -> Bounds:
+def frequency_bounds(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint) -> Bounds:
     """Both bounds at an optimum."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     covariance, unseen = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
@@ -114,7 +114,7 @@ def _score(
     believed before the residuals are seen. covariance: (n, n) of the parameters of this flight."""
     n = len(problem.free)
     total, columns = np.zeros((n, n)), []
-    responses = disturbed(problem, unknowns, index)
+    responses = disturbed_outputs(problem, unknowns, index)
     for j, (stretch, segment) in enumerate(zip(problem.stretches[index], problem.flights[index].segments, strict=True)):
         rows = problem.rows(point, index, j)
         inverse = point.blocks[index][j].xx_inverse
@@ -268,17 +268,17 @@ def _described(problem: FrequencyProblem, outcome: Fit) -> Result:
     model, unknowns, point = problem.model, outcome.unknowns, outcome.point
     names = tuple(problem.free[i] for i in problem.shared)
     if outcome.status is Status.DIVERGED:
-        return failed(problem, outcome, NAME)
+        return failed_result(problem, outcome, NAME)
     problem.segment_blocks(point)
-    spread = bounds(problem, unknowns, point)
-    estimated, pairs = estimates(
+    spread = frequency_bounds(problem, unknowns, point)
+    estimated, pairs = judge_estimates(
         model, names, unknowns[: len(names)], spread.covariance, spread.coloured, spread.blind, problem.flights
     )
     flights, R = _flights(problem, unknowns, spread)
     if len(problem.local):
         estimated |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
     ordered = {n: estimated[n] for n in problem.free if n in estimated}
-    status, text = judged(outcome.status, ordered)
+    status, text = judge_status(outcome.status, ordered)
     return Result(
         model, NAME, status, f"{text}; {_compared(problem)}", outcome.iterations, outcome.evaluations, point.cost, R, names,
         ordered, spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,
@@ -299,6 +299,6 @@ def _flights(problem: FrequencyProblem, unknowns: Array, spread: Bounds) -> tupl
     result = []
     for i, (fit, flight) in enumerate(zip(fits, problem.flights, strict=True)):
         local_values = problem.parameters(unknowns, i)[problem.local]
-        local, _ = estimates(problem.model, names, local_values, *spread.local[i], blind, [flight])
+        local, _ = judge_estimates(problem.model, names, local_values, *spread.local[i], blind, [flight])
         result.append(replace(fit, local=local))
     return tuple(result), R

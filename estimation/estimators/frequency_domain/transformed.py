@@ -24,7 +24,7 @@ from estimation.engine.simulate import Simulator
 from estimation.engine.trace import Traced, trace
 from estimation.engine.transforms import apply_transforms, transform_derivatives
 from estimation.prepare.flight_data import FlightData, Segment
-from estimation.signals.curves import Complex, curve, fine_times, finite_transform, longest_hole
+from estimation.signals.curves import Complex, curve_through, fine_times, finite_transform, longest_hole
 
 RELATIVE = 1e-4  # of a parameter: central difference of A and C, which parameters enter linearly or nearly so
 
@@ -39,7 +39,7 @@ class LinearisedSystem:
     C_p: Array
 
 
-def matrices(traced: Traced, state: Array, inputs: Array, p: Array) -> tuple[Array, Array]:
+def state_matrices(traced: Traced, state: Array, inputs: Array, p: Array) -> tuple[Array, Array]:
     """(A (nx, nx), C (ny, nx)) at one point. p: parameters and constants as traced."""
     nx, _, _, ny = traced.sizes
     jacobians = []
@@ -50,10 +50,10 @@ def matrices(traced: Traced, state: Array, inputs: Array, p: Array) -> tuple[Arr
     return jacobians[0], jacobians[1]
 
 
-def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, inputs: Array) -> LinearisedSystem:
+def linearise_at(simulator: Simulator, values: Mapping[str, float], state: Array, inputs: Array) -> LinearisedSystem:
     """The model of a simulator at parameter `values`, about state (nx,) and inputs (nu,)."""
     traced, p = trace(simulator.model.structure), simulator.vector(values)
-    A, C = matrices(traced, state, inputs, p)
+    A, C = state_matrices(traced, state, inputs, p)
     A_p, C_p = np.zeros((len(simulator.free), *A.shape)), np.zeros((len(simulator.free), *C.shape))
     names = simulator.model.parameter_names
     for j, name in enumerate(simulator.free):
@@ -61,7 +61,7 @@ def linearised(simulator: Simulator, values: Mapping[str, float], state: Array, 
         plus, minus = p.copy(), p.copy()
         plus[names.index(name)] += h
         minus[names.index(name)] -= h
-        (A1, C1), (A0, C0) = matrices(traced, state, inputs, plus), matrices(traced, state, inputs, minus)
+        (A1, C1), (A0, C0) = state_matrices(traced, state, inputs, plus), state_matrices(traced, state, inputs, minus)
         A_p[j], C_p[j] = (A1 - A0) / (2 * h), (C1 - C0) / (2 * h)
     return LinearisedSystem(A, C, A_p, C_p)
 
@@ -119,7 +119,8 @@ class SpectralSegment:
         controls = [s.control or s.servo for s in simulator.model.inputs]
         self._u = (
             np.stack(
-                [curve(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)], axis=1
+                [curve_through(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)],
+                axis=1,
             )
             if controls
             else np.zeros((self._fine.size, 0))
@@ -140,7 +141,7 @@ class SpectralSegment:
 
     def _states(self, flight: FlightData, segment: Segment) -> Array:
         measured = flight.states[segment.rows]
-        columns = [curve(segment.time, measured[:, i], self._fine) for i in range(measured.shape[1])]
+        columns = [curve_through(segment.time, measured[:, i], self._fine) for i in range(measured.shape[1])]
         guesses = [np.full(self._fine.size, x) for x in segment.x0]
         return np.stack([c if np.isfinite(c).all() else g for c, g in zip(columns, guesses, strict=True)], axis=1)
 
@@ -148,7 +149,7 @@ class SpectralSegment:
         z = np.full((segment.z.shape[1], self._fine.size), np.nan)
         for i, column in enumerate(segment.z.T):
             if longest_hole(segment.time, column) <= NYQUIST / band.high:
-                z[i] = curve(segment.time, column, self._fine)
+                z[i] = curve_through(segment.time, column, self._fine)
         return self._transform(z.T)
 
     def transformed(self, time: Array, values: Array) -> Complex:
@@ -170,7 +171,7 @@ class SpectralSegment:
     def response(self, values: Mapping[str, float], ends: Array) -> SpectralResponse:
         """Outputs and their slopes at parameter `values` and end differences d (nx,)."""
         transforms = self._nonlinear(values)
-        linear = linearised(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
+        linear = linearise_at(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
         nx = linear.A.shape[0]
         system = 1j * self.omega[:, None, None] * np.eye(nx) - linear.A
         means_known = self.means_told(linear.A)

@@ -18,7 +18,7 @@ from estimation.models.library import LATERAL_DERIVATIVES, LONGITUDINAL_DERIVATI
 LATERAL, LONGITUDINAL = ("lateral", "lateral-simple"), ("longitudinal",)
 
 
-def refusal(model: str, parameters: Collection[str] | None = None) -> str:
+def unsupported_model(model: str, parameters: Collection[str] | None = None) -> str:
     """Why a model of that name, and with those parameters, cannot be taken; empty where it can."""
     if model not in (*LATERAL, *LONGITUDINAL):
         models = "lateral, lateral-simple and longitudinal"

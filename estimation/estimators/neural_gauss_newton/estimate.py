@@ -27,15 +27,15 @@ from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for, refusal
+from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for, unsupported_model
 from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
 from estimation.estimators.neural_gauss_newton.network import one_thread, usable_device
-from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
+from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve_problems
 from estimation.estimators.neural_gauss_newton.training import NgnOptions, default_options
 from estimation.estimators.output_error import mean_of_locals
 from estimation.estimators.refits import PERCENTILES
-from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread, judged
-from estimation.estimators.uncertainty import estimates
+from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread, judge_status
+from estimation.estimators.uncertainty import judge_estimates
 from estimation.models.base import Model
 from estimation.prepare.columns import with_derived
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution
 
 
-def describe(
+def ngn_result(
     model: Model,
     flights: Sequence[Flight],
     problem: "NeuralProblem",
@@ -87,7 +87,7 @@ def _status(solution: "NeuralSolution", found: dict[str, Estimate]) -> tuple[Sta
         return Status.STALLED, Status.STALLED.value
     if not all(f.converged for f in solution.fits):
         return Status.LIMIT, Status.LIMIT.value
-    return judged(Status.CONVERGED, found)
+    return judge_status(Status.CONVERGED, found)
 
 
 def _estimates(
@@ -95,7 +95,9 @@ def _estimates(
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
     pick = np.ix_(where, where)
     blind = np.diag(solution.bound)[where] <= 0.0
-    return estimates(model, names, solution.theta[where], solution.bound[pick], solution.spread[pick], blind, data)
+    return judge_estimates(
+        model, names, solution.theta[where], solution.bound[pick], solution.spread[pick], blind, data
+    )
 
 
 def _fitted_flights(
@@ -208,7 +210,7 @@ def _estimate(
     ngn_model = load_model("lateral", aircraft) if model is None else model
     axis = axis_for(ngn_model.name, aircraft)
     if axis is None:
-        raise EstimationError(refusal(ngn_model.name))
+        raise EstimationError(unsupported_model(ngn_model.name))
     opt = options or default_options(improved, axis.name)
     opt = replace(
         opt,
@@ -218,9 +220,9 @@ def _estimate(
     )
     with one_thread():
         problems = [_problem(axis, ngn_model, flights, opt) for flights in sets]
-        solutions = solve(problems, opt)
+        solutions = solve_problems(problems, opt)
     return [
-        describe(ngn_model, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
+        ngn_result(ngn_model, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
         for flights, p, s in zip(sets, problems, solutions, strict=True)
     ]
 

@@ -21,7 +21,7 @@ from estimation.estimators.neural_gauss_newton.samples import (
     missing_optional,
     predicted_signals,
     require_columns,
-    stretches,
+    training_stretches,
 )
 from estimation.models.base import Model
 from groundstation.flight import Array, Flight
@@ -119,7 +119,7 @@ class TrainingRows:
             for c in missing
         ]
         for i, flight in enumerate(flights):
-            flight_stretches = stretches(axis, flight, form, motion)
+            flight_stretches = training_stretches(axis, flight, form, motion)
             stretch_list += flight_stretches
             owner += [i] * len(flight_stretches)
             notes += _unused(flight, flight_stretches)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from estimation.estimators.gauss_newton import halved
+from estimation.estimators.gauss_newton import halve_until
 from estimation.estimators.neural_gauss_newton.axes import Axis
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, input_slopes
 from estimation.estimators.neural_gauss_newton.samples import SampleStretch
@@ -119,7 +119,7 @@ def fit_parameters(
 
     def look(t: Array) -> Look:
         residuals, slopes = predict(t)
-        R = variance(residuals, counts)
+        R = residual_variance(residuals, counts)
         return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
 
     def along(theta: Array, step: NDArray[np.floating[Any]], fraction: float) -> Look:
@@ -134,8 +134,8 @@ def fit_parameters(
         count += 1
         information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
         step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
-        converged = settled(step, information)
-        lowered = halved(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
+        converged = step_settled(step, information)
+        lowered = halve_until(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
         if lowered is None:
             break
         theta = theta + lowered[0] * step
@@ -166,19 +166,21 @@ def fit_with_instruments(
         count += 1
         residuals, slopes = predict(theta)
         _, instruments = instrument(theta)
-        matrix, right = normal_equations(instruments, slopes, residuals, counts, variance(residuals, counts))
+        matrix, right = normal_equations(instruments, slopes, residuals, counts, residual_variance(residuals, counts))
         step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
         theta = theta + step
-        converged = settled(step, normal_equations(slopes, slopes, residuals, counts, variance(residuals, counts))[0])
+        converged = step_settled(
+            step, normal_equations(slopes, slopes, residuals, counts, residual_variance(residuals, counts))[0]
+        )
         if converged:
             break
     residuals, slopes = predict(theta)
-    R = variance(residuals, counts)
+    R = residual_variance(residuals, counts)
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
     return FrozenFit(theta, information, R, tuple(residuals), count, converged)
 
 
-def settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
+def step_settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
     """Whether a step is less than a hundredth of the Cramer-Rao bound, in every direction of parameter space.
 
     Relative to the parameters themselves it would never be, where the data hardly sees one.
@@ -186,7 +188,7 @@ def settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
     return bool(step @ information @ step < 1e-4)
 
 
-def variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
+def residual_variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
     """(out,) mean squared residual over weighted rows."""
     total = sum(float(c.sum()) for c in counts)
     summed = sum((c[:, None] * r**2).sum(axis=0) for c, r in zip(counts, residuals, strict=True))

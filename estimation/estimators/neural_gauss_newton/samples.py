@@ -97,7 +97,7 @@ def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
     return tuple(c for c in axis.optional if any(costs(f, c) for f in flights))
 
 
-def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[SampleStretch]:
+def training_stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[SampleStretch]:
     """All usable stretches: cut at gaps in time and wherever a needed column has no value.
 
     Raises DataError when nothing long enough is left.

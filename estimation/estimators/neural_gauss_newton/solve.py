@@ -128,7 +128,7 @@ class NeuralProblem:
         ).theta
 
 
-def solve(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[NeuralSolution]:
+def solve_problems(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[NeuralSolution]:
     """Train, freeze, estimate; then again for the bootstrap."""
     trained = _trained(problems, options)
     fitted = [[p.fit(t.weights) for t in nets] for p, nets in zip(problems, trained, strict=True)]

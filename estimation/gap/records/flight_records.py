@@ -18,7 +18,7 @@ from estimation.gap.records.lost_rows import unseen_paths
 from estimation.gap.records.stretches import stretches
 from estimation.models.base import Model, Signal
 from estimation.prepare.flight_data import FlightData
-from estimation.prepare.inputs import pitches
+from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
@@ -202,7 +202,7 @@ def _raw_steps(
     """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
     the noise that is left there."""
     taken, levels = {}, {}
-    for signal in base.inputs if pitches(base) else ():
+    for signal in base.inputs if has_pitch_rate(base) else ():
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
