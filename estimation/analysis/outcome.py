@@ -22,7 +22,6 @@ class Analysis(Answer):
     repeated: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """As `answer.json`."""
         return dict(self.content)
 
     @property
@@ -32,11 +31,9 @@ class Analysis(Answer):
         return recommendation_of(self.content["estimate"]).get("method", "none") != "none" and not stopped
 
     def headline(self) -> str:
-        """The verdict."""
         return str(self.content["verdict"])
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip analyse` prints."""
         yield self.headline()
         yield from (f"  contradiction in {c['flight']}: {c['text']}" for c in self.content["contradictions"])
         for name, value, bound, reason in self.derivatives():
@@ -73,7 +70,6 @@ class Analysis(Answer):
         return axes
 
     def report(self, folder: str | Path) -> Path:
-        """Write the page whose first screen is the answer; gives its path."""
         from estimation.report.markup.html import write_page
         from estimation.report.tables import ReportTable
 

@@ -177,7 +177,6 @@ class Check(Answer):
         return [correct_flight(flight, self.results[flight.name]) for flight in self.flights]
 
     def lines(self) -> Iterator[str]:
-        """Factors and findings, as `sideslip check` prints them."""
         from estimation.models.kinematic import STANDARD_FACTORS
         from estimation.report.compatibility_tables import factor_lines, published_lines
         from estimation.report.published import is_of
@@ -195,7 +194,6 @@ class Check(Answer):
         return plot_reconstructed(next(iter(self.results.values())).flights[0], ax)
 
     def figures(self) -> Figures:
-        """The figures of the page that `check --report` writes."""
         from functools import partial
 
         from estimation.report.check_page import motion_figure, motion_pairs
@@ -204,7 +202,6 @@ class Check(Answer):
         return Figures({f"figure7_{i + 1}": partial(motion_figure, pair, i) for i, pair in enumerate(pairs)})
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML report; gives its page."""
         from estimation.report.check_page import write_check_report
 
         quality = [self.quality[f.name] for f in self.flights]
@@ -219,7 +216,6 @@ class Check(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Flights, and the worst verdict on them."""
         verdicts = {v for findings in self.quality.values() for v in (f.verdict for f in findings)}
         verdict = next((v for v in ("fail", "warn", "ok") if v in verdicts), "ok")
         return f"Check of {', '.join(self.quality)}: {verdict}"

@@ -112,11 +112,9 @@ class DesignAnswer(Answer):
         return self.design.manoeuvre()
 
     def to_json(self) -> dict[str, Any]:
-        """As `design --json` has it."""
         return self.design.to_json()
 
     def lines(self) -> list[str]:
-        """What `sideslip design` prints."""
         return _lines(self.design)
 
     def plot(self, ax: Any = None) -> Any:
@@ -142,7 +140,6 @@ class DesignAnswer(Answer):
         }
 
     def headline(self) -> str:
-        """Kind, duration and the gain over doublets."""
         return self.lines()[0]
 
     def rows(self) -> Rows:

@@ -228,7 +228,6 @@ class Estimates(Answer):
         return self.best.parameters[parameter]
 
     def to_json(self) -> dict[str, Any]:
-        """As `estimate --json` has it."""
         return self.session.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -272,7 +271,6 @@ class Estimates(Answer):
         return Figures(estimate_figures(self.session))
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML report; gives its page."""
         from estimation.report.page import write_estimate_report
 
         return write_estimate_report(self.session, Path(folder))
@@ -301,7 +299,6 @@ class Estimates(Answer):
         }
 
     def headline(self) -> str:
-        """Model, methods and how it went."""
         return f"Estimates of {self.session.model.name} by {', '.join(self.session.methods)}: {self.session.text:.300}"
 
     def rows(self) -> Rows:

@@ -86,7 +86,6 @@ class GapAnswer(Answer):
         return replace(self, result=with_models(self.result, self.flights, self.seed, Path(folder)))
 
     def to_json(self) -> dict[str, Any]:
-        """As `gap --json` has it."""
         return self.result.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -108,7 +107,6 @@ class GapAnswer(Answer):
         return pd.DataFrame(rows)
 
     def lines(self) -> list[str]:
-        """What `sideslip gap` prints."""
         return [*(f"simulation: {note}" for note in self.notes), *_lines(self.result)]
 
     def plot(self, ax: Any = None) -> Any:
@@ -128,13 +126,11 @@ class GapAnswer(Answer):
         return {**super().writers(), ".toml": lambda path: write_model(self.model, path), **table_writers(self)}
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
         from estimation.gap.pages.report import write_gap_report
 
         return write_gap_report(self.result, Path(folder), self.catalogue)
 
     def headline(self) -> str:
-        """The verdict and the effects."""
         return f"Gap: {self.verdict}{': ' if self.effects else ''}{', '.join(self.effects)}"
 
     def rows(self) -> Rows:

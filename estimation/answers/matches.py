@@ -59,7 +59,6 @@ class Match(Answer):
         return all(p.converged and all(f.theil <= self.limit for f in p.fit.values()) for p in self.proofs)
 
     def to_json(self) -> dict[str, Any]:
-        """As `match --json` has it."""
         return {"model": self.model, "limit": self.limit, "flights": [p.to_json() for p in self.proofs]}
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -74,7 +73,6 @@ class Match(Answer):
         return pd.DataFrame(rows)
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip match` prints."""
         yield from (f"simulation: {note}" for note in self.notes)
         yield f"limit: Theil's coefficient {self.limit:g} in every channel"
         for proof in self.proofs:
@@ -85,7 +83,6 @@ class Match(Answer):
         return plot_proof(self.proofs[0], ax)
 
     def figures(self) -> Figures:
-        """Figure 10 of the report pages."""
         from functools import partial
 
         from estimation.report.drawing.estimate_figures import proof_figure
@@ -107,7 +104,6 @@ class Match(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Flights, and the worst match of any channel."""
         largest = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
         return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {largest:.3f}"
 

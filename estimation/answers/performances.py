@@ -88,7 +88,6 @@ class Performance(Answer):
         return curve(self.polar, self.aircraft)
 
     def to_json(self) -> dict[str, Any]:
-        """As `performance --json` has it."""
         polar_known = self.passed
         return {
             "version": 1, "aircraft": self.aircraft.name, "status": self.status, "known": polar_known,
@@ -114,7 +113,6 @@ class Performance(Answer):
         ])  # fmt: skip
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip performance` prints."""
         for f in self.flights:
             yield f"{f.name}: {f.used} of {f.samples} samples, {f.thrust}"
         yield f"{self.aircraft.name}, {self.aircraft.mass:g} kg, density {self.polar.density:.3f} kg/m3: {self.status}"
@@ -151,7 +149,6 @@ class Performance(Answer):
         return axes
 
     def figures(self) -> Figures:
-        """The figure of the page."""
         from functools import partial
 
         from estimation.performance.drawing import performance_picture
@@ -168,7 +165,6 @@ class Performance(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Aircraft and the best glide."""
         return f"Performance of {self.aircraft.name}: {self.status}"
 
     def rows(self) -> Rows:

@@ -69,7 +69,6 @@ class Reconstruction(Answer):
         }
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip reconstruct` prints."""
         from estimation.compatibility.air_data import air_data_sentence
 
         yield f"{self.name}: {air_data_sentence(self.air)}"
@@ -105,7 +104,6 @@ class Reconstruction(Answer):
         return {**super().writers(), **flights}
 
     def headline(self) -> str:
-        """How sure the reconstruction is."""
         return next(self.lines())
 
     def rows(self) -> Rows:

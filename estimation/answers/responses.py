@@ -94,7 +94,6 @@ class Response(Answer):
         return replace(self, answer=answer(self.answer.response, form, craft))
 
     def to_json(self) -> dict[str, Any]:
-        """As `frequency --json` has it."""
         return self.answer.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -114,7 +113,6 @@ class Response(Answer):
         )
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip frequency` prints."""
         from estimation.frequency.answer import lines
 
         return lines(self.answer)
@@ -131,7 +129,6 @@ class Response(Answer):
         return ax
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
         from estimation.frequency.page import write_frequency_report
 
         return write_frequency_report(self.answer, self.flights, Path(folder))
@@ -144,7 +141,6 @@ class Response(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Output, input, range of frequencies and the form of the fit."""
         r = self.answer.response
         fit = "" if self.answer.fit is None else f", fit {self.answer.fit.form.name}"
         return (

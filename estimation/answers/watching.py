@@ -62,7 +62,6 @@ class Watching(Answer):
         return not self.alarms
 
     def to_json(self) -> dict[str, Any]:
-        """As `watch --json` has it."""
         return {**self.result.to_json(), "next": self.command if self.alarms else None}
 
     def stretch(self) -> "Flight | None":
@@ -79,7 +78,6 @@ class Watching(Answer):
         return pd.DataFrame({"time": [w.time for w in history], "score": [w.score for w in history]})
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip watch` prints."""
         from estimation.watch.answer import lines
 
         yield from lines(self.result)
@@ -102,7 +100,6 @@ class Watching(Answer):
         return plot_watched(self.result, ax)
 
     def figures(self) -> Figures:
-        """The figure of the page."""
         from functools import partial
 
         from estimation.watch.answer import history_picture
@@ -110,13 +107,11 @@ class Watching(Answer):
         return Figures({"watch_history": partial(history_picture, self.result)})
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
         from estimation.watch.answer import write_watch_report
 
         return write_watch_report(self.result, Path(folder), self.command)
 
     def headline(self) -> str:
-        """Flight, model and the number of alarms."""
         alarms = f"{len(self.alarms)} alarm{'s' if len(self.alarms) > 1 else ''}" if self.alarms else "no alarm"
         return f"Watching of {self.result.flight.name} with {self.result.model}: {alarms}"
 

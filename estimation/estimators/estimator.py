@@ -41,15 +41,7 @@ class Extras:
     @property
     def asked(self) -> tuple[Extra, ...]:
         """Those that differ from their default."""
-        options = {
-            Extra.PROFILE: self.profile,
-            Extra.BOOTSTRAP: self.bootstrap,
-            Extra.SEED: self.seed,
-            Extra.STEPWISE: self.stepwise,
-            Extra.RAW_INPUTS: self.raw_inputs,
-            Extra.KEEP_HELD: self.keep_held,
-        }
-        return tuple(extra for extra, value in options.items() if value)
+        return tuple(extra for extra in Extra if getattr(self, extra.name.lower()))
 
 
 NO_EXTRAS = Extras()

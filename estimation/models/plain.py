@@ -72,11 +72,7 @@ def _floats(data: object) -> object:
 
 
 _KINDS: Mapping[str, Any] = {
-    "control": bool,
-    "servo": bool,
-    "optional": bool,
-    "held": bool,
-    "computed": bool,
+    **dict.fromkeys(("control", "servo", "optional", "held", "computed"), bool),
     "start": (str, int, float),
 }
 

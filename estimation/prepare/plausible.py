@@ -13,7 +13,7 @@ from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.quality.repeats import STUCK_SAMPLES, repeats, span_of
+from groundstation.flight.quality.repeats import STUCK_SAMPLES, span_of
 
 FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 """Angles that never exceed a right angle."""
@@ -138,14 +138,6 @@ def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
     if a.std() == 0.0 or b.std() == 0.0 or float(a @ b) < RELATED * float(np.linalg.norm(a) * np.linalg.norm(b)):
         return None
     return float(np.linalg.norm(b) / np.linalg.norm(a))
-
-
-def stuck(time: Array, values: Array) -> NDArray[np.bool_]:
-    """Samples at which a noisy channel, seen by itself, shows one and the same number for more than a second; (N,) bool.
-
-    With the other channels of its flight `groundstation.flight.quality.repeats` tells more.
-    """
-    return repeats(Flight.build("one channel", time, {"channel": values}), "channel").stuck
 
 
 def refuse_other_time_unit(flight: Flight) -> None:

@@ -30,6 +30,15 @@ class CandidateKind(Enum):
     INERTIA = "product of inertia"
 
 
+UNITS = {
+    CandidateKind.LATE_CONTROL: "s",
+    CandidateKind.LATE_SENSOR: "s",
+    CandidateKind.SCALE: "1",
+    CandidateKind.PLACE: "m",
+    CandidateKind.INERTIA: "kg m2",
+}
+
+
 @dataclass(frozen=True)
 class Candidate:
     """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term:
@@ -51,25 +60,13 @@ class Candidate:
             if self.kind in (CandidateKind.LINEAR, CandidateKind.NONLINEAR, CandidateKind.INERTIA)
             else ParameterRole.INSTRUMENT
         )
-        unit = {
-            CandidateKind.LATE_CONTROL: "s",
-            CandidateKind.LATE_SENSOR: "s",
-            CandidateKind.SCALE: "1",
-            CandidateKind.PLACE: "m",
-            CandidateKind.INERTIA: "kg m2",
-        }
-        return Parameter(self.name, unit.get(self.kind, "1/rad"), start=self.null, role=role)
+        return Parameter(self.name, UNITS.get(self.kind, "1/rad"), start=self.null, role=role)
 
 
 def structure_candidates(model: Model) -> tuple[Candidate, ...]:
     """Everything that is tested beside a model."""
     every_candidate = (*_terms(model), *_late_controls(model), *_sensors(model), *_inertia(model))
     return tuple(c for c in every_candidate if c.name not in model.parameter_names)
-
-
-def linear_terms(model: Model) -> tuple[Candidate, ...]:
-    """Derivatives of the general linear model that a model does not have."""
-    return tuple(c for c in structure_candidates(model) if c.kind is CandidateKind.LINEAR)
 
 
 def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:

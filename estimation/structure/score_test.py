@@ -39,20 +39,10 @@ FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
 NOTABLE = 1.0  # bounds by which a printed value has to move
 
-LIKELY = {
-    kind: i
-    for i, kind in enumerate(
-        (
-            CandidateKind.LINEAR,
-            CandidateKind.LATE_CONTROL,
-            CandidateKind.SCALE,
-            CandidateKind.LATE_SENSOR,
-            CandidateKind.INERTIA,
-            CandidateKind.NONLINEAR,
-            CandidateKind.PLACE,
-        )
-    )
-}
+LIKELIEST_FIRST = (
+    CandidateKind.LINEAR, CandidateKind.LATE_CONTROL, CandidateKind.SCALE, CandidateKind.LATE_SENSOR, CandidateKind.INERTIA,
+    CandidateKind.NONLINEAR, CandidateKind.PLACE,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -196,7 +186,7 @@ def _strongest(now: Sequence[Tested], chosen: Sequence[int], result: Result) -> 
     possible = [k for k in significant if _possible(now[k], result)] or significant
     highest = max(abs(now[k].score) for k in possible)
     tied = [k for k in possible if abs(now[k].score) >= TIED * highest]
-    return min(tied, key=lambda k: (LIKELY[now[k].candidate.kind], -abs(now[k].score)))
+    return min(tied, key=lambda k: (LIKELIEST_FIRST.index(now[k].candidate.kind), -abs(now[k].score)))
 
 
 def _possible(tested: Tested, result: Result) -> bool:

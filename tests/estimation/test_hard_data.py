@@ -16,13 +16,13 @@ from estimation.estimators.output_error import output_error
 from estimation.models import load_model
 from estimation.prepare.flight_data import Preparation
 from estimation.prepare.pipeline import prepare
-from estimation.prepare.plausible import stuck
 from estimation.prepare.stretches import flights_of_segments, select_segments
 from estimation.session import runner
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 from groundstation.flight.notes import texts
+from groundstation.flight.quality.repeats import repeats
 
 LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]
@@ -79,7 +79,8 @@ def test_a_stuck_sensor_is_left_out_and_the_answer_stays_right(made_flights: lis
     for name in ("Cl_p", "Cl_da", "Cn_beta"):
         assert abs(result.values[name] - sound.values[name]) < 3.0 * result.std_coloured[name]
     quiet = np.zeros(400)  # a channel without noise may stand still
-    assert not stuck(np.arange(400) * 0.05, quiet).any()
+    still = Flight.build("still", np.arange(400) * 0.05, {"quiet": quiet})
+    assert not repeats(still, "quiet").stuck.any()
 
 
 def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) -> None:

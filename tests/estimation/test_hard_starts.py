@@ -150,7 +150,7 @@ def _with(work: Callable[[], object]) -> Estimator:
 
 @pytest.mark.parametrize("name", ARITHMETIC)
 def test_arithmetic_that_fails_in_any_method_is_one_sentence(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "find", lambda method: _with(ARITHMETIC[name]))
+    monkeypatch.setattr(runner, "find_estimator", lambda method: _with(ARITHMETIC[name]))
     easy, model = _sound()
     flights = [replace(easy, name="hard"), replace(easy, name="easy")]
     session = runner.estimate(model, flights, load_aircraft("cdfp"), ["own"], structure=StructureWish.OFF)

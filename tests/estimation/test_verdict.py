@@ -167,7 +167,7 @@ def test_a_failing_method_is_a_sentence_and_loses_no_other_result(
 ) -> None:
     own = Estimator("broken", "one that breaks", _broken)
     usual = runner.find_estimator
-    monkeypatch.setattr(runner, "find", lambda name: own if name == "broken" else usual(name))
+    monkeypatch.setattr(runner, "find_estimator", lambda name: own if name == "broken" else usual(name))
     session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ls", "broken"], joint=True)
     first, second = session.flights
     assert set(first.results) == {"ls", "broken"}
