@@ -23,7 +23,7 @@ from estimation.models.consistency import check_model
 from estimation.models.expressions import names_in
 from estimation.models.parts import TRANSFORM_KINDS, InputTransform, ModelParts, Parameter, ParameterRole, Signal
 
-__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "ParameterRole", "Signal"]
+__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "ParameterRole", "Signal", "joint_model"]
 
 
 @dataclass(frozen=True)
@@ -239,6 +239,14 @@ class Model(ModelParts):
     def digest(self) -> str:
         """Digest of the whole model, values included: names it in lineages and reports."""
         return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def joint_model(model: Model) -> Model:
+    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
+
+    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
+    """
+    return model.with_local(*model.free_of(ParameterRole.CONSTANT))
 
 
 def _has(definitions: Mapping[str, str]) -> str:

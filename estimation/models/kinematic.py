@@ -9,7 +9,7 @@ Source: kinematic equations of a rigid body over a flat earth; factors as in The
 Table 2.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from estimation.aircraft import GRAVITY
@@ -113,46 +113,8 @@ def compatibility_model(
                 f"measure one and give it, like {axis}_imu=0.06"
             )
 
-    def value(name: str, neutral: float) -> str:
-        return name if name in free else f"({fixed.get(name, neutral)!r})"
-
-    def less(name: str, bias: str) -> str:
-        return f"({name} - {value(bias, 0.0)})" if bias in free or bias in fixed else name
-
     errors = [(a, e) for a in ATTITUDE for e in FILTER_ERRORS] if filtered_attitude else []
-
-    def wandering(angle: str) -> str:
-        return "".join(f" + {a}_{e}" for a, e in errors if a == angle)
-
-    p, q, r = (less(n, f"d{n}") for n in "pqr")
     lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in free or n in fixed)
-    ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
-    if lever:
-        X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))
-        # specific force at the centre of gravity: less omega_dot x arm and omega x (omega x arm)
-        ax = f"({ax} - (q_dot*{Z} - r_dot*{Y} + {p}*({q}*{Y} + {r}*{Z}) - ({q}^2 + {r}^2)*{X}))"
-        ay = f"({ay} - (r_dot*{X} - p_dot*{Z} + {q}*({p}*{X} + {r}*{Z}) - ({p}^2 + {r}^2)*{Y}))"
-        az = f"({az} - (p_dot*{Y} - q_dot*{X} + {r}*({p}*{X} + {q}*{Y}) - ({p}^2 + {q}^2)*{Z}))"
-    vane = {n: value(n, 0.0) for n in ("x_vane", "y_vane", "z_vane")}
-    equations = (
-        f"u_dot = {r}*v - {q}*w - g*sin(theta) + {ax}",
-        f"v_dot = {p}*w - {r}*u + g*cos(theta)*sin(phi) + {ay}",
-        f"w_dot = {q}*u - {p}*v + g*cos(theta)*cos(phi) + {az}",
-        f"phi_dot = {p} + tan(theta)*({q}*sin(phi) + {r}*cos(phi))",
-        f"theta_dot = {q}*cos(phi) - {r}*sin(phi)",
-        f"psi_dot = ({q}*sin(phi) + {r}*cos(phi))/cos(theta)",
-        "speed = sqrt(u^2 + v^2 + w^2)",
-        f"u_vane = u - {r}*{vane['y_vane']} + {q}*{vane['z_vane']}",
-        f"v_vane = v + {r}*{vane['x_vane']} - {p}*{vane['z_vane']}",
-        f"w_vane = w - {q}*{vane['x_vane']} + {p}*{vane['y_vane']}",
-        f"V = {value('K_V', 1.0)}*speed + {value('dV', 0.0)}",
-        f"alpha = {value('K_alpha', 1.0)}*atan2(w_vane, u_vane) + {value('dalpha', 0.0)}",
-        f"beta = {value('K_beta', 1.0)}*atan2(v_vane, sqrt(u_vane^2 + w_vane^2)) + {value('dbeta', 0.0)}",
-        f"phi_measured = phi + {value('dphi', 0.0)}{wandering('phi')}",
-        f"theta_measured = theta + {value('dtheta', 0.0)}{wandering('theta')}",
-        f"psi_measured = psi{wandering('psi')}",
-        *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
-    )
     delayed = {FACTORS[f].late: f for f in free if FACTORS[f].late}
     return Model(
         name="compatibility",
@@ -171,7 +133,51 @@ def compatibility_model(
         ),
         outputs=tuple(MEASUREMENTS[n] for n in measured),
         parameters=tuple(FACTORS[f].parameter for f in free),
-        equations=equations,
+        equations=_equations(free, fixed, lever, errors),
         constants={"g": GRAVITY},
         output_delays=delayed,
+    )
+
+
+def _equations(
+    free: Collection[str], fixed: Mapping[str, float], lever: Collection[str], errors: Collection[tuple[str, str]]
+) -> tuple[str, ...]:
+    """lever: positions of the IMU that are asked for; errors: (angle, kind) of an attitude filter."""
+
+    def value(name: str, neutral: float) -> str:
+        return name if name in free else f"({fixed.get(name, neutral)!r})"
+
+    def less(name: str, bias: str) -> str:
+        return f"({name} - {value(bias, 0.0)})" if bias in free or bias in fixed else name
+
+    def wandering(angle: str) -> str:
+        return "".join(f" + {a}_{e}" for a, e in errors if a == angle)
+
+    p, q, r = (less(n, f"d{n}") for n in "pqr")
+    ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
+    if lever:
+        X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))
+        # specific force at the centre of gravity: less omega_dot x arm and omega x (omega x arm)
+        ax = f"({ax} - (q_dot*{Z} - r_dot*{Y} + {p}*({q}*{Y} + {r}*{Z}) - ({q}^2 + {r}^2)*{X}))"
+        ay = f"({ay} - (r_dot*{X} - p_dot*{Z} + {q}*({p}*{X} + {r}*{Z}) - ({p}^2 + {r}^2)*{Y}))"
+        az = f"({az} - (p_dot*{Y} - q_dot*{X} + {r}*({p}*{X} + {q}*{Y}) - ({p}^2 + {q}^2)*{Z}))"
+    vane = {n: value(n, 0.0) for n in ("x_vane", "y_vane", "z_vane")}
+    return (
+        f"u_dot = {r}*v - {q}*w - g*sin(theta) + {ax}",
+        f"v_dot = {p}*w - {r}*u + g*cos(theta)*sin(phi) + {ay}",
+        f"w_dot = {q}*u - {p}*v + g*cos(theta)*cos(phi) + {az}",
+        f"phi_dot = {p} + tan(theta)*({q}*sin(phi) + {r}*cos(phi))",
+        f"theta_dot = {q}*cos(phi) - {r}*sin(phi)",
+        f"psi_dot = ({q}*sin(phi) + {r}*cos(phi))/cos(theta)",
+        "speed = sqrt(u^2 + v^2 + w^2)",
+        f"u_vane = u - {r}*{vane['y_vane']} + {q}*{vane['z_vane']}",
+        f"v_vane = v + {r}*{vane['x_vane']} - {p}*{vane['z_vane']}",
+        f"w_vane = w - {q}*{vane['x_vane']} + {p}*{vane['y_vane']}",
+        f"V = {value('K_V', 1.0)}*speed + {value('dV', 0.0)}",
+        f"alpha = {value('K_alpha', 1.0)}*atan2(w_vane, u_vane) + {value('dalpha', 0.0)}",
+        f"beta = {value('K_beta', 1.0)}*atan2(v_vane, sqrt(u_vane^2 + w_vane^2)) + {value('dbeta', 0.0)}",
+        f"phi_measured = phi + {value('dphi', 0.0)}{wandering('phi')}",
+        f"theta_measured = theta + {value('dtheta', 0.0)}{wandering('theta')}",
+        f"psi_measured = psi{wandering('psi')}",
+        *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
     )

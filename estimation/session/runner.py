@@ -10,12 +10,12 @@ from estimation.estimators.arithmetic import NumericalFailure, mark_not_finite, 
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, estimator_names, find_estimator
 from estimation.estimators.result import Result
-from estimation.models.base import Model
+from estimation.models.base import Model, joint_model
 from estimation.prepare.stretches import unique_names
 from estimation.session.aircraft_review import aircraft_objections
 from estimation.session.evidence import parameter_scatter, with_airspeed_error
 from estimation.session.session import EstimationSession, FlightEstimates
-from estimation.session.structured import StructureWish, joint_model, with_structure_tests
+from estimation.session.structured import StructureWish, with_structure_tests
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight

@@ -14,7 +14,7 @@ from estimation.estimators.arithmetic import NumericalFailure, numerical_failure
 from estimation.estimators.estimator import Task
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
-from estimation.models.base import Model, ParameterRole
+from estimation.models.base import Model, joint_model
 from estimation.models.library import WHOLE
 from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.session import EstimationSession
@@ -23,15 +23,6 @@ from estimation.structure.linearised import linearise_fit
 from estimation.structure.odd_flights import OddFlight, first_part, follows_controls, odd_flights
 from estimation.structure.score_test import Lack, StructureTest, structure_of
 from groundstation.flight import Flight
-
-
-def joint_model(model: Model) -> Model:
-    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
-
-    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
-    """
-    return model.with_local(*model.free_of(ParameterRole.CONSTANT))
-
 
 ROUNDS = 4  # of adding: a model that lacks more is another model
 MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test

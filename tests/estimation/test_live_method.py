@@ -14,8 +14,7 @@ from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
 from estimation.models import load_model
-from estimation.models.base import Model
-from estimation.session.runner import joint_model
+from estimation.models.base import Model, joint_model
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
 

@@ -15,9 +15,8 @@ from estimation.estimators.frequency_domain.problem import FrequencyProblem
 from estimation.estimators.frequency_domain.transformed import Band, SpectralSegment
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
-from estimation.models.base import InputTransform, Model, Parameter, Signal
+from estimation.models.base import InputTransform, Model, Parameter, Signal, joint_model
 from estimation.prepare.pipeline import prepare
-from estimation.session.runner import joint_model
 from estimation.signals.curves import finite_transform
 from groundstation.flight import Flight, read_flight
 from tests.estimation.truth import STRONG, TRUE

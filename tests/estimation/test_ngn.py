@@ -31,7 +31,7 @@ from estimation.estimators.neural_gauss_newton.training import (
     train_jobs,
 )
 from estimation.models import load_model
-from estimation.session.runner import joint_model
+from estimation.models.base import joint_model
 from firmware_sim.physics.aerodynamics import true_derivatives
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario

@@ -17,6 +17,7 @@ from estimation.estimators.estimator import Estimator, Task
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model, read_model, write_model
+from estimation.models.base import joint_model
 from estimation.session import runner
 from estimation.session.evidence import driven_outputs, gain_of_filter
 from estimation.session.sanity_checks import DoubtKind
@@ -100,7 +101,7 @@ def test_the_gain_of_a_filter_over_itself_is_nothing(calm: Mapping[str, Result])
 def test_two_manoeuvres_of_a_jet_in_turbulence() -> None:
     """Recommended CY_p and CY_dr within three bounds of truth; output error alone warns."""
     model = load_model("lateral", JET_AIRCRAFT)
-    flights, joint = jet_flights(1.0, 1), runner.joint_model(model)
+    flights, joint = jet_flights(1.0, 1), joint_model(model)
     results = {m: runner.run_method(m, joint, flights, JET_AIRCRAFT) for m in METHODS}
     best = results[verdict(results).recommended.method]
     for name in ("CY_p", "CY_dr"):

@@ -24,9 +24,8 @@ from estimation.campaign.aerodynamics.joint import GlobalModel, global_model, ha
 from estimation.campaign.aerodynamics.terms import derivatives_of
 from estimation.estimators.output_error import output_error
 from estimation.models import Model, load_model
-from estimation.models.base import ParameterRole
+from estimation.models.base import ParameterRole, joint_model
 from estimation.session.proof_of_match import predict_flight
-from estimation.session.runner import joint_model
 from firmware_sim.physics.aerodynamics import true_derivatives
 from firmware_sim.runs.direct import direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario

@@ -26,12 +26,11 @@ from estimation.campaign.pooling import LEVEL, t_quantile
 from estimation.engine.simulate import Simulator
 from estimation.estimators.output_error import STANDARD, OutputErrorOptions, output_error
 from estimation.estimators.result import Result
-from estimation.models.base import Model
+from estimation.models.base import Model, joint_model
 from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, without_absent_outputs
 from estimation.prepare.pipeline import prepare_all
 from estimation.prepare.stretches import unique_names
 from estimation.session.proof_of_match import flown_ranges
-from estimation.session.runner import joint_model
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

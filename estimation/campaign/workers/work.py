@@ -233,8 +233,9 @@ def _covariance(result: Result, name: str) -> Row:
 
 
 def _joint(work: Work) -> Iterator[Row]:
+    from estimation.models.base import joint_model
     from estimation.prepare.stretches import unique_names
-    from estimation.session.runner import joint_model, run_method
+    from estimation.session.runner import run_method
 
     flights = unique_names([part for s in work.subjects for part in _parts(read_subject(s), work)])
     craft = _aircraft(work.subjects[0], flights[0], work)
