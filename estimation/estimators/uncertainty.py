@@ -160,7 +160,8 @@ def flight_score(
     blocks: FlightBlocks,
 ) -> FlightScore:
     """Where the score of one flight scatters from: the outputs' noise, coloured as residuals show it, and the inputs."""
-    pieces, nuisance_inverse = segments_in_noise(problem, point, index)
+    pieces = segments_in_noise(problem, point, index)
+    nuisance_inverse = [b.xx_inverse for b in point.blocks[index]]
     inverse = _of_free_parameters(problem, covariance, blocks)
     responses = disturbed_outputs(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
@@ -213,10 +214,8 @@ def _of_free_parameters(problem: OutputErrorProblem, covariance: Array, blocks: 
     return inverse
 
 
-def segments_in_noise(
-    problem: OutputErrorProblem, point: LikelihoodPoint, index: int
-) -> tuple[list[ResidualSegment], list[Array]]:
-    """Segments of one flight in units of the noise, and the covariance of each one's initial states."""
+def segments_in_noise(problem: OutputErrorProblem, point: LikelihoodPoint, index: int) -> list[ResidualSegment]:
+    """Segments of one flight in units of the noise."""
     n = len(problem.free)
     keep = np.concatenate([np.arange(n), n + problem.free_states])
     pieces = []
@@ -224,7 +223,7 @@ def segments_in_noise(
         assert motion.dy is not None
         J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
         pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
-    return pieces, [b.xx_inverse for b in problem.segment_blocks(point)[index]]
+    return pieces
 
 
 # ------------------------------------------------------------------------------------------------ identifiability

@@ -175,7 +175,8 @@ def _products(
     problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int
 ) -> tuple[FlightProducts, InputErrorEvidence]:
     """Inner products of one flight, and what its residuals show of edges and timing."""
-    pieces, state_covariances = segments_in_noise(problem, point, index)
+    pieces = segments_in_noise(problem, point, index)
+    state_covariances = [pseudo_inverse(p.nuisance.T @ p.nuisance)[0] for p in pieces]
     responses = disturbed_outputs(problem, unknowns, index)
     white = white_responses(pieces, state_covariances, responses, point)
     inverse, residuals = _without_everything(pieces, state_covariances)
