@@ -83,13 +83,13 @@ def choose_stretches(flight: Flight) -> ChosenStretches:
     return ChosenStretches(flight_part, "all that was flown", notes, hint)
 
 
-def _times(found: Sequence[ManoeuvreStretch]) -> str:
-    return "manoeuvres " + ",".join(f"{m.start:.2f}:{m.stop:.2f}" for m in found)[:LONGEST_TEXT]
+def _times(manoeuvres: Sequence[ManoeuvreStretch]) -> str:
+    return "manoeuvres " + ",".join(f"{m.start:.2f}:{m.stop:.2f}" for m in manoeuvres)[:LONGEST_TEXT]
 
 
-def _new_notes(before: Flight, after: Flight) -> tuple[str, ...]:
-    texts_before = {n.text for n in before.notes}
-    return tuple(n.text for n in after.notes if n.text not in texts_before and "left out" in n.text)
+def _new_notes(original: Flight, part: Flight) -> tuple[str, ...]:
+    texts_before = {n.text for n in original.notes}
+    return tuple(n.text for n in part.notes if n.text not in texts_before and "left out" in n.text)
 
 
 def _duration(flight: Flight) -> float:

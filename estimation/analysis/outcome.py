@@ -137,22 +137,22 @@ def parameters_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[st
     return dict((methods.get(method) or first).get("parameters", {}))
 
 
-def verdict_of(estimate: Mapping[str, Any] | None, where: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
+def verdict_of(estimate: Mapping[str, Any] | None, place: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
     """One sentence: what is recommended with its numbers, or why nothing is."""
     if not estimate:
-        return where
+        return place
     recommendation = recommendation_of(estimate)
     method = recommendation.get("method", "none")
     model, aircraft = estimate.get("model", ""), estimate.get("aircraft", "")
     stopping = [c["text"] for c in contradictions if c.get("stops")]
     if method == "none":
         reason = str(recommendation.get("why") or estimate.get("status", "")) or "; ".join(stopping)
-        return f"No derivatives of {aircraft} are recommended ({model} {where}): {reason}"
+        return f"No derivatives of {aircraft} are recommended ({model} {place}): {reason}"
     values = [
         f"{n} {' +- '.join(pair(p['estimate'], p['std_coloured']))}"
         for n, p in parameters_of(estimate).items()
         if p.get("identifiable") and not n.endswith("_0")
     ]
     rest = f" and {len(values) - SHOWN} more" if len(values) > SHOWN else ""
-    text = f"Derivatives of {aircraft} by {method} ({model} {where}): {', '.join(values[:SHOWN])}{rest}"
+    text = f"Derivatives of {aircraft} by {method} ({model} {place}): {', '.join(values[:SHOWN])}{rest}"
     return f"{text}; but the log contradicts itself: {'; '.join(stopping)}" if stopping else text

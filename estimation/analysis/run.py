@@ -111,15 +111,15 @@ def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Fli
 
 def _estimated(
     training: Sequence[ChosenStretches],
-    found: Recipe,
+    recipe_of_log: Recipe,
     aircraft: str | None,
-    about: Mapping[str, Any],
+    key_content: Mapping[str, Any],
     stages: Stages,
     tell: Tell,
 ) -> Stage:
     """The estimate of the richest model whose estimate is recommended; of the richest, where none is."""
     flights = [c.flight for c in training]
-    models = models_to_try(found, sorted({c for f in flights for c in moved_controls(f)}))
+    models = models_to_try(recipe_of_log, sorted({c for f in flights for c in moved_controls(f)}))
 
     def work() -> dict[str, Any]:
         from estimation.answers.estimates import Estimates, estimate
@@ -141,27 +141,27 @@ def _estimated(
             first = first or answer
         return _kept(first, stages.folder, rejected[1:]) if first is not None else {}
 
-    return stages.run("estimate", {**about, "models": models}, work)
+    return stages.run("estimate", {**key_content, "models": models}, work)
 
 
-def _kept(answer: Any, folder: Path, tried: Sequence[str]) -> dict[str, Any]:
+def _kept(answer: Any, folder: Path, rejected: Sequence[str]) -> dict[str, Any]:
     """The estimate as JSON, its page and its model as files."""
     answer.report(folder / "estimate")
     answer.save(folder / "model.toml")
-    return {**answer.to_json(), "tried": list(tried)}
+    return {**answer.to_json(), "tried": list(rejected)}
 
 
 def _gap(
     training: Sequence[ChosenStretches],
-    held: Sequence[ChosenStretches],
+    holdout: Sequence[ChosenStretches],
     estimate: Mapping[str, Any] | None,
     aircraft: str | None,
-    about: Mapping[str, Any],
+    key_content: Mapping[str, Any],
     stages: Stages,
     tell: Tell,
 ) -> Stage | None:
     """What the model lacks, where flights are enough and something is recommended that could lack it."""
-    if len(training) + len(held) < FEWEST_FOR_GAP or recommendation_of(estimate).get("method", "none") == "none":
+    if len(training) + len(holdout) < FEWEST_FOR_GAP or recommendation_of(estimate).get("method", "none") == "none":
         return None
     model = str((estimate or {}).get("model", RICHEST[1]))
 
@@ -170,14 +170,14 @@ def _gap(
 
         tell("what the model lacks", 0.65)
         answer = gap(
-            model, [c.flight for c in training], [c.flight for c in held], aircraft=aircraft,
+            model, [c.flight for c in training], [c.flight for c in holdout], aircraft=aircraft,
             progress=lambda what, share: tell(what, 0.65 + 0.33 * share),
         )  # fmt: skip
         answer = answer.with_models(stages.folder / "gap" / "models")
         answer.report(stages.folder / "gap")
         return answer.to_json()
 
-    return stages.run("gap", {**about, "model": model}, work)
+    return stages.run("gap", {**key_content, "model": model}, work)
 
 
 def _pages(folder: Path, estimate: Mapping[str, Any] | None, gap: Stage | None) -> dict[str, str]:
@@ -192,21 +192,25 @@ def _pages(folder: Path, estimate: Mapping[str, Any] | None, gap: Stage | None) 
 def _content(
     given: Given,
     training: Sequence[ChosenStretches],
-    seen: Sequence[Mapping[str, Any]],
-    found: Recipe,
+    contradicted: Sequence[Mapping[str, Any]],
+    recipe_of_log: Recipe,
     estimate: Mapping[str, Any] | None,
     gap: Stage | None,
-    without: Mapping[str, Any] | None,
+    without_file: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     place = _where(training)
-    verdict = str(without["verdict"]) if without else verdict_of(estimate, _no_model(training, found), seen)
+    verdict = (
+        str(without_file["verdict"])
+        if without_file
+        else verdict_of(estimate, _no_model(training, recipe_of_log), contradicted)
+    )
     if estimate:
-        verdict = verdict_of(estimate, place, seen)
+        verdict = verdict_of(estimate, place, contradicted)
     return {
         "version": 1,
         "flights": [_about(f) for f in given.flights],
         "holdout": [_about(f) for f in given.holdout],
-        "contradictions": list(seen),
+        "contradictions": list(contradicted),
         "modes": [
             {"flight": f.name, "mode": m.name, "from": m.start, "to": m.stop}
             for f in given.flights
@@ -216,9 +220,9 @@ def _content(
         "model": estimate["model"] if estimate else None,
         "estimate": estimate,
         "gap": None if gap is None else gap.content,
-        **({"without_aircraft": without} if without else {}),
+        **({"without_aircraft": without_file} if without_file else {}),
         "verdict": verdict,
-        "next": _next(training, given, seen, found, estimate, gap, without)[:MOST_NEXT],
+        "next": _next(training, given, contradicted, recipe_of_log, estimate, gap, without_file)[:MOST_NEXT],
         "notes": list(
             dict.fromkeys([n for c in training for n in c.notes] + [n.text for f in given.flights for n in f.notes])
         ),
@@ -246,14 +250,14 @@ def _where(training: Sequence[ChosenStretches]) -> str:
     )
 
 
-def _no_model(training: Sequence[ChosenStretches], found: Recipe) -> str:
+def _no_model(training: Sequence[ChosenStretches], recipe_of_log: Recipe) -> str:
     """Why no model can be estimated."""
-    able = [m.model for m in found.models if m.able]
+    able = [m.model for m in recipe_of_log.models if m.able]
     if able:
         controls = sorted({c for t in training for c in moved_controls(t.flight)})
         moved_text = f"only {', '.join(controls)} moved" if controls else "no surface moved"
         return f"No derivatives: {moved_text}, which is no input for {', '.join(able)}; fly doublets or 3-2-1-1s"
-    nearest = min(found.models, key=lambda m: (bool(m.slow), len(m.missing)))
+    nearest = min(recipe_of_log.models, key=lambda m: (bool(m.slow), len(m.missing)))
     reason = nearest.slow or f"it lacks {', '.join(nearest.missing)}"
     return f"No derivatives: the log is not enough for any model; nearest is {nearest.model}: {reason}"
 
@@ -261,18 +265,18 @@ def _no_model(training: Sequence[ChosenStretches], found: Recipe) -> str:
 def _next(
     training: Sequence[ChosenStretches],
     given: Given,
-    seen: Sequence[Mapping[str, Any]],
-    found: Recipe,
+    contradicted: Sequence[Mapping[str, Any]],
+    recipe_of_log: Recipe,
     estimate: Mapping[str, Any] | None,
     gap: Stage | None,
-    without: Mapping[str, Any] | None,
+    without_file: Mapping[str, Any] | None,
 ) -> list[str]:
     """What a person can do, the most telling first."""
-    steps = [f"settle in {c['flight']}: {c['text']}" for c in seen if c.get("stops")]
-    steps += list(without["next"]) if without else []
-    if without and not any(m.able for m in found.models):
+    steps = [f"settle in {c['flight']}: {c['text']}" for c in contradicted if c.get("stops")]
+    steps += list(without_file["next"]) if without_file else []
+    if without_file and not any(m.able for m in recipe_of_log.models):
         steps.append(
-            f"channels: {found.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
+            f"channels: {recipe_of_log.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
         )
     steps += [c.hint for c in training if c.hint]
     recommendation = recommendation_of(estimate)
@@ -284,8 +288,8 @@ def _next(
     )
     if estimate and recommendation.get("method", "none") == "none":
         steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
-    if not estimate and not without:
-        steps += [f"{sensor} would make possible: {', '.join(models)}" for sensor, models in found.adds.items()]
+    if not estimate and not without_file:
+        steps += [f"{sensor} would make possible: {', '.join(models)}" for sensor, models in recipe_of_log.adds.items()]
         if not any(f.measured(c) for f in given.flights for c in ("delta_a", "delta_e", "delta_r")):
             steps.append(
                 "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"

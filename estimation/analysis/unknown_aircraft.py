@@ -26,14 +26,18 @@ NEEDS = (
 SEED = 3
 
 
-def without_aircraft(flights: Sequence[Flight], found: Recipe, air: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def without_aircraft(
+    flights: Sequence[Flight], recipe_of_log: Recipe, air: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     """`verdict`, `lines` and `next`, with the numbers behind them. flights: their stretches as segments; air: what
     the reconstruction of each has found."""
     lines: list[str] = []
     compatibility = _compatibility(flights, lines)
     wind = _wind(flights, air, lines)
     models = [
-        m for m in models_to_try(found, sorted({c for f in flights for c in moved_controls(f)})) if m != "six-dof"
+        m
+        for m in models_to_try(recipe_of_log, sorted({c for f in flights for c in moved_controls(f)}))
+        if m != "six-dof"
     ]
     modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
     answers = ", ".join(

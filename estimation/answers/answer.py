@@ -38,8 +38,8 @@ def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -
 class Figures(Mapping[str, "Picture"]):
     """The figures of a report page by name, each drawn when it is looked at; in a notebook they show themselves."""
 
-    def __init__(self, drawn: "Mapping[str, Callable[[], Picture | None]]") -> None:
-        self._drawn = dict(drawn)
+    def __init__(self, pictures: "Mapping[str, Callable[[], Picture | None]]") -> None:
+        self._drawn = dict(pictures)
         self._pictures: dict[str, Picture] = {}
 
     def __getitem__(self, name: str) -> "Picture":
@@ -106,12 +106,12 @@ def plot_scores(result: "GapResult", ax: Any) -> Any:
     return ax
 
 
-def plot_watched(found: "Watched", ax: Any) -> Any:
+def plot_watched(watched: "Watched", ax: Any) -> Any:
     """Score of the gap monitor over its threshold, where controls moved; lines where an alarm was told."""
     from estimation.watch.answer import draw_history
 
     (ax,) = panels(ax, 1, (7.0, 2.6))
-    draw_history(found, ax)
+    draw_history(watched, ax)
     return ax
 
 

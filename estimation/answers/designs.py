@@ -148,39 +148,39 @@ class DesignAnswer(Answer):
         return ("parameter", "predicted std", "relative"), rows
 
 
-def _lines(found: "InputDesign") -> list[str]:
+def _lines(answer: "InputDesign") -> list[str]:
     """What a person reads on the terminal."""
-    task = found.task
+    task = answer.task
     lines = [
-        f"{found.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(found.bench.controls)}: "
-        f"worst relative error {found.gain:.2f} times smaller than of doublets of equal length under the same limits"
+        f"{answer.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(answer.bench.controls)}: "
+        f"worst relative error {answer.gain:.2f} times smaller than of doublets of equal length under the same limits"
     ]
-    lines += [f"note: {note}" for note in found.notes]
-    peaks = found.peak_factors()
+    lines += [f"note: {note}" for note in answer.notes]
+    peaks = answer.peak_factors()
     lines += ["", f"  {'control':<10}{'peak [deg]':>12}{'peak factor':>13}"]
-    for i, control in enumerate(found.bench.controls):
-        peak = math.degrees(abs(found.best.commands[:, i]).max())
+    for i, control in enumerate(answer.bench.controls):
+        peak = math.degrees(abs(answer.best.commands[:, i]).max())
         lines.append(f"  {control:<10}{peak:>12.2f}{peaks[control]:>13.3f}")
     lines += ["", f"  {'limit':<14}{'used':>10}{'allowed':>10}"]
-    for use in found.best.used:
+    for use in answer.best.used:
         factor = 1.0 if use.name in ("load_factor", "V", "ax", "ay", "az") else math.degrees(1.0)
         unit = "" if factor == 1.0 else " deg"
         lines.append(f"  {use.name:<14}{factor * use.used:>10.2f}{factor * use.allowed:>10.2f}{unit}")
     lines += ["", f"  {'parameter':<12}{'size':>10}{'std':>10}{'relative':>10}{'doublets':>10}"]
-    std_of_doublets, std = found.expected_of_doublets, found.expected
-    for name, relative in found.relative.items():
-        size = found.sizes[name]
-        mark = "  cannot be told" if name in found.untold else ""
+    std_of_doublets, std = answer.expected_of_doublets, answer.expected
+    for name, relative in answer.relative.items():
+        size = answer.sizes[name]
+        mark = "  cannot be told" if name in answer.untold else ""
         doublets = 100 * std_of_doublets[name] / abs(size)
         lines.append(f"  {name:<12}{size:>10.4g}{std[name]:>10.2g}{100 * relative:>9.1f}%{doublets:>9.1f}%{mark}")
     return lines
 
 
-def write_manoeuvre(found: "InputDesign", path: Path) -> None:
+def write_manoeuvre(answer: "InputDesign", path: Path) -> None:
     """The file that `fly --manoeuvre` and the sequencer on board read."""
     import tomli_w
 
-    write_text(tomli_w.dumps(found.manoeuvre().to_dict()), path)
+    write_text(tomli_w.dumps(answer.manoeuvre().to_dict()), path)
 
 
 def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[str, float]]:

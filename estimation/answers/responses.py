@@ -60,17 +60,17 @@ def frequency(
     return Response(answer(responded(read, input, output, options), form_name, craft), tuple(read))
 
 
-def _with_mass(asked: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
+def _with_mass(craft: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
     """What is asked for, with the mass of the aircraft where it is known."""
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.errors import AircraftError
 
     try:
-        return replace(asked, mass=aircraft_of(flights, aircraft).mass)
+        return replace(craft, mass=aircraft_of(flights, aircraft).mass)
     except AircraftError:
         if aircraft is not None:
             raise
-        return asked  # the response needs no aircraft
+        return craft  # the response needs no aircraft
 
 
 @dataclass(frozen=True, repr=False)

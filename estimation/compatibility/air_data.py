@@ -217,7 +217,7 @@ def _expected_gust(likelihood: Mapping[float, float]) -> float:
 
 
 def _air(
-    flight: Flight, stretches: Sequence[AirStretch], found: Smoothed, noise: Noise
+    flight: Flight, stretches: Sequence[AirStretch], smoothed: Smoothed, noise: Noise
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """alpha, beta, V and their uncertainties (N,) from the smoothed states."""
     values = {n: np.full(len(flight), np.nan) for n in AIR}
@@ -232,11 +232,11 @@ def _air(
         def at(x: Array, middle: Array = middle, time: Array = time) -> Array:
             return np.column_stack([np.interp(time, middle, c) for c in x.T])
 
-        x = at(found.states[nodes])
+        x = at(smoothed.states[nodes])
         velocity = stretch.velocity + x[:, VELOCITY] - x[:, WIND] - x[:, GUST]
         axes = stretch.axes + np.cross(x[:, None, ATTITUDE], stretch.axes.transpose(0, 2, 1)).transpose(0, 2, 1)
         flow, slopes = _flow(velocity, axes)
-        P = at(found.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
+        P = at(smoothed.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
         fast = FAST_ATTITUDE * np.array([noise.level, noise.level, 0.0])
         for i, name in enumerate(AIR):
             values[name][stretch.rows] = flow[i]

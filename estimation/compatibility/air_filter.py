@@ -174,9 +174,9 @@ class _Chain:
         """(K, 3) the nominal velocity in the first guess of the wind."""
         return np.asarray(self._velocity - self._first_wind)
 
-    def run(self, about: Array) -> Smoothed:
-        """Once forward and once back, airspeed and sideslip linearised about the air velocity `about` (K, 3)."""
-        f = self.forward(about)
+    def run(self, still_air: Array) -> Smoothed:
+        """Once forward and once back, airspeed and sideslip linearised about the air velocity `still_air` (K, 3)."""
+        f = self.forward(still_air)
         states, covariances = _smoothed(self._phi, f)
         if not np.isfinite(states).all():
             raise DataError(
@@ -184,7 +184,7 @@ class _Chain:
             )
         return Smoothed(states, covariances, f.tally.likelihood, f.tally.scatter())
 
-    def forward(self, about: Array) -> _Forward:
+    def forward(self, still_air: Array) -> _Forward:
         """The filter."""
         x, P = self._start()
         count = len(self._velocity)
@@ -195,7 +195,7 @@ class _Chain:
             if k:
                 x, P = self._phi[k] @ x, self._phi[k] @ P @ self._phi[k].T + self._q[k]
             before_x[k], before_P[k] = x, P
-            for kind, residual, row, variance in self._seen(k, about[k]):
+            for kind, residual, row, variance in self._seen(k, still_air[k]):
                 x, P = _updated(x, P, residual, row, variance, kind, tally)
             P = 0.5 * (P + P.T)  # rounding makes it lopsided, and a lopsided one grows
             after_x[k], after_P[k] = x, P
@@ -247,7 +247,7 @@ class _Chain:
         q[WIND, WIND] = np.diag([1.0, 1.0, 0.01]) * a.wind_drift**2 * dt
         return phi, q
 
-    def _seen(self, k: int, about: Array) -> list[tuple[str, float, Array, float]]:
+    def _seen(self, k: int, still_air: Array) -> list[tuple[str, float, Array, float]]:
         """Measurements at a node: kind, what is left of it when the state is zero, its row, its variance."""
         a = self._assumed
         measurements: list[tuple[str, float, Array, float]] = []
@@ -258,8 +258,8 @@ class _Chain:
                 row[AGE] = -self._acceleration[k, axis]
                 sigma = a.fix[axis // 2]
                 measurements.append(("velocity", float(self._fix[k, axis]), row, sigma**2))
-        speed = float(np.linalg.norm(about))
-        direction = about / speed
+        speed = float(np.linalg.norm(still_air))
+        direction = still_air / speed
         if np.isfinite(self._airspeed[k]):
             row = np.zeros(STATES)
             row[VELOCITY], row[WIND], row[GUST], row[SCALE] = direction, -direction, -direction, speed
@@ -269,7 +269,7 @@ class _Chain:
         row = np.zeros(STATES)
         right = self._axes[k, :, 1]
         row[VELOCITY], row[WIND], row[GUST] = right / speed, -right / speed, -right / speed
-        row[ATTITUDE] = np.cross(right, about) / speed
+        row[ATTITUDE] = np.cross(right, still_air) / speed
         row[TRIM] = -1.0
         # white noise that averages out as slowly as sideslip that lasts manoeuvre_s does
         variance = a.manoeuvre_sideslip**2 * 2 * a.manoeuvre_s / INTERVAL

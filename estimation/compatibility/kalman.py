@@ -117,14 +117,14 @@ class KalmanFilter:
             fractions.append(rows - delay)
         return z, np.array(fractions)
 
-    def _in_rows_of_the_record(self, out: Array, record: FilterRecord, p: Array) -> Array:
+    def _in_rows_of_the_record(self, rows_out: Array, record: FilterRecord, p: Array) -> Array:
         """What the filter shows of a late channel, back in the rows in which it was measured."""
         ny = len(self.model.outputs)
         for output, parameter in self.delayed:
             rows = int(np.ceil(float(p[parameter]) / record.step))
-            for column in (output, ny + output, out.shape[1] - ny + output):
-                out[:, column] = _moved(out[:, column], rows, 0.0)
-        return out
+            for column in (output, ny + output, rows_out.shape[1] - ny + output):
+                rows_out[:, column] = _moved(rows_out[:, column], rows, 0.0)
+        return rows_out
 
 
 def _moved(values: Array, rows: int, empty: float) -> Array:

@@ -100,16 +100,16 @@ def compatibility(
     return replace(described, known=dict(known or {}))
 
 
-def _absent(asked: Model, flights: Sequence[Flight]) -> dict[str, str]:
+def _absent(full_model: Model, flights: Sequence[Flight]) -> dict[str, str]:
     """Factor -> why it cannot be looked for. Raises MissingColumnError when nothing is left to look for."""
     absent: dict[str, str] = {}
     columns: list[str] = []
-    for name in asked.parameter_names:
+    for name in full_model.parameter_names:
         channels = FACTORS[name].channels
         if channels and not any(shows_motion(f, c) for f in flights for c in channels):
             absent[name] = f"{' and '.join(channels)} not measured, or stuck at one value"
             columns += channels
-    if absent and len(absent) == len(asked.parameters):
+    if absent and len(absent) == len(full_model.parameters):
         names = ", ".join(f.name for f in flights)
         raise MissingColumnError(names, list(dict.fromkeys(columns)), f"the factors {', '.join(absent)}")
     return absent
@@ -159,12 +159,12 @@ def _describe(
     problem: CompatibilityProblem,
     flights: Sequence[Flight],
     absent: Mapping[str, str],
-    asked: Model,
+    full_model: Model,
     p: Array,
     runs: list[list[Run]],
     slopes: list[list[Array]],
     converged: bool,
-    used: int,
+    iterations: int,
 ) -> Compatibility:
     information, _ = information_and_gradient(runs, slopes)
     cramer_rao = np.asarray(np.linalg.inv(information), float)
@@ -173,21 +173,21 @@ def _describe(
     nan = float("nan")
     factors = {
         q.name: estimated.get(q.name) or FactorEstimate(q.name, q.unit, nan, nan, nan, False, absent[q.name])
-        for q in asked.parameters
+        for q in full_model.parameters
     }
     reconstructed = tuple(_reconstructed(problem, i, flight, p, runs[i]) for i, flight in enumerate(flights))
     unsure = [f.name for f in factors.values() if not f.identifiable]
-    text = "converged" if converged else f"not converged after {used} iterations: take the numbers as indications"
+    text = "converged" if converged else f"not converged after {iterations} iterations: take the numbers as indications"
     if unsure:
         text += f"; this data cannot tell {', '.join(unsure)}"
     spread = np.sqrt(np.diag(full))
     correlation = full / spread[:, None] / spread[None, :]
-    return Compatibility(factors, correlation, reconstructed, converged, text, used, problem.turbulence)
+    return Compatibility(factors, correlation, reconstructed, converged, text, iterations, problem.turbulence)
 
 
-def _factors(model: Model, p: Array, plain: Array, full: Array) -> dict[str, FactorEstimate]:
+def _factors(model: Model, p: Array, cramer_rao: Array, full: Array) -> dict[str, FactorEstimate]:
     """Estimates with both bounds, and whether they are of use. plain, full: (n, n) covariances."""
-    std, wider = np.sqrt(np.diag(plain)), np.sqrt(np.diag(full))
+    std, wider = np.sqrt(np.diag(cramer_rao)), np.sqrt(np.diag(full))
     correlation = full / wider[:, None] / wider[None, :]
     factors = {}
     for k, q in enumerate(model.parameters):

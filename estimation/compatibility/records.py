@@ -208,11 +208,11 @@ def attitude_errors(flight: Flight) -> dict[str, float]:
     return errors
 
 
-def with_rate_derivatives(flight: Flight, wanted: Sequence[str]) -> Flight:
+def with_rate_derivatives(flight: Flight, columns_wanted: Sequence[str]) -> Flight:
     """The flight with p_dot, q_dot, r_dot where they are wanted and not measured: local parabolas through 5 samples."""
     columns = {}
     for rate in "pqr":
-        if f"{rate}_dot" in wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
+        if f"{rate}_dot" in columns_wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
             derivative = np.full(len(flight), np.nan)
             for part in flight.segments:
                 if part.stop - part.start >= SHORTEST:
@@ -257,8 +257,8 @@ def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[F
     return outputs.flight.with_columns(**columns), tuple(notes)
 
 
-def _compared(told: ConditionedFlight, name: str) -> tuple[Array, list[Note]]:
-    values, conditioned_notes = told.as_output(name)
+def _compared(conditioned: ConditionedFlight, name: str) -> tuple[Array, list[Note]]:
+    values, conditioned_notes = conditioned.as_output(name)
     return values, [
         n for n in conditioned_notes if n.kind is not NoteKind.NOT_MEASURED
     ]  # gaps of a channel are the quality report's

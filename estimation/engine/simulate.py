@@ -318,10 +318,10 @@ def _midpoints(u: Array, step: Array) -> Array:
     return half_way(u, slope, length)
 
 
-def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
-    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `wanted` times."""
-    outside = (wanted < time[0]) | (wanted > time[-1])
-    inside = np.clip(wanted, time[0], time[-1])
+def _cubic(time: Array, times: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
+    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `times` times."""
+    outside = (times < time[0]) | (times > time[-1])
+    inside = np.clip(times, time[0], time[-1])
     first = np.clip(np.searchsorted(time, inside, side="right") - 2, 0, time.size - 4)
     rows = first[:, None] + np.arange(4)
     knots = time[rows]

@@ -186,13 +186,13 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
     return _Stepper(ca.Function("step", arguments, results), block, n, 6 if nt else 3)
 
 
-def _path(at: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
+def _path(fraction: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
     """Input at a fraction of the interval: straight to the middle, straight on to the end."""
-    if at in (0.0, 0.5, 1.0):
-        return {0.0: begin, 0.5: middle, 1.0: end}[at]
-    if at < 0.5:
-        return begin + 2.0 * at * (middle - begin)
-    return middle + (2.0 * at - 1.0) * (end - middle)
+    if fraction in (0.0, 0.5, 1.0):
+        return {0.0: begin, 0.5: middle, 1.0: end}[fraction]
+    if fraction < 0.5:
+        return begin + 2.0 * fraction * (middle - begin)
+    return middle + (2.0 * fraction - 1.0) * (end - middle)
 
 
 def _corrected(
@@ -201,13 +201,13 @@ def _corrected(
     y: ca.MX,
     dy: ca.MX,
     e: ca.MX,
-    known: ca.MX,
+    measured: ca.MX,
     gain: ca.MX,
     gain_columns: tuple[tuple[int, ...], ...],
     n: int,
 ) -> tuple[ca.MX, ca.MX]:
     ny, nx = y.shape[0], x.shape[0]
-    masked_gain = gain * ca.repmat(known.T, nx, 1)
+    masked_gain = gain * ca.repmat(measured.T, nx, 1)
     x = x + ca.mtimes(masked_gain, e)
     if n:
         s = s - ca.mtimes(masked_gain, dy)

@@ -121,9 +121,9 @@ def noise_spectrum(
     return spectrum
 
 
-def _fast_length(least: int) -> int:
-    """The smallest of 2^k, 3 2^k and 5 2^k from `least` on: what a Fourier transform likes."""
-    return min(a << max(1, int(np.ceil(np.log2(least / a)))) for a in (1, 3, 5))
+def _fast_length(shortest: int) -> int:
+    """The smallest of 2^k, 3 2^k and 5 2^k from `shortest` on: what a Fourier transform likes."""
+    return min(a << max(1, int(np.ceil(np.log2(shortest / a)))) for a in (1, 3, 5))
 
 
 def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: int | None = None) -> Array:
@@ -145,17 +145,17 @@ def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: in
     return sums / max(float(counts), 1.0)
 
 
-def _without(lags: Array, known: Array, order: int) -> Array:
+def _without(lags: Array, known_lags: Array, order: int) -> Array:
     """`lags` less those of a known cause, or less as great a part of them as leaves every direction half its smallest
     share: the known part is an expectation, and a record can have less of it."""
-    total, part = _toeplitz(lags, order), _toeplitz(known, order)
+    total, part = _toeplitz(lags, order), _toeplitz(known_lags, order)
     smallest = float(np.linalg.eigvalsh(total)[0])
     if smallest <= 0.0:
         return lags
     L = np.linalg.cholesky(total - 0.5 * smallest * np.eye(len(total)))
     half = np.linalg.solve(L, part)
     largest = float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1])
-    return lags - min(1.0, 1.0 / max(largest, 1e-12)) * known
+    return lags - min(1.0, 1.0 / max(largest, 1e-12)) * known_lags
 
 
 def order_for(lags: Array, samples: int) -> int:

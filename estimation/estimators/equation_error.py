@@ -168,15 +168,15 @@ def stepwise_choice(regressions: list[Regression]) -> Index:
     return np.array(sorted(active), int)
 
 
-def _rest(gram: Array, moment: Array, energy: float, chosen: Sequence[int]) -> float:
-    if not len(chosen):
+def _rest(gram: Array, moment: Array, energy: float, columns: Sequence[int]) -> float:
+    if not len(columns):
         return energy
-    pick = np.array(chosen, int)
+    pick = np.array(columns, int)
     return max(energy - float(moment[pick] @ pseudo_inverse(gram[np.ix_(pick, pick)])[0] @ moment[pick]), 1e-300)
 
 
-def _partial_f(without: float, with_: float, freedom: int) -> float:
-    return (without - with_) / (with_ / max(freedom, 1))
+def _partial_f(rest_without: float, rest_with: float, freedom: int) -> float:
+    return (rest_without - rest_with) / (rest_with / max(freedom, 1))
 
 
 def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Mapping[str, float]) -> list[Regression]:
@@ -219,14 +219,14 @@ def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
     return np.where(measured[:, :, None], A, 0.0), np.where(measured, e, 0.0)
 
 
-def _solve(regressions: list[Regression], chosen: Index) -> tuple[Array, Array]:
+def _solve(regressions: list[Regression], active: Index) -> tuple[Array, Array]:
     """(change of every free parameter, weights of the equations): each equation weighted by its own misfit."""
     A, e = _stacked(regressions)
     weight = np.ones(e.shape[1])
     change = np.zeros(A.shape[2])
     for _ in range(3):
-        flat = (A[:, :, chosen] * weight[None, :, None]).reshape(-1, len(chosen))
-        change[chosen] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
+        flat = (A[:, :, active] * weight[None, :, None]).reshape(-1, len(active))
+        change[active] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
         misfit = e - A @ change
         size = np.sqrt(np.mean(misfit**2, axis=0))
         weight = 1.0 / np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))

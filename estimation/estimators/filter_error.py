@@ -209,14 +209,12 @@ def filter_error(
     return in_own_terms(_by_free_gain(with_paths(loaded, data) if options.paths else loaded, data, options), loaded)
 
 
-def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
+def _by_free_gain(model: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
     """The fit with a gain of its own, of a model that has its unknowns of the inputs."""
-    first = output_error(chosen, data, options=options)
+    first = output_error(model, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
-    names = [
-        [f"gain_{s}_{o}" if o in chosen.state_names else "" for o in chosen.output_names] for s in chosen.state_names
-    ]
+    names = [[f"gain_{s}_{o}" if o in model.state_names else "" for o in model.output_names] for s in model.state_names]
     noise = first.noise
     fallback = float(np.median(list(noise.values())))
     parameters = [
@@ -226,19 +224,19 @@ def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOpt
             prior_mean=0.0,
             prior_std=GAIN_PRIOR * noise.get(state, fallback) / noise[output],
         )
-        for state, row in zip(chosen.state_names, names, strict=True)
-        for output, name in zip(chosen.output_names, row, strict=True)
+        for state, row in zip(model.state_names, names, strict=True)
+        for output, name in zip(model.output_names, row, strict=True)
         if name
     ]
-    extended = chosen.with_starts(first.values).plus(parameters=parameters)
+    extended = model.with_starts(first.values).plus(parameters=parameters)
     simulator = Simulator.build(extended, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
     problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-    result = _without_gains(fit_result(problem, outcome, "fem"), chosen, names)
+    result = _without_gains(fit_result(problem, outcome, "fem"), model, names)
     if result.converged and any(e.identifiable for e in result.parameters.values()):
         return result
-    return _by_process_noise(chosen, data, first, options).with_method("fem")
+    return _by_process_noise(model, data, first, options).with_method("fem")
 
 
 def process_noise_error(
@@ -261,11 +259,11 @@ def process_noise_error(
     return in_own_terms(_by_process_noise(full, data, first, options), loaded)
 
 
-def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+def _by_process_noise(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit from an output error that came to a result; one that says why where the arithmetic of the filter fails."""
     try:
         with np.errstate(all="ignore"):  # what leaves the numbers is refused where it does
-            return _steady_filter(chosen, data, first, options)
+            return _steady_filter(model, data, first, options)
     except (np.linalg.LinAlgError, ArithmeticError) as error:
         text = (
             f"no filter could be found ({error}): the model is unstable or too stiff for these samples; use method ml"
@@ -273,16 +271,16 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
         return replace(first, method="fem-noise", status=Status.DIVERGED, text=text)
 
 
-def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+def _steady_filter(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit with the filter of its process noise. LinAlgError where the law of that has no gain to begin with."""
-    noise = _white_noise(chosen, data, first)
-    disturbed = force_states(chosen)
+    noise = _white_noise(model, data, first)
+    disturbed = force_states(model)
     fallback = float(np.median(noise))
-    unit = {s: float(noise[chosen.output_names.index(s)]) if s in chosen.output_names else fallback for s in disturbed}
+    unit = {s: float(noise[model.output_names.index(s)]) if s in model.output_names else fallback for s in disturbed}
     names = [f"noise_{s}" for s in disturbed]
     values, last = {**first.values, **dict.fromkeys(names, FIRST_NOISE)}, None
     for _ in range(LINEARISED):
-        extended = chosen.with_starts({n: values[n] for n in first.values}).plus(
+        extended = model.with_starts({n: values[n] for n in first.values}).plus(
             parameters=[Parameter(n, start=values[n], lower=0.0, prior_mean=0.0, prior_std=NOISE_PRIOR) for n in names]
         )
         simulator = Simulator.build(extended, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
@@ -299,15 +297,14 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
         values = last.values
     assert last is not None
     if last.status is Status.DIVERGED:
-        return without_nuisance_parameters(last, chosen, set(names), {})
+        return without_nuisance_parameters(last, model, set(names), {})
     dt = _step(data)
     sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(disturbed, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
     gain = {
-        s: dict(zip(chosen.output_names, row.tolist(), strict=True))
-        for s, row in zip(chosen.state_names, K, strict=True)
+        s: dict(zip(model.output_names, row.tolist(), strict=True)) for s, row in zip(model.state_names, K, strict=True)
     }
-    return without_nuisance_parameters(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
+    return without_nuisance_parameters(last, model, set(names), {"gain": gain, "process_noise": sizes})
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:

@@ -150,15 +150,15 @@ def _common(model: Model, segment: Segment) -> tuple[Array, Array]:
     return samples, middle
 
 
-def edge_size(told: Sequence[InputErrorEvidence]) -> float:
+def edge_size(shown: Sequence[InputErrorEvidence]) -> float:
     """Factor on the variance of edges, from all flights of a fit; 0 where residuals show nothing of them."""
-    excess, scale = np.sum([t.edge_excess() for t in told], axis=0)
+    excess, scale = np.sum([t.edge_excess() for t in shown], axis=0)
     return float(np.clip(excess / scale, 0.0, MOST_EDGE)) if scale > 0.0 else 0.0
 
 
-def common_error(told: Sequence[InputErrorEvidence], edges: float) -> Array:
+def common_error(shown: Sequence[InputErrorEvidence], edges: float) -> Array:
     """(common, common) second moment of the common errors, given that they are of size one and what the flights show."""
-    sums = [t.common(edges) for t in told]
+    sums = [t.common(edges) for t in shown]
     information, product, chance = (np.sum([e[i] for e in sums], axis=0) for i in range(3))
     prior = np.eye(product.size)
     weight = information @ np.linalg.pinv(chance, hermitian=True)

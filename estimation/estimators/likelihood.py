@@ -270,11 +270,11 @@ class OutputErrorProblem:
                 decrement += 0.5 * float(block.gx @ block.xx_inverse @ block.gx)
         return SolverStep(direction, decrement, np.sqrt(np.maximum(weight, 0.0)))
 
-    def _bounded_solution(self, information: Array, gradient: Array, now: Array) -> Array:
+    def _bounded_solution(self, information: Array, gradient: Array, current: Array) -> Array:
         """Solution of the reduced normal equations with parameters that press against a limit held there."""
         lower, upper = self.lower[self.shared], self.upper[self.shared]
-        movable = ~(((now <= lower) & (gradient < 0)) | ((now >= upper) & (gradient > 0)))
-        change = np.zeros(now.size)
+        movable = ~(((current <= lower) & (gradient < 0)) | ((current >= upper) & (gradient > 0)))
+        change = np.zeros(current.size)
         if movable.any():
             index = np.flatnonzero(movable)
             change[index] = pseudo_inverse(information[np.ix_(index, index)])[0] @ gradient[index]

@@ -116,21 +116,21 @@ def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _RecursiveRun:
     return _RecursiveRun(estimator, tuple(ends), _history(snapshots))
 
 
-def _leads_over(flight: Flight, at: int) -> bool:
+def _leads_over(flight: Flight, row: int) -> bool:
     """Whether a segment begins only because some scans are missing, fewer than make the estimator begin anew by itself."""
-    if at == 0:
+    if row == 0:
         return False
-    step = float(flight.time[at] - flight.time[at - 1])
+    step = float(flight.time[row] - flight.time[row - 1])
     return GAP_FACTOR * flight.sample_interval < step <= GAP
 
 
-def _history(seen: Sequence[LiveEstimates]) -> EstimateHistory:
+def _history(snapshots: Sequence[LiveEstimates]) -> EstimateHistory:
     def series(name: str, field: str) -> Array:
-        derivatives = (e.derivatives[name] for e in seen)
+        derivatives = (e.derivatives[name] for e in snapshots)
         return np.array([getattr(d, field) if d.told else np.nan for d in derivatives])
 
     return EstimateHistory(
-        np.array([e.time for e in seen]),
+        np.array([e.time for e in snapshots]),
         {n: series(n, "estimate") for n in DERIVATIVES},
         {n: series(n, "std") for n in DERIVATIVES},
     )
@@ -171,8 +171,8 @@ def _estimate(p: Parameter, d: LiveDerivative) -> Estimate:
     )
 
 
-def _status(final: LiveEstimates, found: Mapping[str, Estimate]) -> tuple[Status, str]:
-    blind = [n for n, e in found.items() if not e.identifiable]
+def _status(final: LiveEstimates, parameters: Mapping[str, Estimate]) -> tuple[Status, str]:
+    blind = [n for n, e in parameters.items() if not e.identifiable]
     text = f"solved from {final.rows} intervals, {final.span:.1f} s"
     if blind:
         text += f"; cannot be told from this data: {', '.join(blind)}"

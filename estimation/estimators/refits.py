@@ -111,9 +111,9 @@ def _repeated(
     return repeated
 
 
-def _prior_redrawn(problem: OutputErrorProblem, best: Fit, rng: np.random.Generator) -> Model:
+def _prior_redrawn(problem: OutputErrorProblem, fit: Fit, rng: np.random.Generator) -> Model:
     """A prior is a measurement made earlier: repeated, it falls elsewhere too."""
-    values = problem.values(best.unknowns, 0)
+    values = problem.values(fit.unknowns, 0)
     return problem.model.with_prior(
         **{
             p.name: (values[p.name] + p.prior_std * float(rng.standard_normal()), p.prior_std)
@@ -178,11 +178,11 @@ def _no_curve(result: Result, parameter: str) -> str:
 class _ProfileLine:
     """Refits along one parameter, each started from its neighbour. center: value at the optimum."""
 
-    def __init__(self, problem: OutputErrorProblem, best: Fit, name: str, options: OutputErrorOptions) -> None:
+    def __init__(self, problem: OutputErrorProblem, fit: Fit, name: str, options: OutputErrorOptions) -> None:
         self.problem, self.name, self.options = problem, name, options
         self.at = [problem.free[i] for i in problem.shared].index(name)
-        self.best, self.center = best.unknowns, float(best.unknowns[self.at])
-        self.lowest = best.point.cost  # with the parameter's own prior
+        self.best, self.center = fit.unknowns, float(fit.unknowns[self.at])
+        self.lowest = fit.point.cost  # with the parameter's own prior
         parameter = problem.model.parameter(name)
         self.limits = (parameter.lower, parameter.upper)
         self.lower_found = False

@@ -68,11 +68,11 @@ def find_estimator(name: str) -> Estimator:
     raise EstimationError(f"method {name!r} is unknown; {alternatives}{meant(name, estimator_names())}")
 
 
-def _checked(value: object, where: str, name: str = "") -> Estimator:
+def _checked(value: object, source: str, name: str = "") -> Estimator:
     if not isinstance(value, Estimator):
-        raise EstimationError(f"{where} is {type(value).__name__}, not an estimation.Estimator")
+        raise EstimationError(f"{source} is {type(value).__name__}, not an estimation.Estimator")
     if name and value.name != name:
-        raise EstimationError(f"{where} calls itself {value.name!r}: give it the name of its entry point")
+        raise EstimationError(f"{source} calls itself {value.name!r}: give it the name of its entry point")
     return value
 
 
@@ -81,10 +81,10 @@ def listed_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
-def check_extras(asked: Sequence[Extra], chosen: Sequence[Estimator]) -> None:
+def check_extras(extras: Sequence[Extra], estimators: Sequence[Estimator]) -> None:
     """EstimationError for an extra that none of the chosen estimators heeds."""
-    for extra in asked:
-        if not any(extra in e.supports for e in chosen):
+    for extra in extras:
+        if not any(extra in e.supports for e in estimators):
             able = estimator_names(extra)
             able_methods = f"method{'s' if len(able) > 1 else ''} {listed_words(able)}"
             raise EstimationError(f"{extra.value} is for {able_methods}: add {able[0]} to --method")

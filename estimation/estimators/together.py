@@ -45,11 +45,11 @@ def _block(flight: FlightData, controls: list[int]) -> Array:
     return np.concatenate(parts) if parts else np.zeros((0, 0))
 
 
-def _followed(control: Array, others: Array, noise: float) -> list[int]:
-    """Columns of `others` that a control is made of, the main ones; empty where it moves by itself."""
-    if not others.shape[1]:
+def _followed(control: Array, rest: Array, noise: float) -> list[int]:
+    """Columns of `rest` that a control is made of, the main ones; empty where it moves by itself."""
+    if not rest.shape[1]:
         return []
-    scaled = others / others.std(axis=0)
+    scaled = rest / rest.std(axis=0)
     weights = np.linalg.lstsq(scaled, control, rcond=1e-9)[0]
     unexplained, movement = float(np.std(control - scaled @ weights)), float(np.std(control))
     if unexplained > max(ALONE * movement, HEARD * noise):
@@ -60,11 +60,11 @@ def _followed(control: Array, others: Array, noise: float) -> list[int]:
     return [int(j) for j in np.flatnonzero(size > NAMED * size.max())]
 
 
-def text_of(control: str, together: Mapping[str, tuple[str, ...]]) -> str:
+def text_of(control: str, partners_of: Mapping[str, tuple[str, ...]]) -> str:
     """Why derivatives by a control cannot be told; empty where it moves by itself."""
-    if control not in together:
+    if control not in partners_of:
         return ""
-    partners = " and ".join(together[control])
+    partners = " and ".join(partners_of[control])
     return (
         f"{control} moves only together with {partners} (a combination of them to within its noise or {ALONE:.0%}): these flights"
         " cannot tell their effects apart; move it by itself"

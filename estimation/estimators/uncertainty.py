@@ -125,9 +125,9 @@ def _reduction(problem: OutputErrorProblem, block: FlightBlocks) -> Array:
     return reduce
 
 
-def _local(block: FlightBlocks, shared: Array, own: Array) -> Array:
+def _local(block: FlightBlocks, shared: Array, own_covariance: Array) -> Array:
     lever = block.ll_inverse @ block.sl.T
-    return own + lever @ shared @ lever.T
+    return own_covariance + lever @ shared @ lever.T
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ def force_states(model: Model, parameters: Collection[str] | None = None) -> tup
     """
     counted = set(model.parameter_names if parameters is None else parameters)
 
-    def reach(symbol: str, seen: set[str]) -> set[str]:
+    def reach(symbol: str, visited: set[str]) -> set[str]:
         for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
-            if name not in seen:
-                seen.add(name)
-                reach(name, seen)
-        return seen
+            if name not in visited:
+                visited.add(name)
+                reach(name, visited)
+        return visited
 
     return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & counted)
 

@@ -31,11 +31,11 @@ _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 
 
-def check_name(name: str, what: str) -> str:
+def check_name(name: str, kind: str) -> str:
     """`name` if it can stand in an equation; ModelError otherwise."""
     if not _NAME.match(name) or name in FUNCTIONS or name in NUMBERS:
         raise ModelError(
-            f"{what} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name"
+            f"{kind} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name"
         )
     return name
 

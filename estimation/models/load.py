@@ -42,21 +42,21 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     )
 
 
-def _named(aircraft: Aircraft | str | None, what: str) -> Aircraft:
+def _named(aircraft: Aircraft | str | None, purpose: str) -> Aircraft:
     if aircraft is None:
         raise ModelError(
-            f"{what} takes mass and geometry of an aircraft and was given none; name a built-in one"
+            f"{purpose} takes mass and geometry of an aircraft and was given none; name a built-in one"
             f" ({', '.join(built_in_aircraft())}), or write a file with: sideslip aircraft new NAME"
         )
     return aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft)
 
 
-def _with_known_constants(model: Model, aircraft: Aircraft | None, what: str) -> Model:
+def _with_known_constants(model: Model, aircraft: Aircraft | None, purpose: str) -> Model:
     """The model without constants its aircraft does not know; AircraftError where an equation uses one of them."""
     unknown = {name for name, value in model.constants.items() if math.isnan(value)}
     if aircraft is None or not unknown:
         return model
-    aircraft.need(sorted(frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))), what)
+    aircraft.need(sorted(frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))), purpose)
     return replace(model, constants={n: v for n, v in model.constants.items() if n not in unknown})
 
 

@@ -203,14 +203,14 @@ def _parameter(name: str, value: object) -> Parameter:
     raise ModelError(f"parameter {name!r}: give a unit, (unit, start), (unit, start, lower, upper) or a Parameter")
 
 
-def _in_order(value: object, names: list[str], what: str) -> list[Symbol]:
+def _in_order(value: object, names: list[str], method: str) -> list[Symbol]:
     if isinstance(value, Mapping):
         if set(value) != set(names):
-            raise ModelError(f"{what}: gives {', '.join(map(str, value))}; needed are {', '.join(names)}")
+            raise ModelError(f"{method}: gives {', '.join(map(str, value))}; needed are {', '.join(names)}")
         value = [value[n] for n in names]
     values = [symbol(v) for v in (value if isinstance(value, Iterable) else [value])]
     if len(values) != len(names):
-        raise ModelError(f"{what}: gives {len(values)} values for {len(names)} names ({', '.join(names)})")
+        raise ModelError(f"{method}: gives {len(values)} values for {len(names)} names ({', '.join(names)})")
     return values
 
 

@@ -121,9 +121,9 @@ def require_columns(model: Model, flight: Flight) -> None:
         raise MissingColumnError(flight.name, missing_columns, f"model {model.name}", fit, flight.unknown_columns)
 
 
-def flight_without_motion(lacking: Iterable[str], model: Model) -> bool:
+def flight_without_motion(missing: Iterable[str], model: Model) -> bool:
     """Whether a flight lacks all that the model compares with: no other model would help."""
-    return {s.source for s in model.outputs if not s.optional} <= set(lacking)
+    return {s.source for s in model.outputs if not s.optional} <= set(missing)
 
 
 def unmet_columns(model: Model, flight: Flight) -> list[str]:
@@ -134,9 +134,9 @@ def unmet_columns(model: Model, flight: Flight) -> list[str]:
     return unmeasured + [_with_ways(c) for c in underivable if not _comes_with(c, flight, unmeasured)]
 
 
-def _comes_with(column: str, flight: Flight, lacking: list[str]) -> bool:
+def _comes_with(column: str, flight: Flight, missing: list[str]) -> bool:
     """Whether a derived column could be made once the lacking plain ones are there."""
-    return any(all(n in lacking or flight.measured(n) for n in way.needs) for way in DERIVED[column])
+    return any(all(n in missing or flight.measured(n) for n in way.needs) for way in DERIVED[column])
 
 
 def _with_ways(column: str) -> str:

@@ -66,24 +66,24 @@ class ConditionedFlight:
         values[~self.fresh(column) | self.stuck(column)] = np.nan
         return values, notes
 
-    def slow_notes(self, column: str, what: str) -> list[Note]:
+    def slow_notes(self, column: str, consequence: str) -> list[Note]:
         """The note on a slow sensor, if it is one."""
         if column not in self.repeats or not self.repeats[column].slow:
             return []
         text = (
             f"{column} is slower than the samples: new values come at {self.repeats[column].rate:.3g} Hz, "
-            f"{int(self.held(column).sum())} of {len(self.flight)} samples repeat the last: {what}; {KEEP}"
+            f"{int(self.held(column).sum())} of {len(self.flight)} samples repeat the last: {consequence}; {KEEP}"
         )
         return [Note(NoteKind.HELD, text, ((column, column),))]
 
-    def stuck_notes(self, column: str, what: str) -> list[Note]:
+    def stuck_notes(self, column: str, consequence: str) -> list[Note]:
         """The note on a stuck sensor, if it is one."""
         stuck = self.stuck(column)
         if not stuck.any():
             return []
         text = (
             f"{column} repeats one value for {int(stuck.sum())} samples from t = {self.flight.time[stuck][0]:g} s on, while "
-            f"its noise or the other channels say that it must have moved: {what}"
+            f"its noise or the other channels say that it must have moved: {consequence}"
         )
         return [Note(NoteKind.STUCK, text, ((column, column),))]
 

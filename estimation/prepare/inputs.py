@@ -141,11 +141,11 @@ def _draw_noise(
 
 
 def _take_off_noise(
-    state: PreparationState, chosen: Sequence[int], order: int, errors: NDArray[np.float32], rng: np.random.Generator
+    state: PreparationState, inputs: Sequence[int], order: int, errors: NDArray[np.float32], rng: np.random.Generator
 ) -> None:
     """Columns of `u` made smooth in place. order: of the polynomials."""
-    levels: dict[int, list[tuple[float, float]]] = {i: [] for i in chosen}
-    places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in chosen]
+    levels: dict[int, list[tuple[float, float]]] = {i: [] for i in inputs}
+    places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in inputs]
     measured = [state.u[rows, i] for _, _, i, rows in places]
     smooth = denoise_many(measured, order=order, draws=errors.shape[2], rng=rng)
     for (a, b, i, rows), denoised in zip(places, smooth, strict=True):
@@ -154,7 +154,7 @@ def _take_off_noise(
         for k, error in enumerate(denoised.errors):
             errors[a:b, i, k] = error if complete else np.interp(samples, rows, error)
         levels[i].append((denoised.noise, denoised.removed))
-    for i in chosen:
+    for i in inputs:
         if levels[i]:
             noise, removed = (float(np.median(values)) for values in zip(*levels[i], strict=True))
             state.noise[state.model.inputs[i].name] = (noise, removed)

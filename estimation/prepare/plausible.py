@@ -38,19 +38,19 @@ SAME_UNITS = {
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6}
 
 
-def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[Note]) -> None:
+def refuse_impossible(flight: Flight, driving: Sequence[Signal], outputs: Sequence[Signal], notes: list[Note]) -> None:
     """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
 
-    driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
+    driving: inputs and states, by whose airspeed and density a model divides; outputs: outputs, which may be of an aircraft
     that still stands. Only columns that the model, too, takes in the unit of the flight format are judged, and a model that
     states
     another unit for one is refused.
     """
-    for s in (*driving, *shown):
+    for s in (*driving, *outputs):
         _refuse_stated_unit(flight, s)
     divided = {s.source for s in driving}
     same_unit = {
-        s.source for s in (*driving, *shown) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
+        s.source for s in (*driving, *outputs) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
     }
     judged = [c for c in COLUMN_BY_NAME if c in same_unit and flight.measured(c)]
     for name in judged:
@@ -95,8 +95,8 @@ def _angle(flight: Flight, name: str, values: Array, notes: list[Note]) -> None:
         _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
 
 
-def _refuse_degrees(flight: Flight, name: str, size: float, most: float, unit: str) -> None:
-    if size > most:
+def _refuse_degrees(flight: Flight, name: str, size: float, limit: float, unit: str) -> None:
+    if size > limit:
         raise DataError(
             f"{flight.name}: {name} reaches {size:.3g}, which cannot be {unit}: it looks like degrees; "
             "convert the file with 'sideslip import', or multiply by pi/180"
@@ -158,9 +158,9 @@ def refuse_other_time_unit(flight: Flight) -> None:
         raise DataError(_other_time(flight, unit, f"samples lie {flight.sample_interval:g} s apart"))
 
 
-def _other_time(flight: Flight, unit: str, why: str) -> str:
+def _other_time(flight: Flight, unit: str, evidence: str) -> str:
     return (
-        f"{flight.name}: time looks like {unit}, it must be in seconds ({why}); "
+        f"{flight.name}: time looks like {unit}, it must be in seconds ({evidence}); "
         "convert the file with 'sideslip import', or divide the column time"
     )
 

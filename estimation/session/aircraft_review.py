@@ -155,8 +155,8 @@ def aircraft_objections(aircraft: Aircraft, model: Model) -> AircraftObjections:
     return AircraftObjections(impossible, unused, aircraft.span**2 / aircraft.area)
 
 
-def _concerns(note: ReviewNote, used: frozenset[str]) -> bool:
+def _concerns(note: ReviewNote, names: frozenset[str]) -> bool:
     """Whether a note doubts what a model takes; that three moments do not go together, only where it takes all of them."""
     if len(note.about) == 3 and note.check == "inertia":
-        return used.issuperset(note.about)
-    return bool(used.intersection(note.about))
+        return names.issuperset(note.about)
+    return bool(names.intersection(note.about))

@@ -74,14 +74,14 @@ def estimate(
     return _judged(session)
 
 
-def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> EstimationSession:
+def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
-    outcomes_by_method = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in chosen}
+    outcomes_by_method = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in estimators}
     for flight, outcomes in zip(flights, zip(*outcomes_by_method.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     joint_outcomes: dict[str, Outcome] = {}
-    for e in chosen if joint else ():
+    for e in estimators if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
         base_model = None if task.plain is None else joint_model(task.plain)
         joined = _tried(e, replace(task, number=len(flights), model=joint_model(task.model), plain=base_model))
@@ -215,9 +215,9 @@ def run_method(
         return mark_not_finite(find_estimator(method).fit(Task(model, flights, aircraft, extras, device)))
 
 
-def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
+def _check(extras: Extras, model: Model, estimators: Sequence[Estimator]) -> None:
     """EstimationError before any work is done for extras that cannot be had."""
-    check_extras(extras.asked, chosen)
+    check_extras(extras.asked, estimators)
     if extras.bootstrap:
         from estimation.estimators.refits import check_replicates
 

@@ -40,9 +40,9 @@ def turned_outputs(model: Model, fits: Iterable[tuple[Array, Array]]) -> list[st
     ]
 
 
-def _moving(values: Array, other: Array) -> Array:
+def _moving(values: Array, reference: Array) -> Array:
     """Values (N, n) about their mean over the rows where the other is known too."""
-    common = np.where(np.isfinite(values) & np.isfinite(other), values, np.nan)
+    common = np.where(np.isfinite(values) & np.isfinite(reference), values, np.nan)
     counts = np.isfinite(common).sum(axis=0)
     return np.asarray(common - np.nansum(common, axis=0) / np.maximum(counts, 1))
 

@@ -153,8 +153,11 @@ def _flight_json(f: FlightEstimates) -> dict[str, Any]:
     return data
 
 
-def _verdict_json(verdict: Verdict | None, more: Sequence[Doubt] = ()) -> dict[str, Any]:
-    """`recommended` and `doubts`; nothing where there is no verdict. more: doubts beside those of the verdict."""
+def _verdict_json(verdict: Verdict | None, more_doubts: Sequence[Doubt] = ()) -> dict[str, Any]:
+    """`recommended` and `doubts`; nothing where there is no verdict. more_doubts: doubts beside those of the verdict."""
     if verdict is None:
         return {}
-    return {"recommended": verdict.recommended.to_json(), "doubts": [d.to_json() for d in (*verdict.doubts, *more)]}
+    return {
+        "recommended": verdict.recommended.to_json(),
+        "doubts": [d.to_json() for d in (*verdict.doubts, *more_doubts)],
+    }

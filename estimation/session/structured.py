@@ -87,12 +87,12 @@ def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
     return model.name in WHOLE and lack.leading.candidate.kind is CandidateKind.LINEAR
 
 
-def _with_added(session: EstimationSession, added: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
+def _with_added(session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
     flights = tuple(
-        replace(f, structure=None if f.structure is None else f.structure.with_added(added, ambiguous))
+        replace(f, structure=None if f.structure is None else f.structure.with_added(added_names, ambiguous))
         for f in session.flights
     )
-    joint = None if session.structure is None else session.structure.with_added(added, ambiguous)
+    joint = None if session.structure is None else session.structure.with_added(added_names, ambiguous)
     return replace(session, flights=flights, structure=joint)
 
 
@@ -142,25 +142,25 @@ def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
 
 
 def _of_result(
-    basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
+    basis: Result, recommended: Result, ready: list[FlightData], places: Collection[str]
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
     others.
 
     places: sensors whose places are stated, so that readings are brought to the CG.
     """
-    filtered = chosen.method in FILTERS
-    linearised_result = chosen if filtered else basis
+    filtered = recommended.method in FILTERS
+    linearised_result = recommended if filtered else basis
     linear = linearise_fit(*first_part(linearised_result, ready))
     if linear is None:
         return StructureTest((), (), why_not="not tested: the motion runs away from the smallest change"), ()
     if "imu" in places:
         linear = linear.without(CandidateKind.PLACE)
-    structure = structure_of(linear, chosen, filtered=filtered)
+    structure = structure_of(linear, recommended, filtered=filtered)
     names = [lack.leading.candidate.name for lack in structure.lacks]
-    odd = odd_flights(linear.absorbing(names), chosen)
+    odd = odd_flights(linear.absorbing(names), recommended)
     differ = {o.flight for o in odd if o.moves > MOVES}
     if differ and len(linear.flights) > len(differ) + 1:
         linear = replace(linear, flights=tuple(f for f in linear.flights if f.name not in differ))
-        structure = structure_of(linear, chosen, filtered=filtered)
+        structure = structure_of(linear, recommended, filtered=filtered)
     return structure, odd

@@ -157,12 +157,15 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
 
 
 def of_structure(
-    chosen: Recommendation, doubts: list[Doubt], structure: StructureTest | None, odd_flights: Sequence[OddFlight]
+    recommendation: Recommendation,
+    doubts: list[Doubt],
+    structure: StructureTest | None,
+    odd_flights: Sequence[OddFlight],
 ) -> Recommendation:
     """The recommendation in view of what the model lacks and of flights that differ; their doubts are added to `doubts`."""
     structure = structure or StructureTest((), ())
     lacks, ambiguous = structure.lacks, structure.ambiguous
-    against = [structure.follows[chosen.method]] if chosen.method in structure.follows else []
+    against = [structure.follows[recommendation.method]] if recommendation.method in structure.follows else []
     doubts += [Doubt(DoubtKind.PROCESS_NOISE, f"{method}: {text}") for method, text in structure.follows.items()]
     for odd in odd_flights:
         doubts.append(Doubt(DoubtKind.ODD_FLIGHT, odd.text))
@@ -177,8 +180,8 @@ def of_structure(
         against += [text] if lack.apart > NOTABLE else []
     names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
-        return replace(chosen, lacks=names) if lacks else chosen
-    reason = "; ".join(against) if chosen.method != NOBODY else _joined("; ".join(against), chosen.why)
+        return replace(recommendation, lacks=names) if lacks else recommendation
+    reason = "; ".join(against) if recommendation.method != NOBODY else _joined("; ".join(against), recommendation.why)
     return Recommendation(NOBODY, reason, names)
 
 

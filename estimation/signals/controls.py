@@ -48,12 +48,12 @@ def near_steps(values: Array, noise: float, step: float, around: range) -> NDArr
     return mask
 
 
-def noise_between_steps(values: Array, near: NDArray[np.bool_], found: float) -> float:
-    """Standard deviation of the noise of a control (N,) away from its steps, by its third differences; `found`, by all of them,
+def noise_between_steps(values: Array, step_mask: NDArray[np.bool_], level: float) -> float:
+    """Standard deviation of the noise of a control (N,) away from its steps, by its third differences; `level`, by all of them,
     where that leaves too few. Steps and servo make up to a third of all of them large, and their median a fifth too large."""
     third = np.diff(values, 3)
-    calm = ~(near[:-3] | near[1:-2] | near[2:-1] | near[3:]) & np.isfinite(third)
-    return float(np.sqrt(np.mean(third[calm] ** 2) / 20.0)) if np.count_nonzero(calm) >= FEWEST else found
+    calm = ~(step_mask[:-3] | step_mask[1:-2] | step_mask[2:-1] | step_mask[3:]) & np.isfinite(third)
+    return float(np.sqrt(np.mean(third[calm] ** 2) / 20.0)) if np.count_nonzero(calm) >= FEWEST else level
 
 
 def with_raw_steps(
@@ -120,16 +120,18 @@ def feedback_gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | No
 
 
 def with_feedback(
-    piece: ControlStretch, found: Gains, noise: float, draws: int, rng: np.random.Generator
+    piece: ControlStretch, fitted: Gains, noise: float, draws: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """The control of a piece (N,) without its noise, with what follows the motion; and (draws, N) what may be wrong with it."""
     x = piece.regressors()
     x = x - x.mean(axis=0)
-    follows = x @ found.gains
+    follows = x @ fitted.gains
     rest = denoise_many([piece.values - follows], noise=noise, draws=draws, rng=rng)[0]
     if not draws:
         return rest.values + follows, rest.errors
-    gain_errors = (x @ found.roots).T  # what another gain adds, less what de-noising makes of the rest that this leaves
+    gain_errors = (
+        x @ fitted.roots
+    ).T  # what another gain adds, less what de-noising makes of the rest that this leaves
     denoised = denoise_many([piece.values - follows - o for o in gain_errors], noise=noise)
     by_gains = np.array([o + a.values - rest.values for o, a in zip(gain_errors, denoised, strict=True)])
     return rest.values + follows, rest.errors + rng.standard_normal((draws, len(gain_errors))) @ by_gains

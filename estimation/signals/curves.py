@@ -28,17 +28,17 @@ def fine_times(time: Array) -> Array:
     return np.asarray(time[0] + span / count * np.arange(count + 1))
 
 
-def curve_through(time: Array, values: Array, at: Array, *, edges: bool = False) -> Array:
-    """Values at the times `at` (M,) of the curve through the finite samples of `values` (N,).
+def curve_through(time: Array, values: Array, times: Array, *, edges: bool = False) -> Array:
+    """Values at the times `times` (M,) of the curve through the finite samples of `values` (N,).
 
     edges: a monotone cubic that never overshoots (a control surface), else a cubic spline. All NaN for fewer than FEWEST samples.
     """
     measured = np.isfinite(values)
     if int(measured.sum()) < FEWEST:
-        return np.full(at.shape, np.nan)
+        return np.full(times.shape, np.nan)
     interpolator = PchipInterpolator if edges else CubicSpline
     return np.asarray(
-        interpolator(time[measured], values[measured])(np.clip(at, time[measured][0], time[measured][-1])), float
+        interpolator(time[measured], values[measured])(np.clip(times, time[measured][0], time[measured][-1])), float
     )
 
 

@@ -69,9 +69,9 @@ def structure_candidates(model: Model) -> tuple[Candidate, ...]:
     return tuple(c for c in every_candidate if c.name not in model.parameter_names)
 
 
-def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:
+def with_candidates(model: Model, wanted_candidates: Iterable[Candidate]) -> Model:
     """The model with candidates as estimated parameters that start at their null values."""
-    selected = tuple(chosen)
+    selected = tuple(wanted_candidates)
     terms: dict[str, str] = {}
     for c in (c for c in selected if c.line):
         terms[c.line] = f"{terms[c.line]} + {c.name}*{c.term}" if c.line in terms else f"{c.name}*{c.term}"

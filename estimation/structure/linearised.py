@@ -159,16 +159,16 @@ def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2)
     return _visible(linear)
 
 
-def _visible(found: LinearisedFit) -> LinearisedFit:
+def _visible(linear: LinearisedFit) -> LinearisedFit:
     """Without candidates that these flights do not excite, or that are combinations of the parameters."""
-    gram, n = found.total(), found.n
+    gram, n = linear.total(), linear.n
     rest = projected_out(gram, n)
     raw = np.diag(gram)[n:-1]
     keep = np.flatnonzero(np.diag(rest)[:-1] > SEEN * np.maximum(raw, 1e-300))
     index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(np.intp)
-    flights = tuple(f.in_order(index) for f in found.flights)
-    tested = tuple(found.tested[k] for k in keep)
-    return replace(found, tested=tested, flights=flights)
+    flights = tuple(f.in_order(index) for f in linear.flights)
+    tested = tuple(linear.tested[k] for k in keep)
+    return replace(linear, tested=tested, flights=flights)
 
 
 def _products(
@@ -201,23 +201,25 @@ def _products(
     )
 
 
-def _sorted(name: str, gram: Array, plain: Array, kinds: Disturbed) -> FlightProducts:
+def _sorted(name: str, gram: Array, unweighted: Array, kinds: Disturbed) -> FlightProducts:
     """Products with the columns in their places: gram has [shared and candidates | noise, edges, common | residual]."""
-    n = len(plain)
+    n = len(unweighted)
     rows = np.concatenate([np.arange(n), [len(gram) - 1]])
     noise, edges, common = np.split(gram[rows][:, n:-1], [kinds.noise, kinds.noise + kinds.edges], axis=1)
-    return FlightProducts(name, gram[np.ix_(rows, rows)], plain, noise, edges, common)
+    return FlightProducts(name, gram[np.ix_(rows, rows)], unweighted, noise, edges, common)
 
 
-def _without_everything(pieces: list[ResidualSegment], own: list[Array]) -> tuple[Array, list[ResidualSegment]]:
+def _without_everything(
+    pieces: list[ResidualSegment], state_covariances: list[Array]
+) -> tuple[Array, list[ResidualSegment]]:
     """(covariance of parameters and candidates, pieces with the residual that a fit of all of them leaves)."""
-    projected = without_nuisance(pieces, own)
+    projected = without_nuisance(pieces, state_covariances)
     stacked = np.concatenate(projected)
     inverse = pseudo_inverse(stacked.T @ stacked)[0]
     flat = [p.residual.ravel() for p in pieces]
     change = inverse @ (stacked.T @ np.concatenate(flat))
     fitted = []
-    for p, J, r, covariance in zip(pieces, projected, flat, own, strict=True):
+    for p, J, r, covariance in zip(pieces, projected, flat, state_covariances, strict=True):
         rest = r - J @ change
         if p.nuisance.shape[1]:
             rest = rest - p.nuisance @ (covariance @ (p.nuisance.T @ rest))

@@ -274,6 +274,6 @@ def _inverse(matrix: Array) -> tuple[Array, int]:
     return inverse, len(matrix) - (blind.shape[1] if blind.size else 0)
 
 
-def members_of(found: Sequence[OddFlight]) -> tuple[str, ...]:
+def members_of(odd: Sequence[OddFlight]) -> tuple[str, ...]:
     """Names of the flights that differ."""
-    return tuple(o.flight for o in found)
+    return tuple(o.flight for o in odd)

@@ -161,11 +161,11 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
     return StructureTest(tuple(first), tuple(lacks))
 
 
-def held_out(linear: LinearisedFit, chosen: Sequence[int], candidate: int) -> float | None:
+def held_out(linear: LinearisedFit, taken_up: Sequence[int], candidate: int) -> float | None:
     """What a candidate gains on each flight when it, the parameters and those already chosen are fitted to all the others."""
     if len(linear.flights) < 2:
         return None
-    base_columns = np.array([*range(linear.n), *(linear.n + k for k in chosen)], np.intp)
+    base_columns = np.array([*range(linear.n), *(linear.n + k for k in taken_up)], np.intp)
     all_columns = np.append(base_columns, linear.n + candidate)
     gain = 0.0
     for i, flight in enumerate(linear.flights):
@@ -178,15 +178,15 @@ def held_out(linear: LinearisedFit, chosen: Sequence[int], candidate: int) -> fl
     return gain
 
 
-def _strongest(now: Sequence[Tested], chosen: Sequence[int], result: Result) -> int | None:
+def _strongest(scores: Sequence[Tested], taken_up: Sequence[int], result: Result) -> int | None:
     """The next candidate to take; None where no other is significant."""
-    significant = [k for k, t in enumerate(now) if k not in chosen and t.significant]
+    significant = [k for k, t in enumerate(scores) if k not in taken_up and t.significant]
     if not significant:
         return None
-    possible = [k for k in significant if _possible(now[k], result)] or significant
-    highest = max(abs(now[k].score) for k in possible)
-    tied = [k for k in possible if abs(now[k].score) >= TIED * highest]
-    return min(tied, key=lambda k: (LIKELIEST_FIRST.index(now[k].candidate.kind), -abs(now[k].score)))
+    possible = [k for k in significant if _possible(scores[k], result)] or significant
+    highest = max(abs(scores[k].score) for k in possible)
+    tied = [k for k in possible if abs(scores[k].score) >= TIED * highest]
+    return min(tied, key=lambda k: (LIKELIEST_FIRST.index(scores[k].candidate.kind), -abs(scores[k].score)))
 
 
 def _possible(tested: Tested, result: Result) -> bool:
@@ -204,11 +204,11 @@ def _possible(tested: Tested, result: Result) -> bool:
     return True
 
 
-def _scores(linear: LinearisedFit, chosen: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
+def _scores(linear: LinearisedFit, taken_up: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
     """Every candidate with the parameters, and the candidates already taken, projected out."""
     n, k = linear.n, len(linear.tested)
     gram = linear.total()
-    projected_out = np.concatenate([np.arange(n), n + np.array(chosen, int)]).astype(int)
+    projected_out = np.concatenate([np.arange(n), n + np.array(taken_up, int)]).astype(int)
     inverse = pseudo_inverse(gram[np.ix_(projected_out, projected_out)])[0]
     lever = gram[n : n + k][:, projected_out] @ inverse
     combine = np.zeros((k, len(gram)))
@@ -222,7 +222,7 @@ def _scores(linear: LinearisedFit, chosen: Sequence[int], result: Result, filter
     shift = pseudo_inverse(weigh[:n, :n])[0] @ weigh[:n, n : n + k]
     tests = []
     for a, candidate in enumerate(linear.tested):
-        usable = a not in chosen and information[a] > 0.0
+        usable = a not in taken_up and information[a] > 0.0
         score = float(rest[a] / np.sqrt(information[a] + spread[a])) if usable else 0.0
         size = float(rest[a] / information[a]) if usable else 0.0
         moves = dict(zip(linear.shared, np.abs(shift[:, a] * size) / bounds, strict=True))
@@ -241,11 +241,11 @@ def _printed(moves: Mapping[str, float], result: Result) -> dict[str, float]:
     return {n: float(m) for n, m in moves.items() if result.parameters[n].identifiable}
 
 
-def _apart(linear: LinearisedFit, best: int, rival: int, now: Sequence[Tested], result: Result) -> float:
-    """By how many bounds the estimates with `best` in the model differ, at most, from those with `rival` in its place."""
+def _apart(linear: LinearisedFit, leading: int, rival: int, scores: Sequence[Tested], result: Result) -> float:
+    """By how many bounds the estimates with `leading` in the model differ, at most, from those with `rival` in its place."""
     n, weigh = linear.n, linear.plain()
     inverse = pseudo_inverse(weigh[:n, :n])[0]
-    change = [inverse @ weigh[:n, n + k] * (now[k].value - now[k].candidate.null) for k in (best, rival)]
+    change = [inverse @ weigh[:n, n + k] * (scores[k].value - scores[k].candidate.null) for k in (leading, rival)]
     difference = np.abs(change[0] - change[1]) / _bounds(linear, result)
     identifiable = [
         o for o, name in zip(difference.tolist(), linear.shared, strict=True) if result.parameters[name].identifiable

@@ -145,17 +145,17 @@ def _complex(values: Array, shape: tuple[int, ...]) -> Complex:
     return (real + 1j * imaginary).reshape(shape)
 
 
-def _smoothed(residual: Complex, taken: Array) -> Complex:
+def _smoothed(residual: Complex, leverage: Array) -> Complex:
     """(bins, ny, ny) spectra of residuals (bins, ny) in units in which white noise has one for each of its two parts.
 
-    taken: (bins, ny) leverage, by which residuals are smaller than the noise.
+    leverage: (bins, ny) leverage, by which residuals are smaller than the noise.
     """
     power = 0.5 * np.einsum("ko,kp->kop", residual, residual.conj())
     lowest = power[1 : SMOOTHED + 1]
     power[0] = lowest[np.argmax(np.trace(lowest.real, axis1=1, axis2=2))]  # a mean tells nothing of its own scatter
     count = len(power)
     windows = [slice(max(k - SMOOTHED, 0), min(k + SMOOTHED + 1, count)) for k in range(count)]
-    remaining = np.stack([np.maximum(1.0 - taken[w].mean(axis=0), LEAST_LEFT) for w in windows])
+    remaining = np.stack([np.maximum(1.0 - leverage[w].mean(axis=0), LEAST_LEFT) for w in windows])
     spectra = np.stack([power[w].mean(axis=0) for w in windows])
     return np.asarray(spectra / np.sqrt(remaining[:, :, None] * remaining[:, None, :]))
 

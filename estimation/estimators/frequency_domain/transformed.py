@@ -269,8 +269,8 @@ def _inverse(system: Complex) -> Complex:
         return np.full_like(system, np.nan)
 
 
-def _slopes(C: Array, C_p: Array, X_p: Complex, G_p: Complex, off: Complex) -> Complex:
-    return np.asarray(np.einsum("oi,kin->kon", C, X_p) + G_p + np.einsum("noi,ki->kon", C_p, off))
+def _slopes(C: Array, C_p: Array, X_p: Complex, G_p: Complex, deviation: Complex) -> Complex:
+    return np.asarray(np.einsum("oi,kin->kon", C, X_p) + G_p + np.einsum("noi,ki->kon", C_p, deviation))
 
 
 def _same(old: tuple[Array, Array], new: tuple[Array, Array]) -> bool:

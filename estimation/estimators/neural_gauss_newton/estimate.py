@@ -79,7 +79,7 @@ def ngn_result(
     )  # fmt: skip
 
 
-def _status(solution: "NeuralSolution", found: dict[str, Estimate]) -> tuple[Status, str]:
+def _status(solution: "NeuralSolution", parameters: dict[str, Estimate]) -> tuple[Status, str]:
     if not np.all(np.isfinite(solution.theta)):
         return Status.DIVERGED, Status.DIVERGED.value
     # A network that predicts no better than a mean is fed with coefficients it never saw.
@@ -87,16 +87,16 @@ def _status(solution: "NeuralSolution", found: dict[str, Estimate]) -> tuple[Sta
         return Status.STALLED, Status.STALLED.value
     if not all(f.converged for f in solution.fits):
         return Status.LIMIT, Status.LIMIT.value
-    return judge_status(Status.CONVERGED, found)
+    return judge_status(Status.CONVERGED, parameters)
 
 
 def _estimates(
-    model: Model, names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64], data: list[FlightData]
+    model: Model, names: tuple[str, ...], solution: "NeuralSolution", index: NDArray[np.int64], data: list[FlightData]
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
-    pick = np.ix_(where, where)
-    blind = np.diag(solution.bound)[where] <= 0.0
+    pick = np.ix_(index, index)
+    blind = np.diag(solution.bound)[index] <= 0.0
     return judge_estimates(
-        model, names, solution.theta[where], solution.bound[pick], solution.spread[pick], blind, data
+        model, names, solution.theta[index], solution.bound[pick], solution.spread[pick], blind, data
     )
 
 
@@ -122,12 +122,12 @@ def _fitted_flights(
     return tuple(flights), R
 
 
-def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", where: NDArray[np.int64]) -> Bootstrap | None:
-    """The replicates about the estimate, as other methods show theirs. where: of the names among the unknowns."""
-    deviations = solution.bootstrap[:, where]
+def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", index: NDArray[np.int64]) -> Bootstrap | None:
+    """The replicates about the estimate, as other methods show theirs. index: of the names among the unknowns."""
+    deviations = solution.bootstrap[:, index]
     if len(deviations) < 2:
         return None
-    replicates = solution.theta[where] + deviations
+    replicates = solution.theta[index] + deviations
     low, high = np.percentile(replicates, PERCENTILES, axis=0)
     std, bias = replicates.std(axis=0, ddof=1), deviations.mean(axis=0)
     spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}

@@ -148,9 +148,9 @@ class TrainingRows:
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
 
 
-def _unused(flight: Flight, found: Sequence[SampleStretch]) -> list[Note]:
+def _unused(flight: Flight, flight_stretches: Sequence[SampleStretch]) -> list[Note]:
     """A note where much of a flight cannot be used."""
-    covered = sum(len(s.u) + max(s.window, 1) for s in found)
+    covered = sum(len(s.u) + max(s.window, 1) for s in flight_stretches)
     if covered >= (1.0 - COSTLY) * len(flight):
         return []
     return [
@@ -162,11 +162,11 @@ def _unused(flight: Flight, found: Sequence[SampleStretch]) -> list[Note]:
     ]
 
 
-def _blocks(found: Sequence[SampleStretch], step: float) -> Index:
+def _blocks(stretch_list: Sequence[SampleStretch], step: float) -> Index:
     """(M,) number of the block each row lies in; blocks never reach over the end of a stretch."""
     length = max(2, round(BLOCK_S / step))
     numbers, first = [], 0
-    for s in found:
+    for s in stretch_list:
         count = max(1, round(len(s.u) / length))
         numbers.append(first + np.minimum(np.arange(len(s.u)) * count // len(s.u), count - 1))
         first += count

@@ -196,12 +196,12 @@ def residual_variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Ar
 
 
 def normal_equations(
-    left: Sequence[Array], slopes: Sequence[Array], residuals: Sequence[Array], counts: Sequence[Array], R: Array
+    instruments: Sequence[Array], slopes: Sequence[Array], residuals: Sequence[Array], counts: Sequence[Array], R: Array
 ) -> tuple[Array, Array]:
     """Sum of left' R^-1 slope and left' R^-1 residual over all rows; left are the slopes, or instruments for them."""
     n = slopes[0].shape[2]
     matrix, right = np.zeros((n, n)), np.zeros(n)
-    for a, s, r, c in zip(left, slopes, residuals, counts, strict=True):
+    for a, s, r, c in zip(instruments, slopes, residuals, counts, strict=True):
         weighted = (a * (c[:, None] / R)[:, :, None]).reshape(-1, n).T
         matrix += weighted @ s.reshape(-1, n)
         right += weighted @ r.reshape(-1)

@@ -110,10 +110,10 @@ class NeuralProblem:
             self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, fitted.theta
         )
 
-    def refit(self, weights: torch.Tensor, start: Array, drawn: Array) -> Array:
+    def refit(self, weights: torch.Tensor, start: Array, multiplicity_of_rows: Array) -> Array:
         """(n,) parameters with another network on resampled rows, a few steps from a solution."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
-        multiplicity = self.rows.split(drawn)
+        multiplicity = self.rows.split(multiplicity_of_rows)
         if not self.instruments:
             return fit_parameters(
                 self.predict(frozen, self.smooth), self.counts, [start], multiplicity=multiplicity, iterations=FEW_STEPS
@@ -191,13 +191,13 @@ def _trained(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[lis
     ]
 
 
-def _best(problem: NeuralProblem, tried: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
+def _best(problem: NeuralProblem, candidates: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
     """Weights, iterations and held-out error of the network that predicts held-out rows best."""
     rows = problem.rows
     judged = rows.held_out.double() if rows.held_out.any() else torch.ones(len(rows.u), dtype=torch.float64)
-    errors = [mean_square(problem.shape, w, rows.u, rows.z, judged) for w, _ in tried]
+    errors = [mean_square(problem.shape, w, rows.u, rows.z, judged) for w, _ in candidates]
     lowest = int(np.nanargmin(errors))
-    return *tried[lowest], errors[lowest]
+    return *candidates[lowest], errors[lowest]
 
 
 def _bootstrap_weights(problem: NeuralProblem, options: NgnOptions) -> Array:

@@ -151,14 +151,14 @@ class _Batch:
     weights: Tensor
 
     @classmethod
-    def of(cls, u: Tensor, z: Tensor, weights: Tensor, chosen: Tensor) -> "_Batch":
-        return cls(u, z, weights).only(chosen) if len(chosen) < len(weights) else cls(u, z, weights)
+    def of(cls, u: Tensor, z: Tensor, weights: Tensor, nets: Tensor) -> "_Batch":
+        return cls(u, z, weights).only(nets) if len(nets) < len(weights) else cls(u, z, weights)
 
-    def only(self, chosen: Tensor) -> "_Batch":
-        if len(chosen) == len(self.weights):
+    def only(self, nets: Tensor) -> "_Batch":
+        if len(nets) == len(self.weights):
             return self
-        u, z = (v[chosen] if v.dim() == 3 else v for v in (self.u, self.z))
-        return _Batch(u, z, self.weights[chosen])
+        u, z = (v[nets] if v.dim() == 3 else v for v in (self.u, self.z))
+        return _Batch(u, z, self.weights[nets])
 
 
 def _damped_step(matrix: Tensor, right: Tensor, damping: Tensor) -> Tensor:
