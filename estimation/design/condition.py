@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.aircraft import GRAVITY, Aircraft
+from daq.contract.constants import GRAVITY
+from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 
 USUAL_ALPHA = 0.08

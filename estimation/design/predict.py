@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import GRAVITY
 from estimation.design.condition import Condition
 from estimation.design.limits import Limits
 from estimation.engine.simulate import Simulator
@@ -200,7 +201,7 @@ def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: P
     ]
     signals = dict(motion.signals)
     if "az" in signals:
-        signals["load_factor"] = -signals["az"] / 9.80665
+        signals["load_factor"] = -signals["az"] / GRAVITY
     for name, (least, most, relative) in limits.response.items():
         if name not in signals:
             continue

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from daq.contract.constants import RADIAN
 from estimation.frequency.handling import Craft, Number, handling
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction, fit_transfer
 
 ACCEPTABLE = 100.0  # CIFER's J; Tischler and Remple, chapter 11
-DEGREES = 57.29577951308232
 LINES = 16  # frequencies that the terminal shows
 
 
@@ -65,7 +65,7 @@ def lines(found: FrequencyResult) -> Iterator[str]:
     )
     yield f"  {'rad/s':>8}{'magnitude':>12}{'+-':>10}{'phase [deg]':>13}{'+-':>8}{'coherence':>11}"
     for k in range(0, r.omega.size, max(1, -(-r.omega.size // LINES))):
-        phase, error = DEGREES * r.phase[k], DEGREES * r.std_phase[k]
+        phase, error = RADIAN * r.phase[k], RADIAN * r.std_phase[k]
         yield (
             f"  {r.omega[k]:8.3g}{r.magnitude[k]:12.4g}{r.std[k]:10.2g}{phase:13.1f}{error:8.1f}{r.coherence[k]:11.2f}"
         )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import GRAVITY
 from estimation.errors import EstimationError
 from estimation.frequency.forms import SURFACE_OF
 from estimation.frequency.response import FrequencyResponse
@@ -21,7 +22,6 @@ from estimation.frequency.transfer import TransferFunction
 
 Array = NDArray[np.float64]
 
-G = 9.80665
 LIGHTEST = 150.0  # kg; the standards were drawn from aircraft with a pilot aboard
 CLASSES = ("I", "II", "III", "IV")
 CATEGORIES = ("A", "B", "C")
@@ -169,7 +169,7 @@ def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Cra
     if response.output != "q" or lead is None or not lead.estimate > 0.0 or not math.isfinite(response.speed):
         return
     V = response.speed
-    load, load_std = _derived(fit, lambda v: V / G * v["1/T_theta2"])
+    load, load_std = _derived(fit, lambda v: V / GRAVITY * v["1/T_theta2"])
     yield Number(
         "n/alpha",
         load,
@@ -178,7 +178,7 @@ def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Cra
         "V / (g T_theta2), steady normal acceleration per angle of attack",
         "MIL-F-8785C 3.2.2.1.1",
     )
-    cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * G / (V * v["1/T_theta2"]))
+    cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * GRAVITY / (V * v["1/T_theta2"]))
     level = _within(cap, ANTICIPATION[craft.category]) if rated else None
     yield Number(
         "CAP",

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from daq.contract.constants import RADIAN
 from estimation.frequency.answer import FrequencyResult, judged
 from estimation.frequency.figure import response_picture
 from estimation.report.markup.html import write_page
@@ -12,7 +13,6 @@ from estimation.report.tables import ReportTable, number, pair, significant, wri
 from groundstation.flight import Flight
 
 HERE = Path(__file__).parent
-DEGREES = 57.29577951308232
 
 
 def write_frequency_report(found: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
@@ -49,7 +49,7 @@ def response_table(found: FrequencyResult) -> ReportTable:
         (
             significant(float(r.omega[k]), 4),
             *pair(float(r.magnitude[k]), float(r.std[k])),
-            *pair(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])),
+            *pair(RADIAN * float(r.phase[k]), RADIAN * float(r.std_phase[k])),
             number(float(r.coherence[k]), 3),
         )
         for k in range(r.omega.size)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.aircraft import GRAVITY, Aircraft
+from daq.contract.constants import GRAVITY
+from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.estimators.coloured import ResidualSegment, score_covariance

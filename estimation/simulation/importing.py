@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.contract.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
 from estimation.models.load import write_model
 from estimation.simulation.jsbsim.aircraft import ATTITUDES, HELD, JsbsimOracle, jsbsim_simulation
 from estimation.simulation.jsbsim.as_text import (
@@ -20,7 +21,7 @@ from estimation.simulation.jsbsim.as_text import (
     arm_of,
     imported,
 )
-from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aircraft_file, known
+from estimation.simulation.jsbsim.library import PREFIX, aircraft_file, known
 from estimation.simulation.jsbsim.surfaces import aerodynamics_of
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from estimation.simulation.text_model import TextOracle
@@ -112,7 +113,7 @@ def random_states(simulation: Simulation, count: int = STATES) -> States:
     craft = simulation.aircraft
     assert craft is not None
     rng = np.random.default_rng(20261123)
-    cruise = math.sqrt(2.0 * craft.mass * 9.81 / (1.225 * craft.area * CRUISE))
+    cruise = math.sqrt(2.0 * craft.mass * 9.81 / (SEA_LEVEL_DENSITY * craft.area * CRUISE))
     values = {n: rng.uniform(-SIZES.get(n, 0.0), SIZES.get(n, 0.0), count) for n in VARIABLES}
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*ALPHAS, count)
     return States(values, rng.uniform(*DENSITIES, count), np.zeros(count))

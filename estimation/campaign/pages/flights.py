@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq.contract.constants import RADIAN
 from daq.contract.plain_words import file_name
 from estimation.campaign.groups import label_of
 from estimation.campaign.tasks import Row
@@ -20,9 +21,9 @@ MOST_PAGES = 2000  # of 20 kB: beyond, only flights with something to say have o
 SHOWN: Mapping[str, tuple[str, float]] = {
     "duration": ("s", 1.0),
     "V": ("m/s", 1.0),
-    "alpha": ("deg", 57.29577951308232),
-    "beta_max": ("deg", 57.29577951308232),
-    "delta_e": ("deg", 57.29577951308232),
+    "alpha": ("deg", RADIAN),
+    "beta_max": ("deg", RADIAN),
+    "delta_e": ("deg", RADIAN),
     "altitude": ("m", 1.0),
     "rho": ("kg/m3", 1.0),
     "mass": ("kg", 1.0),
@@ -119,7 +120,7 @@ def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Seq
         _group(first, keys),
         ", ".join(status),
         number(first["V"], 1),
-        number(None if first["alpha"] is None else 57.29577951308232 * first["alpha"], 1),
+        number(None if first["alpha"] is None else RADIAN * first["alpha"], 1),
         sentences,
     )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import RADIAN
 from estimation.report.drawing.figures import save_figure
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
-DEGREES = 57.29577951308232
 
 
 def write_histories(session: "EstimationSession", path: Path) -> None:
@@ -65,7 +65,7 @@ def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, A
     axes: Any = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for j, (name, time, measured, fitted) in enumerate(columns):
         for i, signal in enumerate(model.outputs):
-            factor, unit = (DEGREES, signal.unit.replace("rad", "deg")) if "rad" in signal.unit else (1.0, signal.unit)
+            factor, unit = (RADIAN, signal.unit.replace("rad", "deg")) if "rad" in signal.unit else (1.0, signal.unit)
             axis = axes[i][j]
             axis.plot(time, measured[:, i] * factor, ".", color="0.6", markersize=2.5, label="measured")
             for label, outputs in fitted.items():

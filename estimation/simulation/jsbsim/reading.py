@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from xml.etree import ElementTree as ET
 
-from estimation.simulation.jsbsim.library import FOOT, SLUG
+from daq.contract.constants import FOOT, SLUG
 from estimation.simulation.jsbsim.surfaces import Follows
 from estimation.simulation.jsbsim.tables import TableError, looked_up, table_of
 from estimation.simulation.jsbsim.terms import Product, Sum, collected, constant, factor, text_of
