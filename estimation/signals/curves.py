@@ -10,8 +10,6 @@ J. Sci. Stat. Comput. 5, 1984).
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
-from scipy.signal import czt
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,6 +34,8 @@ def curve_through(time: Array, values: Array, times: Array, *, edges: bool = Fal
     measured = np.isfinite(values)
     if int(measured.sum()) < FEWEST:
         return np.full(times.shape, np.nan)
+    from scipy.interpolate import CubicSpline, PchipInterpolator  # here: every simulation imports this module
+
     interpolator = PchipInterpolator if edges else CubicSpline
     return np.asarray(
         interpolator(time[measured], values[measured])(np.clip(times, time[measured][0], time[measured][-1])), float
@@ -47,6 +47,8 @@ def finite_transform(values: Array, step: float, first: float, spacing: float, c
 
     Frequencies first + k spacing [rad/s]; unit: that of the values times s.
     """
+    from scipy.signal import czt
+
     weighted = values.astype(float)
     weighted[[0, -1]] *= 0.5
     if count == 0 or weighted.shape[1] == 0:
