@@ -83,7 +83,7 @@ def _read(path: Path, mapping: Path | None, aircraft: str | None) -> "Flight":
     from groundstation.importers.run import import_data
 
     if path.suffix.lower() in READY and mapping is None:
-        from groundstation.export.run import open_flight
+        from groundstation.calibration.recording import open_flight
 
         flight = open_flight(path)
     else:

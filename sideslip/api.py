@@ -57,7 +57,7 @@ FLIGHTS = ("flight", "flights", "holdout")
 
 def open(path: str | Path) -> "Flight":
     """A flight file (.mcap, .csv, .parquet), or a raw recording, calibrated with the set it carries."""
-    from groundstation.export.run import open_flight
+    from groundstation.calibration.recording import open_flight
 
     return open_flight(Path(path))
 

@@ -41,13 +41,13 @@ def fly_scenario(
     tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
     """
     from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY
     from groundstation.flight import write_flight
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import hand_over
     from groundstation.live.station import Station
-    from groundstation.receiver.link_config import LinkConfig
+    from groundstation.receiver.ports import LinkConfig
     from groundstation.receiver.receive import Receiver
     from sideslip.live_aircraft import live_aircraft
 
@@ -84,7 +84,7 @@ def fly_scenario(
             recordings[-1],
             ground_folder,
             origin="telemetry and backfill" if agreed else "telemetry",
-            identified=None if session is None else station.identifications.kept(session),
+            identified=None if session is None else station.identifications.result(session),
         )
         ground, lines = handed.path, handed.lines()
         summary["flight"] = str(ground)

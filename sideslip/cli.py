@@ -47,11 +47,11 @@ VERBS: dict[str, Verb] = {
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
     "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
-    "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
+    "view": Verb("groundstation.cli.view", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb(
-        "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
+        "groundstation.cli.import_log", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
     "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
     "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),

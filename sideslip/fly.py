@@ -66,7 +66,7 @@ def fly(
     if scenario is None:
         raise UserError("fly: name a scenario, or give --list to see the built-in ones")
     if scenario in bench_titles():
-        from groundstation.calibration.schema import NOMINAL_DIRECTORY
+        from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 
         folder = out or Path("flights") / scenario
         made = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
@@ -134,7 +134,7 @@ def _fly_over_port(scenario: "Scenario", folder: Path, port: str, seed: int | No
     from daq.telemetry.link import open_port
     from firmware_sim.hardware.bridge import PortBridge
     from firmware_sim.runs.flight import prepare_flight
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 
     opened = open_port(port)
     try:

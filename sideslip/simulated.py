@@ -14,8 +14,8 @@ def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
     """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key, and for a key that
     would change nothing."""
     from estimation.aircraft import load_aircraft
-    from firmware_sim.errors import ScenarioError
     from firmware_sim.physics.aerodynamics import true_derivatives
+    from firmware_sim.tables import ScenarioError
     from firmware_sim.world.scenario import load_scenario
 
     tables: dict[str, Any] = {}

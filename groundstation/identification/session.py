@@ -12,7 +12,7 @@ from daq.identification.live import LiveEstimates
 from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
 from daq.identification.stretches import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.schema import CalibrationError
 from groundstation.identification.aircraft import LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import LiveHistory

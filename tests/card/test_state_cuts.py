@@ -21,7 +21,7 @@ from daq.service.preflight import _probe
 from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
 from daq.transport.signing import SignatureVerdict, Signer, SigningState, load_state, save_state
 from groundstation.receiver import events as ev
-from groundstation.receiver.kept.recording import SessionRecorder
+from groundstation.receiver.storage.recording import SessionRecorder
 from tests.card.cuts import FLIGHT
 from tests.card.flight import CardFlight
 from tests.card.forgetting import CUTS, Cut

@@ -28,7 +28,7 @@ from estimation.commands.match import match
 from estimation.errors import AircraftError, ModelError
 from estimation.models import load_model, write_model
 from estimation.session.aircraft_review import review_aircraft
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 from tests.estimation.cessna import CESSNA_172, PUBLISHED, SHAPE
 

@@ -15,7 +15,7 @@ from estimation.commands.estimate import estimate
 from estimation.commands.match import match
 from estimation.models import load_model
 from estimation.models.base import Model
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.flight import read_flight
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -20,8 +20,8 @@ from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, compatib
 from firmware_sim.runs.direct import DirectNoise, direct_flights
 from firmware_sim.runs.flight import simulate_flight
 from firmware_sim.world.scenario import Scenario, load_scenario
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from groundstation.flight import Flight
 
 PLANTED: Mapping[str, float] = {

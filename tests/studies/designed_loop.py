@@ -16,10 +16,11 @@ from daq.contract.manoeuvre import Manoeuvre
 from estimation.design.design import DesignTask, InputDesign, design
 from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
 from estimation.estimators.result import Result
-from firmware_sim.runs.direct import ORDINARY_NOISE, Injected, direct_flights
+from firmware_sim.runs.direct import ORDINARY_NOISE, direct_flights
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight
 from tests.studies.designed_flights import AIRCRAFT, DURATION, MODEL, NOISE, SPEED, START, _part
+from tests.studies.injected import Injected
 
 DESIGNED = 3
 

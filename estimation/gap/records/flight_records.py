@@ -107,10 +107,10 @@ class FlightRecord:
 
     def start(self, model: Model, base: Model) -> Array:
         """Guess of the initial state of `model`; states the base lacks start where their signal says."""
-        return started(model, dict(zip(base.state_names, self.x0, strict=True)))
+        return starting_state(model, dict(zip(base.state_names, self.x0, strict=True)))
 
 
-def started(model: Model, known: Mapping[str, float]) -> Array:
+def starting_state(model: Model, known: Mapping[str, float]) -> Array:
     """(nx,) initial state of `model` from `known` states; others start where their signal says."""
     values = dict(known)
     for signal in model.states:

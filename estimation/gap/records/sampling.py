@@ -161,7 +161,7 @@ def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flig
 
 def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
     slow_controls = [
-        s for s in (slow(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control
+        s for s in (find_slow_control(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control
     ]
     if not slow_controls:
         return flight
@@ -194,7 +194,7 @@ def _phase(new: Mask, others: Sequence[Mask], every: int) -> int:
     return max(range(min(every, new.size)), key=kept)
 
 
-def slow(flight: Flight, column: str) -> Slow | None:
+def find_slow_control(flight: Flight, column: str) -> Slow | None:
     """What is known of a control whose values come more rarely than samples; None of one that is new in each."""
     values = flight[column]
     measured = np.isfinite(values)

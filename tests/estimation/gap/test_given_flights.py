@@ -20,7 +20,7 @@ from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.records.sampling import (
     at_own_rates,
     clock_step,
-    slow,
+    find_slow_control,
     unseen_moves,
     unseen_paths,
     with_lost_rows,
@@ -129,7 +129,7 @@ def test_a_column_that_nobody_asks_for_decides_nothing() -> None:
 def test_a_hole_in_a_slow_control_stays_one() -> None:
     values = empty(noisy(1), 5)
     values[200:260] = np.nan
-    found = slow(built(delta_a=values, p=noisy(2)), "delta_a")
+    found = find_slow_control(built(delta_a=values, p=noisy(2)), "delta_a")
     assert found is not None
     assert np.isnan(found.values[200:256]).all()
     assert np.isfinite(found.values[:196]).all()

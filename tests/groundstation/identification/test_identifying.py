@@ -18,9 +18,8 @@ from groundstation.flight import Flight, read_flight
 from groundstation.identification.aircraft import LiveAircraft
 from groundstation.identification.history import BELIEVED, DETAIL, MOST, LiveHistory, history_of
 from groundstation.live.config import LiveIdentificationConfig
-from groundstation.live.flight_phase import LandingLimits
-from groundstation.live.identifying import LiveIdentifications
-from groundstation.live.named_values import NamedValues
+from groundstation.live.identifying import LiveIdentifications, NamedValues
+from groundstation.live.watches import LandingLimits
 from groundstation.viewer import entities as e
 from groundstation.viewer.recorded import as_rrd
 from sideslip.chain import fly_scenario

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.flight import read_flight, write_flight
 from groundstation.flight.notes import texts
 from groundstation.flight.quality.plausibility import suspicions

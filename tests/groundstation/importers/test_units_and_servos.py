@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.export.run import export_file
 from groundstation.flight import Flight, FlightError, read_flight, write_flight
 from groundstation.importers.errors import ImportDataError
