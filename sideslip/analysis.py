@@ -25,8 +25,8 @@ def analyse(
     share of the whole. Raises a UserError of one sentence for a log that cannot be read."""
     from estimation.analysis.run import Given, analyse_flights
     from estimation.analysis.stages import Stages, digest
+    from estimation.prepare.stretches import unique_names
     from estimation.report.markup.html import software
-    from estimation.session.flights import unique_names
 
     logs = [logs] if isinstance(logs, str | Path) else list(logs)
     mapping = None if mapping is None else Path(mapping)

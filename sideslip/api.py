@@ -27,13 +27,12 @@ from estimation.answers import (
     responses,
     watching,
 )
-from estimation.answers.answer import Answer
+from estimation.answers.answer import Answer, Figures
 from estimation.answers.checks import Check
 from estimation.answers.designs import DesignAnswer
 from estimation.answers.estimates import Estimates
 from estimation.answers.gaps import GapAnswer
 from estimation.answers.matches import Match
-from estimation.answers.notebook import Figures
 from estimation.answers.performances import Performance
 from estimation.answers.reconstruction import Reconstruction
 from estimation.answers.responses import Response

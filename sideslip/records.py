@@ -147,7 +147,7 @@ class Calibrated(Answer):
 
 
 def _bars(numbers: Mapping[str, int], ax: Any) -> Any:
-    from estimation.answers.notebook import panels
+    from estimation.answers.answer import panels
 
     (axes,) = panels(ax, 1, (7.0, 0.6 + 0.22 * len(numbers)))
     axes.barh(list(numbers), list(numbers.values()))

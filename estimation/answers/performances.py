@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.contract.constants import RADIAN
-from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
-from estimation.answers.notebook import Figures, panels
+from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -35,8 +34,8 @@ def performance(
     read = read_flights(flights, segments)
     craft = which_aircraft(read, aircraft, needed=True)
     craft.need(("m", "S"), "performance")
-    used = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
-    return Performance(craft, used, fitted(together(used)))
+    usable_flights = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
+    return Performance(craft, usable_flights, fitted(together(usable_flights)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,19 +89,18 @@ class Performance(Answer):
         return curve(self.polar, self.aircraft)
 
     def to_json(self) -> dict[str, Any]:
-        """As `performance --json` has it."""
-        known = self.passed
+        polar_known = self.passed
         return {
-            "version": 1, "aircraft": self.aircraft.name, "status": self.status, "known": known,
+            "version": 1, "aircraft": self.aircraft.name, "status": self.status, "known": polar_known,
             "mass": self.aircraft.mass, "density": self.polar.density, "rms_CD": self.polar.rms,
             "flights": [{"name": f.name, "samples": f.samples, "used": f.used, "thrust": f.thrust} for f in self.flights],
             "lift": list(self.polar.lift),
             "polar": {n: _json(self.polar[n]) for n in ("CD_0", "CD_k", "alpha_offset")},
-            "best_glide": {n: _json(b) for n, b in self.best_glide.items()} if known else None,
-            "least_sink": {n: _json(b) for n, b in self.least_sink.items()} if known else None,
+            "best_glide": {n: _json(b) for n, b in self.best_glide.items()} if polar_known else None,
+            "least_sink": {n: _json(b) for n, b in self.least_sink.items()} if polar_known else None,
             "curve": [
                 {"V": p.V, "CL": p.CL, "drag": _json(p.drag), "sink": _json(p.sink), "power": _json(p.power)} for p in self.curve
-            ] if known else [],
+            ] if polar_known else [],
         }  # fmt: skip
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -116,7 +114,6 @@ class Performance(Answer):
         ])  # fmt: skip
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip performance` prints."""
         for f in self.flights:
             yield f"{f.name}: {f.used} of {f.samples} samples, {f.thrust}"
         yield f"{self.aircraft.name}, {self.aircraft.mass:g} kg, density {self.polar.density:.3f} kg/m3: {self.status}"
@@ -153,7 +150,6 @@ class Performance(Answer):
         return axes
 
     def figures(self) -> Figures:
-        """The figure of the page."""
         from functools import partial
 
         from estimation.performance.drawing import performance_picture
@@ -170,7 +166,6 @@ class Performance(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Aircraft and the best glide."""
         return f"Performance of {self.aircraft.name}: {self.status}"
 
     def rows(self) -> Rows:

@@ -14,7 +14,7 @@ from daq.contract.input_files import read_toml
 from daq.contract.plain_words import meant
 from estimation.campaign.errors import CampaignError
 from estimation.estimators.estimator import Extra
-from estimation.estimators.registry import check_extras, find
+from estimation.estimators.registry import check_extras, find_estimator
 
 GROUPABLE = ("aircraft", "configuration", "day", "manoeuvre")
 LONGEST_LIMIT = 1e6  # s, eleven days: the clocks that end work count no longer
@@ -66,7 +66,7 @@ class RecordConditions(_CampaignTable):
     @field_validator("segments")
     @classmethod
     def _stretches(cls, text: str) -> str:
-        from estimation.session.flights import spans_of
+        from estimation.prepare.stretches import spans_of
         from groundstation.flight.expression import parse_condition
         from groundstation.flight.stretches import is_times
 
@@ -166,17 +166,17 @@ class CampaignPlan(_CampaignTable):
     def _known_methods(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
             with _as_value_error():
-                find(name)
+                find_estimator(name)
         return names
 
     @model_validator(mode="after")
     def _replicates_can_be_had(self) -> "CampaignPlan":
         if self.bootstrap:
-            from estimation.estimators.bootstrap import check_replicates
+            from estimation.estimators.refits import check_replicates
 
             with _as_value_error():
                 check_replicates(self.bootstrap)
-                check_extras((Extra.BOOTSTRAP,), [find(name) for name in self.methods])
+                check_extras((Extra.BOOTSTRAP,), [find_estimator(name) for name in self.methods])
         return self
 
 

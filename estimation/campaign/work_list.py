@@ -15,7 +15,7 @@ from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.tasks import Subject, Work
 from estimation.campaign.workers.work import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
-from estimation.estimators.registry import find
+from estimation.estimators.registry import find_estimator
 
 ENVELOPE_METHOD = "ml"
 """The method that a model over the envelope is fitted by: flights held out are judged by a likelihood."""
@@ -96,7 +96,7 @@ class _Subjects:
         except UserError:  # this aircraft lacks something: its flights will say so, those of others can do without
             return
         for method in self._plan.methods:
-            if why := find(method).refuses(model):
+            if why := find_estimator(method).refuses(model):
                 raise CampaignError(f"plan, methods: {why}")
 
     def _name_of(self, entry: CampaignFlight) -> str:
@@ -135,7 +135,7 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     data = [VERSION, subject.source.sha256, subject.segments, plan.each_segment, quality, dict(versions())]
     pieces, seeds = {}, {}
     for method in dict.fromkeys(plan.methods):
-        able = find(method).supports
+        able = find_estimator(method).supports
         replicates = plan.bootstrap if Extra.BOOTSTRAP in able else 0
         seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in able else 0
         pieces[method] = key_of("flight", data, _model_of(subject), method, replicates, seeds[method])

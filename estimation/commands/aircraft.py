@@ -44,10 +44,10 @@ def check(file: str, json_path: Path | None) -> int:
     Exit status 1 where it says something impossible, or is not enough for any model.
     """
     from estimation.aircraft import load_aircraft
-    from estimation.session.aircraft_review import review
+    from estimation.session.aircraft_review import review_aircraft
 
     found = load_aircraft(file)
-    notes = review(found)
+    notes = review_aircraft(found)
     click.echo(f"aircraft {found.name}{': ' + found.title if found.title else ''}")
     for note in notes:
         click.echo(f"  {note.verdict:<5}{note.check}: {note.text}")

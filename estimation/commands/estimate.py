@@ -18,14 +18,14 @@ from daq.contract.options import (
 )
 from daq.contract.outputs import tried_model
 from estimation.estimators.estimator import Extra
-from estimation.estimators.registry import listed, names
+from estimation.estimators.registry import estimator_names, listed_words
 
 EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint --report out/"
 
 
 def _able(extra: Extra) -> str:
     """The methods that heed an extra, as help says them."""
-    return f"method{'s' if len(names(extra)) > 1 else ''} {listed(names(extra))}"
+    return f"method{'s' if len(estimator_names(extra)) > 1 else ''} {listed_words(estimator_names(extra))}"
 
 
 @click.command(epilog=EXAMPLE)
@@ -33,10 +33,10 @@ def _able(extra: Extra) -> str:
 @click.option(
     "--method",
     "method",
-    default=names()[0],
+    default=estimator_names()[0],
     show_default=True,
     metavar="NAMES",
-    help=f"Comma-separated: {', '.join(names())}; module:NAME is an estimator of your own.",
+    help=f"Comma-separated: {', '.join(estimator_names())}; module:NAME is an estimator of your own.",
 )
 @model_option()
 @aircraft_option()

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.design.predict import NOISE, DesignSetting, PredictedMotion, output_noise, sampled
-from estimation.engine.data import FlightData
-from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Signal
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Genera
             columns[signal.source] = columns[signal.source] + input_noise(bench, signal) * rng.standard_normal(
                 keep.size
             )
-    return prepared(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
+    return prepare_all(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
 
 
 def input_noise(bench: DesignSetting, signal: Signal) -> float:

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from daq.contract.constants import GRAVITY
 from estimation.design.condition import Condition
 from estimation.design.limits import Limits
-from estimation.engine.data import Segment
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Model, Parameter, Signal
+from estimation.prepare.flight_data import Segment
 
 Array = NDArray[np.float64]
 

@@ -8,24 +8,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe, Belief, Sample
 from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
-from estimation.engine.data import FOR_REGRESSION, FlightData
-from estimation.engine.derived import with_derived
-from estimation.engine.prepared import compared, prepared
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation
+from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation_matrix
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
-from groundstation.flight import GAP_FACTOR, Flight
-
-Array = NDArray[np.float64]
+from estimation.prepare.columns import with_derived
+from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from groundstation.flight import GAP_FACTOR, Array, Flight
 
 EVERY = 0.5  # s between two entries of the history
 DOUBTED = 0.5  # of a believed value: its standard deviation where the aircraft file states none
@@ -40,7 +37,7 @@ class _RecursiveRun:
     history: EstimateHistory
 
 
-def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
+def estimate_recursively(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
     """Estimates with bounds after the last scan, and how they came about.
 
     model: one with the derivatives of `lateral`. Several flights are taken one after the other, as one aircraft; the history
@@ -50,23 +47,23 @@ def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Re
     airframe = airframe_of(model, aircraft)
     for flight in flights:
         flight.require([s for s in SIGNALS if s != "rho"], "method live")
-    chosen, data = compared(model, prepared(model, flights, FOR_REGRESSION))
+    compared_model, data = without_absent_outputs(model, prepare_all(model, flights, FOR_REGRESSION))
     run = _fed(airframe, [with_derived(f, ["rho"]) for f in flights])
-    return _result(chosen, data, run)
+    return _result(compared_model, data, run)
 
 
-def refusal(model: Model) -> str:
+def unsupported_by_live(model: Model) -> str:
     """Why a model cannot be taken, empty where it can."""
     if set(model.parameter_names) != set(DERIVATIVES):
         return f"method live knows the derivatives of model lateral only, not those of {model.name}; take method ml"
-    held = [p.name for p in model.parameters if p.fixed]
-    return f"method live holds no parameter ({', '.join(held)}): free it, or take method ml" if held else ""
+    fixed = [p.name for p in model.parameters if p.fixed]
+    return f"method live holds no parameter ({', '.join(fixed)}): free it, or take method ml" if fixed else ""
 
 
 def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
     """The airframe and what is believed of it, as a model and its aircraft have it."""
-    if why := refusal(model):
-        raise EstimationError(why)
+    if objection := unsupported_by_live(model):
+        raise EstimationError(objection)
     lag = None if aircraft.servos is None else aircraft.servos.lag
     c = model.constants
     try:
@@ -102,7 +99,7 @@ def samples_of(flight: Flight, part: slice) -> Iterator[Sample]:
 
 
 def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _RecursiveRun:
-    estimator, ends, seen = LiveEstimator(airframe), [], list[LiveEstimates]()
+    estimator, ends, snapshots = LiveEstimator(airframe), [], list[LiveEstimates]()
     for flight in flights:
         due = -math.inf
         for part in flight.segments:
@@ -112,28 +109,28 @@ def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _RecursiveRun:
                 estimator.add(sample)
                 if sample.time >= due and len(flights) == 1:
                     due = sample.time + EVERY - 1e-6
-                    seen.append(replace(estimator.estimates(), time=sample.time))
+                    snapshots.append(replace(estimator.estimates(), time=sample.time))
         if len(flights) == 1:
-            seen.append(replace(estimator.estimates(), time=float(flight.time[-1])))
+            snapshots.append(replace(estimator.estimates(), time=float(flight.time[-1])))
         ends.append(estimator.stretches + 1)
-    return _RecursiveRun(estimator, tuple(ends), _history(seen))
+    return _RecursiveRun(estimator, tuple(ends), _history(snapshots))
 
 
-def _leads_over(flight: Flight, at: int) -> bool:
+def _leads_over(flight: Flight, row: int) -> bool:
     """Whether a segment begins only because some scans are missing, fewer than make the estimator begin anew by itself."""
-    if at == 0:
+    if row == 0:
         return False
-    step = float(flight.time[at] - flight.time[at - 1])
+    step = float(flight.time[row] - flight.time[row - 1])
     return GAP_FACTOR * flight.sample_interval < step <= GAP
 
 
-def _history(seen: Sequence[LiveEstimates]) -> EstimateHistory:
+def _history(snapshots: Sequence[LiveEstimates]) -> EstimateHistory:
     def series(name: str, field: str) -> Array:
-        known = (e.derivatives[name] for e in seen)
-        return np.array([getattr(d, field) if d.told else np.nan for d in known])
+        derivatives = (e.derivatives[name] for e in snapshots)
+        return np.array([getattr(d, field) if d.told else np.nan for d in derivatives])
 
     return EstimateHistory(
-        np.array([e.time for e in seen]),
+        np.array([e.time for e in snapshots]),
         {n: series(n, "estimate") for n in DERIVATIVES},
         {n: series(n, "std") for n in DERIVATIVES},
     )
@@ -142,15 +139,17 @@ def _history(seen: Sequence[LiveEstimates]) -> EstimateHistory:
 def _result(model: Model, data: list[FlightData], run: _RecursiveRun) -> Result:
     final = run.estimator.estimates()
     names = tuple(n for n in model.parameter_names if not model.parameter(n).local)
-    found = {n: _estimate(model.parameter(n), final.derivatives[n]) for n in names}
+    shared = {n: _estimate(model.parameter(n), final.derivatives[n]) for n in names}
     local = list(_locals(model, run))
-    values = [{n: e.estimate for n, e in (found | own).items()} for own in local]
+    values = [{n: e.estimate for n, e in (shared | flight_local).items()} for flight_local in local]
     fits, R = simulated_fits(model, data, values)
-    flights: tuple[FlightFit, ...] = tuple(replace(f, local=own) for f, own in zip(fits, local, strict=True))
+    flights: tuple[FlightFit, ...] = tuple(
+        replace(f, local=flight_local) for f, flight_local in zip(fits, local, strict=True)
+    )
     honest, white = (_matrix(names, run.estimator.solutions(), kind) for kind in ("covariance", "white"))
-    status, text = _status(final, found)
+    status, text = _status(final, shared)
     return Result(
-        model, "live", status, text, final.rows, final.rows, math.nan, R, names, found, white, honest,
+        model, "live", status, text, final.rows, final.rows, math.nan, R, names, shared, white, honest,
         _pairs(names, honest), flights, "daq.identification", history=run.history if len(data) == 1 else None,
     )  # fmt: skip
 
@@ -159,8 +158,8 @@ def _locals(model: Model, run: _RecursiveRun) -> Iterator[dict[str, Estimate]]:
     """Each flight's own constants, where the model says that they are."""
     begin = 0
     for end in run.ends:
-        known = run.estimator.estimates(slice(begin, end)).derivatives
-        yield {p.name: _estimate(p, known[p.name]) for p in model.parameters if p.local}
+        derivatives = run.estimator.estimates(slice(begin, end)).derivatives
+        yield {p.name: _estimate(p, derivatives[p.name]) for p in model.parameters if p.local}
         begin = end
 
 
@@ -172,8 +171,8 @@ def _estimate(p: Parameter, d: LiveDerivative) -> Estimate:
     )
 
 
-def _status(final: LiveEstimates, found: Mapping[str, Estimate]) -> tuple[Status, str]:
-    blind = [n for n, e in found.items() if not e.identifiable]
+def _status(final: LiveEstimates, parameters: Mapping[str, Estimate]) -> tuple[Status, str]:
+    blind = [n for n, e in parameters.items() if not e.identifiable]
     text = f"solved from {final.rows} intervals, {final.span:.1f} s"
     if blind:
         text += f"; cannot be told from this data: {', '.join(blind)}"
@@ -187,13 +186,13 @@ def _matrix(names: tuple[str, ...], solutions: Mapping[str, RegressionSolution |
     result = np.zeros((len(names), len(names)))
     for coefficient, solution in solutions.items():
         if solution is not None:
-            at = [names.index(f"{coefficient}_{COLUMNS[c]}") for c in solution.columns]
-            result[np.ix_(at, at)] = getattr(solution, kind)
+            index = [names.index(f"{coefficient}_{COLUMNS[c]}") for c in solution.columns]
+            result[np.ix_(index, index)] = getattr(solution, kind)
     return result
 
 
 def _pairs(names: tuple[str, ...], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    rho = correlation(covariance)
+    rho = correlation_matrix(covariance)
     pairs = [
         (names[i], names[j], round(float(rho[i, j]), 4))
         for i in range(len(names))

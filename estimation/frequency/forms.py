@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.errors import EstimationError
-from estimation.signals.fourier import Complex
+from estimation.signals.curves import Complex
 
 Array = NDArray[np.float64]
 

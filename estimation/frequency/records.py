@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.conditioned import conditioned
 from estimation.errors import DataError
-from estimation.signals.fourier import FEWEST, curve
-from estimation.signals.preprocess import noise_level
+from estimation.prepare.conditioned import condition_columns
+from estimation.signals.curves import FEWEST, curve_through
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
     wanted = (name, output, *(with_ or ()))
     for flight in flights:
         flight.require([name, output, *(with_ or ())], f"the frequency response of {output} to {name}")
-    looked_at = [conditioned(f, (*wanted, *CONTROLS), keep_held=True) for f in flights]
+    looked_at = [condition_columns(f, (*wanted, *CONTROLS), keep_held=True) for f in flights]
     flights = [told.flight for told in looked_at]
     for flight in flights:
         _refuse_endless(flight, wanted)
@@ -175,7 +175,7 @@ def _even(time: Array, columns: Array) -> DetrendedStretch:
     grid = time[0] + step * np.arange(time.size)
     even = bool(np.all(np.abs(np.diff(time) - step) < EVEN * step)) and bool(np.isfinite(columns).all())
     if not even and np.isfinite(columns).all(axis=1).sum() >= FEWEST:
-        columns = np.stack([curve(time, c, grid) for c in columns.T], axis=1)
+        columns = np.stack([curve_through(time, c, grid) for c in columns.T], axis=1)
     rise = np.stack([np.ones(time.size), np.linspace(-1.0, 1.0, time.size)], axis=1)
     flat = columns - rise @ np.linalg.lstsq(rise, columns, rcond=None)[0]
     return DetrendedStretch(step, flat[:, :-1], flat[:, -1])

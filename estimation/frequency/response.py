@@ -18,7 +18,7 @@ from estimation.errors import DataError
 from estimation.frequency.feedback import feedback_note
 from estimation.frequency.records import Signals, collect
 from estimation.frequency.spectra import FrequencyGrid, WindowResponse, respond
-from estimation.signals.fourier import Complex
+from estimation.signals.curves import Complex
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

@@ -25,7 +25,7 @@ from scipy.signal import czt
 from scipy.stats import t as student
 
 from estimation.frequency.records import DetrendedStretch
-from estimation.signals.fourier import Complex
+from estimation.signals.curves import Complex
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from estimation.errors import DataError, EstimationError
 from estimation.frequency.forms import TransferForm, form_for, general_forms
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.spectra import tapers
-from estimation.signals.fourier import Complex
+from estimation.signals.curves import Complex
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.engine.derived import bridged, with_derived
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
-from estimation.signals.preprocess import denoise, noise_level
+from estimation.prepare.columns import bridge_gaps, with_derived
+from estimation.signals.denoise import denoise, noise_level
 from groundstation.flight import Flight
 from groundstation.flight.arrays import true_runs
 
@@ -79,8 +79,8 @@ def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
             " throttle off"
         )
     noise = (
-        max(noise_level(bridged(flight["ax"])), LEAST_NOISE[0]),
-        max(noise_level(bridged(flight["alpha"])), LEAST_NOISE[1]),
+        max(noise_level(bridge_gaps(flight["ax"])), LEAST_NOISE[0]),
+        max(noise_level(bridge_gaps(flight["alpha"])), LEAST_NOISE[1]),
     )
     return Usable(flight.name, len(flight), tuple(_stretch(flight, p, thrust, aircraft, noise) for p in pieces), words)
 

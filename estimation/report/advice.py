@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from estimation.estimators.uncertainty import companions
+from estimation.estimators.uncertainty import inputs_beside
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
@@ -96,7 +96,7 @@ def _once(items: Iterable[str]) -> tuple[str, ...]:
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:
     """A manoeuvre that would tell a parameter."""
-    for control in sorted(companions(model, parameter)):
+    for control in sorted(inputs_beside(model, parameter)):
         if control in CONTROL_WORDS:
             word = CONTROL_WORDS[control]
             return f"{word} doublet or 3-2-1-1 of 5 deg and more, not in step with another control"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimation.compatibility.result import Compatibility, ReconstructedFlight
+from estimation.compatibility.reconstruction import Compatibility, ReconstructedFlight
 from estimation.report import published
 from estimation.report.compatibility_tables import fit_of
 from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled

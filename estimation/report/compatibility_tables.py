@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.compatibility.result import Compatibility, FactorEstimate, ReconstructedFlight
+from estimation.compatibility.reconstruction import Compatibility, FactorEstimate, ReconstructedFlight
 from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
 from estimation.report.drawing.figures import save_figure

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.constants import SEA_LEVEL_DENSITY
-from estimation.engine.derived import with_derived
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
+from estimation.prepare.columns import with_derived
 from estimation.report.tables import ReportTable, rounded, significant
 from groundstation.flight import Flight
 

@@ -148,7 +148,7 @@ def _proofs(session: "EstimationSession") -> list[tuple[str, "ProofOfMatch"]]:
 
     Constant coefficients are refitted: trim and sensor offsets of a day say nothing of the derivatives.
     """
-    from estimation.session.proof_of_match import predict
+    from estimation.session.proof_of_match import predict_flight
 
     trims = session.model.free_of(ParameterRole.CONSTANT)
 
@@ -160,7 +160,7 @@ def _proofs(session: "EstimationSession") -> list[tuple[str, "ProofOfMatch"]]:
         by = f", {method}" if len(session.methods) > 1 else ""
         pairs = zip(usable, [usable[-1], *usable[:-1]], strict=True)
         proofs += [
-            (donor[0].flight.name + by, predict(donor[1].fitted_model, f.flight, free=trims))
+            (donor[0].flight.name + by, predict_flight(donor[1].fitted_model, f.flight, free=trims))
             for (f, _), donor in list(pairs)[:SHOWN]
         ]
     return proofs

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.contract.constants import GRAVITY
-from estimation.engine.data import FlightData, Preparation, prepare
-from estimation.engine.derived import bridged
 from estimation.models.base import Model, Signal
-from estimation.signals.preprocess import denoise
+from estimation.prepare.columns import bridge_gaps
+from estimation.prepare.flight_data import FlightData, Preparation
+from estimation.prepare.pipeline import prepare
+from estimation.signals.denoise import denoise
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from groundstation.flight import Flight
 
@@ -153,8 +154,8 @@ def _alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -
     needed = ("ax", "az", "theta")
     if not all(flight.measured(n) for n in needed):
         return np.gradient(x["alpha"], time)
-    ax, az, theta = (bridged(flight[n][s]) for n in needed)
-    phi = bridged(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
+    ax, az, theta = (bridge_gaps(flight[n][s]) for n in needed)
+    phi = bridge_gaps(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
     gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
     c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
     rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.engine.data import Preparation, prepare
 from estimation.engine.simulate import simulate
 from estimation.models.base import Model
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
 from estimation.simulation.along_flight import MOMENTS, along, column_name
 from estimation.simulation.attach import carrying, computed, without_simulation
 from estimation.simulation.jsbsim.export import Written

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from estimation.aircraft import Aircraft, load_aircraft
-from estimation.own_code import MISTAKES, named, said
+from estimation.own_code import MISTAKES, import_named, mistake_text
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
 
 EXAMPLE = "module:function, like my_aircraft:base"
@@ -49,7 +49,7 @@ class FunctionOracle:
         try:
             return self._columns(self._called(state, arrays=False), 1)
         except MISTAKES as error:
-            raise SimulationError(f"simulation {self.spec}: {said(error)}") from error
+            raise SimulationError(f"simulation {self.spec}: {mistake_text(error)}") from error
 
     def _called(self, states: States, arrays: bool) -> Any:
         values = {n: v if arrays else float(v[0]) for n, v in {**states.values, "rho": states.rho}.items()}
@@ -74,7 +74,7 @@ class FunctionOracle:
 
 def function_simulation(spec: str) -> Simulation:
     """The simulation `module:function`. Raises SimulationError."""
-    function = named(spec, f"simulation {spec!r}", EXAMPLE, SimulationError)
+    function = import_named(spec, f"simulation {spec!r}", EXAMPLE, SimulationError)
     if not callable(function):
         raise SimulationError(f"simulation {spec!r}: that is {type(function).__name__}, not a function")
     module = sys.modules[spec.partition(":")[0]]

@@ -11,10 +11,10 @@ differs by h/2 times what its acceleration changed by in the last frame, however
 
 import numpy as np
 
-from estimation.engine.data import FlightData, Segment
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData, Segment
 from estimation.simulation.oracle import Array
 
 UNIT = 1.0  # of a filter's state: its rate is linear in it, so that any step gives its slope

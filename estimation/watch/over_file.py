@@ -14,10 +14,10 @@ from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration, calibrated
 from daq.identification.stretches import ManoeuvreDetector
 from estimation.aircraft import Aircraft
-from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, samples_of
 from estimation.models.base import Model, Parameter
+from estimation.prepare.columns import with_derived
 from groundstation.flight import Flight
 from groundstation.flight.quality.noise import noise
 

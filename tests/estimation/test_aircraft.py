@@ -27,7 +27,7 @@ from estimation.commands.gap import gap
 from estimation.commands.match import match
 from estimation.errors import AircraftError, ModelError
 from estimation.models import load_model, write_model
-from estimation.session.aircraft_review import review
+from estimation.session.aircraft_review import review_aircraft
 from groundstation.cli.import_log import import_
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 from tests.estimation.cessna import CESSNA_172, PUBLISHED, SHAPE
@@ -261,14 +261,14 @@ def test_check_of_an_empty_or_impossible_file_fails(tmp_path: Path) -> None:
 )
 def test_doubtful_numbers_are_warned_of(change: dict[str, object], check: str, said: str) -> None:
     sound = replace(made(), sensors={"imu": (0.0, 0.0, 0.0)})
-    assert not [n for n in review(sound) if n.verdict == "warn"]
-    warned = [n for n in review(replace(sound, **change)) if n.verdict == "warn"]  # type: ignore[arg-type]
+    assert not [n for n in review_aircraft(sound) if n.verdict == "warn"]
+    warned = [n for n in review_aircraft(replace(sound, **change)) if n.verdict == "warn"]  # type: ignore[arg-type]
     assert any(n.check == check and said in n.text for n in warned)
 
 
 def test_built_in_aircraft_are_beyond_doubt() -> None:
     for name in built_in_aircraft():
-        assert {n.verdict for n in review(load_aircraft(name))} == {"ok"}
+        assert {n.verdict for n in review_aircraft(load_aircraft(name))} == {"ok"}
 
 
 # ------------------------------------------------------------------------------------------------ beliefs from the shape

@@ -12,10 +12,9 @@ from daq.identification.live import LiveEstimator
 from estimation.aircraft.library import load_aircraft
 from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
-from estimation.estimators.recursive import airframe_of, recursive, samples_of
+from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
 from estimation.models import load_model
-from estimation.models.base import Model
-from estimation.session.runner import joint_model
+from estimation.models.base import Model, joint_model
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
 
@@ -66,7 +65,7 @@ def test_it_is_the_estimator_that_flies(flight: Flight, model: Model) -> None:
         for sample in samples_of(flight, part):
             estimator.add(sample)
     known = estimator.estimates().derivatives
-    result = recursive(model, [flight], craft)
+    result = estimate_recursively(model, [flight], craft)
     for name in ("CY_beta", "Cl_p", "Cn_beta"):
         assert result.parameters[name].estimate == known[name].estimate
         assert result.parameters[name].std_coloured == known[name].std
@@ -75,8 +74,8 @@ def test_it_is_the_estimator_that_flies(flight: Flight, model: Model) -> None:
 def test_several_flights_are_one_aircraft_with_constants_of_their_own(flight: Flight, model: Model) -> None:
     craft = load_aircraft("cdfp")
     offset = flight.with_columns(ay=flight["ay"] + 0.2)
-    alone = recursive(model, [flight], craft)
-    both = recursive(joint_model(model), [flight, replace(offset, name="offset")], craft)
+    alone = estimate_recursively(model, [flight], craft)
+    both = estimate_recursively(joint_model(model), [flight, replace(offset, name="offset")], craft)
     assert both.history is None
     assert both.parameters["Cl_p"].std_coloured < alone.parameters["Cl_p"].std_coloured
     first, second = (f.local["CY_0"].estimate for f in both.flights)
@@ -102,4 +101,4 @@ def test_what_it_cannot_do_is_said(flight: Flight, model: Model, change, words: 
 def test_a_missing_column_is_named(flight: Flight, model: Model) -> None:
     without = replace(flight, columns={k: v for k, v in flight.columns.items() if k != "alpha"})
     with pytest.raises(MissingColumnError, match="alpha"):
-        recursive(model, [without], load_aircraft("cdfp"))
+        estimate_recursively(model, [without], load_aircraft("cdfp"))

@@ -13,11 +13,12 @@ from click.testing import CliRunner
 
 from estimation.commands.check import check
 from estimation.commands.estimate import estimate
-from estimation.engine.data import Preparation, prepare
 from estimation.errors import DataError
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.findings import FindingKind
 from tests.estimation.truth import NOISE, Case, fly

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.engine.data import prepare
 from estimation.models import Signal, load_model
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.findings import (
     Finding,

@@ -20,8 +20,9 @@ from estimation.aircraft import load_aircraft
 from estimation.answers.designs import write_manoeuvre
 from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.predict import fly, information
-from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
+from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models import load_model
+from estimation.prepare.pipeline import prepare_all
 from firmware_sim.runs.direct import ORDINARY_NOISE, DirectNoise, direct_flights
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight
@@ -95,7 +96,7 @@ def fitted(flights: Iterator[Flight]) -> Fits:
     """Maximum likelihood of each flight."""
     options = OutputErrorOptions()
     all_of_them = list(flights)
-    results = [output_error(MODEL, [flight], options=options) for flight in prepared(MODEL, all_of_them)]
+    results = [output_error(MODEL, [flight], options=options) for flight in prepare_all(MODEL, all_of_them)]
     good = [r for r in results if r.converged]
     names = good[0].parameters
     return Fits(

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import FlightBlocks
 from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.estimators.normal_equations import FlightBlocks
 from estimation.estimators.result import Result
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 

@@ -23,15 +23,14 @@ from estimation.campaign.aerodynamics.terms import (
 )
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.pooling import LEVEL, t_quantile
-from estimation.engine.data import AS_USUAL, FlightData, Preparation
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.estimators.output_error import STANDARD, OutputErrorOptions, output_error
 from estimation.estimators.result import Result
-from estimation.models.base import Model
-from estimation.session.flights import unique_names
-from estimation.session.flown import flown
-from estimation.session.runner import joint_model
+from estimation.models.base import Model, joint_model
+from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from estimation.prepare.stretches import unique_names
+from estimation.session.proof_of_match import flown_ranges
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
@@ -117,13 +116,13 @@ def global_model(
     tried = candidates(base, [v for v in POWERS if _in_all(flights, v)])
     wide = with_terms(base, tried, reference)
     tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
-    slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
+    slim, data = without_absent_outputs(wide, prepare_all(wide, flights, AS_USUAL))
     fit = _Fit(base, flights, data, slim, Simulator.build(slim), tried, reference)
     result, gains = output_error(base, flights), tuple[TermGain, ...]()
     for wave in ([t for t in tried if t.first], tried):
         for _ in range(ROUNDS):
             if why := fit.unusable(result):
-                return GlobalModel(result, gains, flown(result.model, flights), why)
+                return GlobalModel(result, gains, flown_ranges(result.model, flights), why)
             more = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
             if not more:
                 break
@@ -134,7 +133,7 @@ def global_model(
         gains = fit.needed(result, gains) if gains else gains
         tell(f"{len(gains)} terms are enough; fitting again with inputs as measured")
         result = fit.again(result, gains, AS_MEASURED)
-    return GlobalModel(result, gains, flown(result.model, flights), fit.unusable(result))
+    return GlobalModel(result, gains, flown_ranges(result.model, flights), fit.unusable(result))
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import versions
 from estimation.campaign.tasks import FlightSource, Row, Subject, Work
 from estimation.estimators.estimator import Extra, Extras
-from estimation.estimators.registry import find
-from estimation.estimators.result import Estimate, Result, finite
+from estimation.estimators.registry import find_estimator
+from estimation.estimators.result import Estimate, Result, finite_or_none
 from estimation.models import Model, load_model
 from estimation.models.base import ParameterRole
 from estimation.resolve import which_aircraft
@@ -102,9 +102,9 @@ def _flight(work: Work) -> Iterator[Row]:
 
 
 def _parts(flight: Flight, work: Work) -> list[Flight]:
-    from estimation.session.flights import separated
+    from estimation.prepare.stretches import flights_of_segments
 
-    return separated(flight) if work.each_segment else [flight]
+    return flights_of_segments(flight) if work.each_segment else [flight]
 
 
 def _bad_quality(flight: Flight) -> str:
@@ -136,7 +136,7 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
         **about,
     )
     for place, (name, factor) in enumerate(found.factors.items()):
-        numbers = {n: finite(getattr(factor, n)) for n in ("estimate", "std", "std_coloured")}
+        numbers = {n: finite_or_none(getattr(factor, n)) for n in ("estimate", "std", "std_coloured")}
         row = _run_row(work, CHECK, status, factor.why, **about)
         yield {
             **row,
@@ -163,7 +163,7 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
     except UserError as error:
         yield _run_row(work, method, FAILED, str(error), **about)
         return
-    name = find(method).name
+    name = find_estimator(method).name
     if name in session.flights[0].failures:
         yield _run_row(work, method, FAILED, session.flights[0].failures[name], **about)
         return
@@ -175,7 +175,7 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
 
 
 def _extras(work: Work, method: str) -> Extras:
-    able = find(method).supports
+    able = find_estimator(method).supports
     return Extras(
         bootstrap=work.bootstrap if Extra.BOOTSTRAP in able else 0, seed=work.seeds[method] if Extra.SEED in able else 0
     )
@@ -185,7 +185,7 @@ def _result_rows(
     work: Work, method: str, result: Result, status: str, why: str, kind: str, cpu: float, about: Row
 ) -> Iterator[Row]:
     """The run, its parameters, and the fit of each channel."""
-    cost = finite(result.cost)
+    cost = finite_or_none(result.cost)
     yield _run_row(work, method, status, why, iterations=result.iterations, cost=cost, cpu=cpu, **about)
     for name, e in result.parameters.items():
         row = _run_row(work, method, status, e.why or why, **about)
@@ -201,15 +201,15 @@ def _result_rows(
         return
     for output, fit in result.flights[0].fit.items():
         row = _run_row(work, method, status, why, **about)
-        numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
+        numbers = {n: finite_or_none(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
         yield {**row, "kind": "fit", "parameter": output, **numbers}
 
 
 def _numbers(e: Estimate) -> Row:
     return {
-        "estimate": finite(e.estimate),
-        "std": finite(e.std),
-        "std_coloured": finite(e.std_coloured),
+        "estimate": finite_or_none(e.estimate),
+        "std": finite_or_none(e.std),
+        "std_coloured": finite_or_none(e.std_coloured),
         "identifiable": e.identifiable,
         "reference": e.reference,
     }
@@ -226,15 +226,16 @@ def _covariance(result: Result, name: str) -> Row:
     if name not in result.names:
         return {}
     place = result.names.index(name)
-    return {"place": place, "covariance": [finite(v) for v in result.covariance_coloured[place].tolist()]}
+    return {"place": place, "covariance": [finite_or_none(v) for v in result.covariance_coloured[place].tolist()]}
 
 
 # ------------------------------------------------------------------------------------------ several flights
 
 
 def _joint(work: Work) -> Iterator[Row]:
-    from estimation.session.flights import unique_names
-    from estimation.session.runner import joint_model, run_method
+    from estimation.models.base import joint_model
+    from estimation.prepare.stretches import unique_names
+    from estimation.session.runner import run_method
 
     flights = unique_names([part for s in work.subjects for part in _parts(read_subject(s), work)])
     craft = _aircraft(work.subjects[0], flights[0], work)
@@ -275,19 +276,19 @@ def _envelope(work: Work) -> Iterator[Row]:
 
 def _match(work: Work) -> Iterator[Row]:
     """The flight predicted with what the others of its group say; trim and initial states are its own."""
-    from estimation.session.proof_of_match import predict
+    from estimation.session.proof_of_match import predict_flight
 
     flight = read_subject(work.subjects[0])
     craft = _aircraft(work.subjects[0], flight, work)
     own = model_of(work.subjects[0], craft)
     for piece, values in work.values.items():
         model = own.with_starts(values)
-        proof = predict(model, flight, free=model.free_of(ParameterRole.CONSTANT))
+        proof = predict_flight(model, flight, free=model.free_of(ParameterRole.CONSTANT))
         status = OK if proof.converged else OPEN
         about: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
         yield _run_row(work, piece, status, "" if proof.converged else proof.text, **about)
         for output, fit in proof.fit.items():
-            numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
+            numbers = {n: finite_or_none(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
             row = _run_row(work, piece, status, "", **about)
             yield {**row, "kind": "match", "parameter": output, **numbers}
 
@@ -300,7 +301,7 @@ _KINDS = {"flight": _flight, "joint": _joint, "envelope": _envelope, "match": _m
 
 def read_subject(subject: Subject) -> Flight:
     """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
-    from estimation.session.flights import select_segments
+    from estimation.prepare.stretches import select_segments
 
     source = subject.source
     if source.path and source.data is None:
@@ -332,7 +333,7 @@ def bytes_of(source: FlightSource) -> bytes:
 
 def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
     given = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
-    needed = not subject.model_text or any(find(m).needs_aircraft for m in work.pieces if m != CHECK)
+    needed = not subject.model_text or any(find_estimator(m).needs_aircraft for m in work.pieces if m != CHECK)
     craft = which_aircraft([flight], given, needed=needed)
     return craft if subject.mass is None else craft.with_values(mass=subject.mass)
 

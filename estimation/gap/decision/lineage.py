@@ -16,7 +16,12 @@ from estimation.gap.search.state import AcceptedEffect
 from estimation.gap.shapes.search import CoefficientShape
 from estimation.models.base import Model
 from estimation.models.load import write_model
-from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
+from estimation.session.sanity_checks import (
+    controls_of_another_unit,
+    turned_controls,
+    turned_outputs,
+    turned_side_force,
+)
 from groundstation.flight import Flight
 
 

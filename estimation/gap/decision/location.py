@@ -31,7 +31,7 @@ from estimation.gap.fit.spectra import (
 )
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.measure import plain_residuals
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from groundstation.flight.arrays import true_runs
 
 LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}

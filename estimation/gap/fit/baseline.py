@@ -12,7 +12,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.estimators.equation_error import start_values
@@ -45,7 +44,8 @@ from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.models.base import Model
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
+from estimation.prepare.flight_data import FlightData
 
 PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
 SPARE_PASSES = 3  # more of them where the fit has not come to rest

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import LONGEST_BRIDGE
 from estimation.gap.criteria import Criteria
+from estimation.prepare.pipeline import LONGEST_BRIDGE
 from groundstation.flight import Flight
 from groundstation.flight.arrays import true_runs
 from groundstation.flight.quality.repeats import repeats, span_of

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
 from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place, ranked

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.shapes.spline import Range, basis

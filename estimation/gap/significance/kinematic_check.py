@@ -24,7 +24,7 @@ from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.significance.calibration import Round, kinematic_threshold, screen_round
 from estimation.gap.significance.nulls import input_errors
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from groundstation.flight import Flight
 
 NEEDED_TO_PITCH = ("V", "alpha", "theta", "q", "ax", "az")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.surface_steps import jumping_outputs

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import eliminated, solved
+from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, prior_terms

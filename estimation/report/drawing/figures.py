@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daq.contract.durable import make_directories, whole, write_bytes
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Look
-from estimation.estimators.registry import find, names
+from estimation.estimators.registry import estimator_names, find_estimator
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,7 +69,7 @@ class Picture:
 
 def look(method: str) -> Look:
     """Colour and marker of a method, the same in every figure."""
-    return (find(method).look if method in names() else None) or SPARE
+    return (find_estimator(method).look if method in estimator_names() else None) or SPARE
 
 
 @contextmanager

@@ -17,10 +17,10 @@ from estimation.design.condition import trimmed
 from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.limits import Limits, load_limits, usual_limits
 from estimation.design.predict import DesignInformation, fly, information
-from estimation.engine.data import FlightData, Segment
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
+from estimation.prepare.flight_data import FlightData, Segment
 
 AIRCRAFT = load_aircraft("cdfp")
 LATERAL = load_model("lateral", AIRCRAFT)

@@ -12,12 +12,12 @@ from click.testing import CliRunner
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
-from estimation.engine.data import prepare
 from estimation.engine.trace import CASADI_FUNCTIONS
 from estimation.gap.effects import catalogue
 from estimation.models import load_model, write_model
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate
+from estimation.prepare.pipeline import prepare
 from estimation.simulation.attach import Attached, attach
 from estimation.simulation.exporting import export_to_jsbsim
 from estimation.simulation.jsbsim import flying

@@ -10,12 +10,12 @@ from click.testing import CliRunner
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
-from estimation.engine.data import prepare
 from estimation.errors import EstimationError
 from estimation.gap.effects import catalogue
 from estimation.models import read_model
 from estimation.models.expressions import evaluate
 from estimation.models.numeric import FUNCTIONS
+from estimation.prepare.pipeline import prepare
 from estimation.simulation import importing
 from estimation.simulation.importing import ProvedImport, import_from_jsbsim, imported_exactly, random_states
 from estimation.simulation.jsbsim.export import inlined

@@ -1,7 +1,7 @@
 """Normal equations of many flights: shared parameters, parameters local to a flight, initial states of a segment.
 
 The information matrix has an arrow shape; it is eliminated from the leaves (Schur complements), so cost and memory are
-linear in flights and segments and no dense Jacobian of all flights ever exists.
+linear in flights and segments and no dense Jacobian of all flights ever exists. `step_within` solves them inside limits.
 """
 
 from dataclasses import dataclass, field
@@ -94,11 +94,11 @@ def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
     scaled = matrix * scale[:, None] * scale[None, :]
     scaled = 0.5 * (scaled + scaled.T)
     values, vectors = np.linalg.eigh(scaled)
-    seen = values > SINGULAR * max(float(values[-1]), 0.0)
-    if not seen.any():
+    determined = values > SINGULAR * max(float(values[-1]), 0.0)
+    if not determined.any():
         return np.zeros_like(matrix), np.eye(matrix.shape[0])
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    return inverse * scale[:, None] * scale[None, :], vectors[:, ~seen]
+    inverse = (vectors[:, determined] / values[determined]) @ vectors[:, determined].T
+    return inverse * scale[:, None] * scale[None, :], vectors[:, ~determined]
 
 
 def eliminated(gram: Array, first: int) -> Array:
@@ -107,6 +107,55 @@ def eliminated(gram: Array, first: int) -> Array:
     return np.asarray(gram[first:, first:] - cross.T @ solved(gram[:first, :first], cross))
 
 
+def projected_out(gram: Array, first: int) -> Array:
+    """As `eliminated`, of nothing too, with the products grouped the other way round: what is tested beside a fit is so weakly
+    determined that the grouping shows in the eighth figure."""
+    if not first:
+        return gram
+    lever = gram[first:, :first] @ pseudo_inverse(gram[:first, :first])[0]
+    return np.asarray(gram[first:, first:] - lever @ gram[:first, first:])
+
+
 def solved(information: Array, right: Array) -> Array:
     """What `right` (n,) or (n, m) says of n unknowns with that information; nothing along directions the data does not see."""
     return np.asarray(pseudo_inverse(information)[0] @ right)
+
+
+INWARD = 1e-9  # of the largest scaled slope: what is less than rounding sends no unknown back from its limit
+TURNS = 10  # per unknown; each puts one at its limit or takes one off it
+
+
+def step_within(information: Array, gradient: Array, low: Array, high: Array) -> Array:
+    """Step (n,) in low <= step <= high at which gradient @ step - 0.5 step @ information @ step is largest.
+
+    information: (n, n) symmetric, not negative; directions it does not see are not moved along. low <= 0 <= high: (n,).
+    Primal active set (Nocedal and Wright, Numerical Optimization, 2nd ed., algorithm 16.3), started at no step.
+    """
+    step = np.zeros(gradient.size)
+    limit = np.zeros(gradient.size, bool)
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    for _ in range(TURNS * gradient.size):
+        free = ~limit
+        target = step.copy()
+        right = gradient[free] - information[np.ix_(free, limit)] @ step[limit]
+        target[free] = solved(information[np.ix_(free, free)], right)
+        move = target - step
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(move > 0.0, (high - step) / move, np.where(move < 0.0, (low - step) / move, np.inf))
+        room[limit] = np.inf
+        first = int(np.argmin(room))
+        if room[first] < 1.0:
+            step = step + max(room[first], 0.0) * move
+            step[first] = high[first] if move[first] > 0.0 else low[first]
+            limit[first] = True
+            continue
+        step = target
+        slope = (gradient - information @ step) * scale  # uphill; a limit is right where this points out of the box
+        inward = np.where(limit, np.where(step >= high, -slope, slope), -np.inf)
+        inward[limit & (low == high)] = -np.inf
+        steepest = int(np.argmax(inward))
+        if inward[steepest] <= INWARD * max(float(np.abs(gradient * scale).max()), 1e-300):
+            break
+        limit[steepest] = False
+    return np.clip(step, low, high)

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import SHORTEST_SEGMENT
 from estimation.errors import EstimationError
+from estimation.prepare.flight_data import SHORTEST_SEGMENT
 from groundstation.flight import Flight
 from groundstation.flight.stretches import is_times, stretches_where
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:
     """Flights with names of their own, so that no result hides another."""
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     result = []
     for flight in flights:
-        seen[flight.name] = seen.get(flight.name, 0) + 1
-        count = seen[flight.name]
+        counts[flight.name] = counts.get(flight.name, 0) + 1
+        count = counts[flight.name]
         result.append(flight if count == 1 else replace(flight, name=f"{flight.name}#{count}"))
     return result
 
@@ -46,39 +46,39 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
     if text is None:
         return flight
     if not is_times(text):
-        found = stretches_where(flight, text)
-        return _cut(flight, found.label, found.notes)
+        selection = stretches_where(flight, text)
+        return _cut(flight, selection.label, selection.notes)
     label = np.full(len(flight), -1, np.int64)
     for i, (part, (a, b)) in enumerate(spans_of(text).items()):
-        inside = (flight.time >= a) & (flight.time <= b)
-        if not inside.any():
+        in_span = (flight.time >= a) & (flight.time <= b)
+        if not in_span.any():
             raise EstimationError(
                 f"--segments {part}: no samples of {flight.name} there; it runs from {flight.time[0]:g} to {flight.time[-1]:g} s"
             )
-        if inside.sum() < SHORTEST_SEGMENT:
+        if in_span.sum() < SHORTEST_SEGMENT:
             raise EstimationError(
-                f"--segments {part}: only {int(inside.sum())} samples of {flight.name} lie there, one each "
+                f"--segments {part}: only {int(in_span.sum())} samples of {flight.name} lie there, one each "
                 f"{flight.sample_interval:.3g} s; a stretch needs at least {SHORTEST_SEGMENT}"
             )
-        label[inside] = i
+        label[in_span] = i
     return _cut(flight, label)
 
 
 def _cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) -> Flight:
     """The samples of a flight that have a label, each label a segment."""
     keep = label >= 0
-    chosen = flight.part(keep)
+    part = flight.part(keep)
     return Flight.build(
         flight.name,
-        chosen.time,
-        dict(chosen.columns),
+        part.time,
+        dict(part.columns),
         segment=label[keep],
         provenance=flight.provenance,
         notes=[*flight.notes, *notes],
     )
 
 
-def separated(flight: Flight) -> list[Flight]:
+def flights_of_segments(flight: Flight) -> list[Flight]:
     """Every segment as a flight of its own, named <flight>.1, <flight>.2 ..."""
     parts = flight.segments
     if len(parts) == 1:

@@ -14,7 +14,7 @@ from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
-from groundstation.flight.quality.repeats import STUCK_SAMPLES, repeats, span_of
+from groundstation.flight.quality.repeats import STUCK_SAMPLES, span_of
 
 FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 """Angles that never exceed a right angle."""
@@ -38,22 +38,24 @@ SAME_UNITS = {
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6}
 
 
-def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[Finding]) -> None:
+def refuse_impossible(
+    flight: Flight, driving: Sequence[Signal], outputs: Sequence[Signal], notes: list[Finding]
+) -> None:
     """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
 
-    driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
+    driving: inputs and states, by whose airspeed and density a model divides; outputs: outputs, which may be of an aircraft
     that still stands. Only columns that the model, too, takes in the unit of the flight format are judged, and a model that
     states
     another unit for one is refused.
     """
-    for s in (*driving, *shown):
+    for s in (*driving, *outputs):
         _refuse_stated_unit(flight, s)
     divided = {s.source for s in driving}
-    stated = {
-        s.source for s in (*driving, *shown) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
+    same_unit = {
+        s.source for s in (*driving, *outputs) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
     }
-    used = [c for c in COLUMN_BY_NAME if c in stated and flight.measured(c)]
-    for name in used:
+    judged = [c for c in COLUMN_BY_NAME if c in same_unit and flight.measured(c)]
+    for name in judged:
         values = flight[name][np.isfinite(flight[name])]
         if COLUMN_BY_NAME[name].unit == "rad":
             _angle(flight, name, values, notes)
@@ -62,19 +64,19 @@ def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence
         elif name in ("V", "rho") and (values.min() <= 0.0 if name in divided else np.median(values) < 0.0):
             _refuse_sign(flight, name, values)
     for rate, angle in RATES.items():
-        if rate in used and angle in used:
+        if rate in judged and angle in judged:
             _refuse_other_unit(flight, rate, angle)
 
 
 def _refuse_stated_unit(flight: Flight, signal: Signal) -> None:
     """DataError where a model states another unit for a column than flights hold it in."""
-    known = COLUMN_BY_NAME.get(signal.source)
-    if known is None or not signal.unit:
+    column = COLUMN_BY_NAME.get(signal.source)
+    if column is None or not signal.unit:
         return
-    if _plain_unit(signal.unit) not in {_plain_unit(known.unit), *(("1",) if known.unit == "rad" else ())}:
+    if _plain_unit(signal.unit) not in {_plain_unit(column.unit), *(("1",) if column.unit == "rad" else ())}:
         raise DataError(
-            f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {known.unit}:"
-            f' write the equations for {known.unit} and state unit = "{known.unit}", or convert in them'
+            f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {column.unit}:"
+            f' write the equations for {column.unit} and state unit = "{column.unit}", or convert in them'
         )
 
 
@@ -95,8 +97,8 @@ def _angle(flight: Flight, name: str, values: Array, notes: list[Finding]) -> No
         _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
 
 
-def _refuse_degrees(flight: Flight, name: str, size: float, most: float, unit: str) -> None:
-    if size > most:
+def _refuse_degrees(flight: Flight, name: str, size: float, limit: float, unit: str) -> None:
+    if size > limit:
         raise DataError(
             f"{flight.name}: {name} reaches {size:.3g}, which cannot be {unit}: it looks like degrees; "
             "convert the file with 'sideslip import', or multiply by pi/180"
@@ -104,11 +106,11 @@ def _refuse_degrees(flight: Flight, name: str, size: float, most: float, unit: s
 
 
 def _refuse_sign(flight: Flight, name: str, values: Array) -> None:
-    at = flight.time[np.isfinite(flight[name])][values <= 0.0]
+    times = flight.time[np.isfinite(flight[name])][values <= 0.0]
     unit = COLUMN_BY_NAME[name].unit
     raise DataError(
-        f"{flight.name}: {name} is {values.min():.3g} {unit} (zero or less at {at.size} samples, first at t = {at[0]:g} s); "
-        "turn its sign, or leave that time out with --segments"
+        f"{flight.name}: {name} is {values.min():.3g} {unit} (zero or less at {times.size} samples, first at t = "
+        f"{times[0]:g} s); turn its sign, or leave that time out with --segments"
     )
 
 
@@ -117,10 +119,10 @@ def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
     ratio = _ratio_to_slope(flight, rate, angle)
     if ratio is None:
         return
-    for wrong, right, factor in ((rate, angle, ratio), (angle, rate, 1.0 / ratio)):
+    for suspect, right, factor in ((rate, angle, ratio), (angle, rate, 1.0 / ratio)):
         if 0.5 * RADIAN < factor < 2.0 * RADIAN:
             raise DataError(
-                f"{flight.name}: {wrong} is {factor:.0f} times too large beside {right}: one is in degrees, the other in "
+                f"{flight.name}: {suspect} is {factor:.0f} times too large beside {right}: one is in degrees, the other in "
                 "radians; convert the file with 'sideslip import'"
             )
 
@@ -128,24 +130,16 @@ def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
 def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
     """Size of a rate over that of the slope of its angle; None where the two do not tell of each other."""
     dt = np.diff(flight.time)
-    same = np.diff(flight.segment) == 0
+    same_segment = np.diff(flight.segment) == 0
     slope = np.diff(flight[angle]) / dt
     mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
-    known = same & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
-    if known.sum() < 2 * STUCK_SAMPLES:
+    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
+    if usable.sum() < 2 * STUCK_SAMPLES:
         return None
-    a, b = slope[known] - slope[known].mean(), mean[known] - mean[known].mean()
+    a, b = slope[usable] - slope[usable].mean(), mean[usable] - mean[usable].mean()
     if a.std() == 0.0 or b.std() == 0.0 or float(a @ b) < RELATED * float(np.linalg.norm(a) * np.linalg.norm(b)):
         return None
     return float(np.linalg.norm(b) / np.linalg.norm(a))
-
-
-def stuck(time: Array, values: Array) -> NDArray[np.bool_]:
-    """Samples at which a noisy channel, seen by itself, shows one and the same number for more than a second; (N,) bool.
-
-    With the other channels of its flight `groundstation.flight.quality.repeats` tells more.
-    """
-    return repeats(Flight.build("one channel", time, {"channel": values}), "channel").stuck
 
 
 def refuse_other_time_unit(flight: Flight) -> None:
@@ -166,26 +160,26 @@ def refuse_other_time_unit(flight: Flight) -> None:
         raise DataError(_other_time(flight, unit, f"samples lie {flight.sample_interval:g} s apart"))
 
 
-def _other_time(flight: Flight, unit: str, why: str) -> str:
+def _other_time(flight: Flight, unit: str, evidence: str) -> str:
     return (
-        f"{flight.name}: time looks like {unit}, it must be in seconds ({why}); "
+        f"{flight.name}: time looks like {unit}, it must be in seconds ({evidence}); "
         "convert the file with 'sideslip import', or divide the column time"
     )
 
 
-def wild(values: Array) -> NDArray[np.bool_]:
+def wild_values(values: Array) -> NDArray[np.bool_]:
     """Single values so far from both neighbours that no motion makes them; (N,) bool.
 
     Off the median of the five values around by more than `WILD` times the range of the channel, or not a number a sensor can
     show; at most one value in a hundred, for more are no accident.
     """
-    known = np.flatnonzero(np.isfinite(values))
+    rows = np.flatnonzero(np.isfinite(values))
     result = np.zeros(values.size, bool)
-    if known.size < STUCK_SAMPLES:
+    if rows.size < STUCK_SAMPLES:
         return result
-    z = values[known]
+    z = values[rows]
     around = np.lib.stride_tricks.sliding_window_view(np.pad(z, 2, mode="edge"), 5)
-    off = np.abs(z - np.median(around, axis=1)) > WILD * span_of(z)
-    if off.sum() <= max(1, 0.01 * z.size):
-        result[known[off]] = True
+    wild = np.abs(z - np.median(around, axis=1)) > WILD * span_of(z)
+    if wild.sum() <= max(1, 0.01 * z.size):
+        result[rows[wild]] = True
     return result
