@@ -39,11 +39,13 @@ class Verb:
 
 
 VERBS: dict[str, Verb] = {
-    "demo": Verb("sideslip.demo", "demo", "The whole chain in one go, on a simulated aircraft."),
-    "fly": Verb("sideslip.fly", "fly", "One simulated flight through the real logger, radio link and ground station."),
+    "demo": Verb("sideslip.verbs.demo", "demo", "The whole chain in one go, on a simulated aircraft."),
+    "fly": Verb(
+        "sideslip.verbs.fly", "fly", "One simulated flight through the real logger, radio link and ground station."
+    ),
     "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
     "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
-    "info": Verb("sideslip.contents", "info", "What is in a recording, flight or telemetry log."),
+    "info": Verb("sideslip.verbs.info", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
     "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
@@ -53,27 +55,23 @@ VERBS: dict[str, Verb] = {
     "import": Verb(
         "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
-    "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
-    "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
-    "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
-    "reconstruct": Verb(
-        "estimation.commands.reconstruct", "reconstruct", "Air data and wind of an aircraft without vanes."
-    ),
-    "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
-    "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "analyse": Verb("sideslip.verbs.analyse", "analyse", "From logs to an answer in one go: one page, one verdict."),
+    "export": Verb("sideslip.verbs.export", "export", "Flights, recordings and models for other programs."),
+    "check": Verb("sideslip.verbs.check", "check", "Data compatibility and data quality."),
+    "reconstruct": Verb("sideslip.verbs.reconstruct", "reconstruct", "Air data and wind of an aircraft without vanes."),
+    "estimate": Verb("sideslip.verbs.estimate", "estimate", "Aerodynamic parameters with bounds."),
+    "match": Verb("sideslip.verbs.match", "match", "Proof of match on flights not used for the estimate."),
     "performance": Verb(
-        "estimation.commands.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
+        "sideslip.verbs.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
     ),
-    "frequency": Verb(
-        "estimation.commands.frequency", "frequency", "Frequency responses with error, fits and figures."
-    ),
-    "design": Verb("estimation.commands.design", "design", "Inputs designed from what is known, under limits."),
+    "frequency": Verb("sideslip.verbs.frequency", "frequency", "Frequency responses with error, fits and figures."),
+    "design": Verb("sideslip.verbs.design", "design", "Inputs designed from what is known, under limits."),
     "aircraft": Verb(
-        "estimation.commands.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
+        "sideslip.verbs.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
     ),
-    "campaign": Verb("sideslip.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
-    "watch": Verb("estimation.commands.watch", "watch", "When a model stopped describing the aircraft in flight."),
-    "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
+    "campaign": Verb("sideslip.verbs.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
+    "watch": Verb("sideslip.verbs.watch", "watch", "When a model stopped describing the aircraft in flight."),
+    "gap": Verb("sideslip.verbs.gap", "gap", "Find, name and close the gap between model and flight."),
 }
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def info(file: str | Path) -> "RecordAnswer":
     """What is in a raw recording, the directory of its segments, a flight, or a .tlog."""
-    from sideslip.contents import content_of, lines_of
+    from sideslip.verbs.info import content_of, lines_of
 
     file = Path(file)
     content = content_of(file)

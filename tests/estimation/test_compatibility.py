@@ -9,7 +9,6 @@ from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
-from estimation.commands.check import check
 from estimation.compatibility.bounds import refuse_singular
 from estimation.compatibility.correct import corrected
 from estimation.compatibility.reconstruction import compatibility
@@ -18,6 +17,7 @@ from estimation.compatibility.result import Compatibility
 from estimation.errors import EstimationError
 from estimation.models.kinematic import compatibility_model
 from groundstation.flight import Flight, MissingColumnError, write_flight
+from sideslip.verbs.check import check
 
 DEG = np.pi / 180
 NOISE = {

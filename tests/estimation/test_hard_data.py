@@ -10,7 +10,6 @@ from click.testing import CliRunner, Result
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.plausible import stuck
 from estimation.errors import DataError, ModelError
@@ -22,6 +21,7 @@ from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 from groundstation.flight.notes import texts
+from sideslip.verbs.estimate import estimate
 
 LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.estimate import estimate
 from estimation.engine.data import prepare
 from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
@@ -20,6 +19,7 @@ from estimation.models.base import InputTransform, Model, Parameter, Signal
 from estimation.session.runner import joint_model
 from estimation.signals.fourier import finite_transform
 from groundstation.flight import Flight, read_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import STRONG, TRUE
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.check import check
-from estimation.commands.estimate import estimate
 from estimation.engine.data import Preparation, prepare
 from estimation.errors import DataError
 from estimation.estimators.output_error import output_error
@@ -20,6 +18,8 @@ from estimation.estimators.result import Result
 from estimation.models import load_model
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.notes import NoteKind
+from sideslip.verbs.check import check
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import NOISE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")

@@ -11,8 +11,6 @@ from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
 from estimation.answers.estimate_lines import session_lines
-from estimation.commands.estimate import estimate
-from estimation.commands.match import match
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
 from estimation.session import runner
@@ -21,6 +19,8 @@ from estimation.session.proof_of_match import predict
 from estimation.session.scatter import scatter
 from estimation.signals.goodness_of_fit import autocorrelation, channel_fit
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.match import match
 from tests.estimation.truth import STRONG, TRUE
 
 LATERAL = load_model("lateral", "cdfp")

@@ -13,11 +13,11 @@ from estimation.campaign.aerodynamics.joint import GlobalModel, global_model
 from estimation.campaign.aerodynamics.terms import ConditionTerm, candidates, row_of, terms_of, with_terms
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.run import CampaignOutcome
-from estimation.commands.match import match
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model
 from estimation.models.expressions import evaluate
 from groundstation.flight import Flight
+from sideslip.verbs.match import match
 from tests.studies.envelope_model import made_flights, misfit
 
 pytestmark = [

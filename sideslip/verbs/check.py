@@ -48,9 +48,8 @@ def check(
 ) -> int:
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
     from estimation.answers import checks
-    from estimation.commands.outputs import deliver
-    from estimation.commands.progress import Progress
     from groundstation.flight import write_flight
+    from sideslip.verbs.delivery import Progress, deliver
 
     with Progress("checking") as progress:
         answer = checks.check(flights, progress=progress, **options)

@@ -81,8 +81,8 @@ def campaign(
     from estimation.campaign.sources import entries_of
     from estimation.campaign.store import Store
     from estimation.campaign.work_list import work_list
-    from estimation.commands.progress import Progress
     from sideslip.simulated import simulator
+    from sideslip.verbs.delivery import Progress
 
     begin = time.monotonic()
     plan, folder = _plan(flights, {k: v for k, v in options.items() if v is not None}, trust_code)

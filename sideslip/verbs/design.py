@@ -49,7 +49,7 @@ def design(
 ) -> int:
     """Design the inputs of a manoeuvre of --time seconds, under limits, and say what it will tell."""
     from estimation.answers import designs
-    from estimation.commands.outputs import deliver
+    from sideslip.verbs.delivery import deliver
 
     answer = designs.design(time=duration, band=_band(band), **options)
     return deliver(answer, json_path, figure_path, written=[f"manoeuvre: {answer.save(output)}"])

@@ -52,7 +52,7 @@ def watch(
 ) -> int:
     """Watch FLIGHT with a model: alarms where its short predictions go wrong; exit status 1 when there was one."""
     from estimation.answers import watching
-    from estimation.commands.outputs import deliver
+    from sideslip.verbs.delivery import deliver
 
     answer = watching.watch(flight, **options)
     return deliver(answer if stretch_path is None else answer.cut(stretch_path), json_path, report_folder=report_folder)

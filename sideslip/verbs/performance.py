@@ -28,6 +28,6 @@ def performance(
     """Drag polar of the FLIGHTs together, and glide, sink and power required over speed, with bounds; exit status 1 where the
     flights cannot tell."""
     from estimation.answers import performances
-    from estimation.commands.outputs import deliver
+    from sideslip.verbs.delivery import deliver
 
     return deliver(performances.performance(flights, **options), json_path, figure_path, report_folder)

@@ -71,8 +71,7 @@ def gap(
 ) -> int:
     """Find what the model of the FLIGHTs is missing, name it with what it may be confused with, and add it."""
     from estimation.answers import gaps
-    from estimation.commands.outputs import deliver
-    from estimation.commands.progress import Progress
+    from sideslip.verbs.delivery import Progress, deliver
 
     with Progress() as progress:
         answer = gaps.gap(model, flights, progress=progress, **options)

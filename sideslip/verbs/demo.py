@@ -129,8 +129,8 @@ def _run(verb: str, *arguments: object) -> None:
 
 
 def _demo_flight(name: str, out: Path) -> Path:
-    from estimation.commands.progress import Progress
     from firmware_sim.world.scenario import load_scenario
+    from sideslip.verbs.delivery import Progress
 
     scenario = load_scenario(name).altered(radio=DEMO_RADIO)
     with Progress(f"flying {name}") as bar:
@@ -155,8 +155,8 @@ def _named(flight: Path, out: Path, name: str) -> Path:
 
 def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
     """Three flights to learn from and one to hold out, all of one aircraft with one hidden effect."""
-    from estimation.commands.progress import Progress
     from firmware_sim.runs.campaign import CampaignFlights
+    from sideslip.verbs.delivery import Progress
 
     paths = []
     for number, (scenario, seed) in enumerate(CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):

@@ -47,7 +47,7 @@ def match(
 ) -> int:
     """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
     from estimation.answers import matches
-    from estimation.commands.outputs import beside_lines, deliver
+    from sideslip.verbs.delivery import beside_lines, deliver
 
     answer = matches.match(model, flights, **options)
     beside = () if histories_folder is None else beside_lines(answer.write_histories(histories_folder))

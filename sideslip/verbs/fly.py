@@ -55,9 +55,9 @@ def fly(
     show_list: bool,
 ) -> int:
     """Fly SCENARIO (a TOML file or a built-in name) on the simulated aircraft, or run one of the calibration benches."""
-    from estimation.commands.progress import Progress
     from firmware_sim.runs.bench_recordings import bench_titles, record_bench
     from firmware_sim.world.scenario import built_in_scenarios, load_scenario
+    from sideslip.verbs.delivery import Progress
 
     if show_list:
         for name, title in {**built_in_scenarios(), **bench_titles()}.items():

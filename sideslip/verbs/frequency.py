@@ -49,7 +49,7 @@ def frequency(
 ) -> int:
     """Frequency response of --output to --input over one FLIGHT or several (.mcap, .csv or .parquet)."""
     from estimation.answers import responses
-    from estimation.commands.outputs import deliver
+    from sideslip.verbs.delivery import deliver
 
     lengths = _numbers("--windows", windows) or ()
     answer = responses.frequency(flights, control, output, band=_two(band), windows=lengths, **options)

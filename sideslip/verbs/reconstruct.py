@@ -39,6 +39,6 @@ EXAMPLE = "Example: sideslip reconstruct log.mcap -o flight.mcap && sideslip est
 def reconstruct(json_path: Path | None, **options: Any) -> int:
     """Add airspeed, angle of attack, sideslip and wind to a FLIGHT without vanes, from GNSS velocity, IMU and pitot."""
     from estimation.answers import reconstruction
-    from estimation.commands.outputs import deliver
+    from sideslip.verbs.delivery import deliver
 
     return deliver(reconstruction.reconstruct(**options), json_path)

@@ -128,8 +128,7 @@ def estimate(
 ) -> int:
     """Estimate aerodynamic parameters of each FLIGHT (.mcap, .csv or .parquet), with bounds."""
     from estimation.answers import estimates
-    from estimation.commands.outputs import beside_lines, deliver
-    from estimation.commands.progress import Progress
+    from sideslip.verbs.delivery import Progress, beside_lines, deliver
 
     with Progress() as progress:
         answer = estimates.estimate(flights, progress=progress, **options)

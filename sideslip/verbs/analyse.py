@@ -36,8 +36,8 @@ def analyse(
     json_path: Path | None,
 ) -> int:
     """From LOGs to an answer: import, contradictions, stretches, air data, the richest model, estimate, gap and one page."""
-    from estimation.commands.progress import Progress
     from sideslip import analysis
+    from sideslip.verbs.delivery import Progress
 
     with Progress("analysing") as progress:
         answer = analysis.analyse(logs, aircraft, mapping, holdout, output, progress)
