@@ -10,7 +10,7 @@ from pathlib import Path
 
 from daq.contract.plain_words import comma_separated
 from estimation.aircraft import Aircraft, unknown_aircraft
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Estimator
 from estimation.estimators.registry import find

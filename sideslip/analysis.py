@@ -25,7 +25,7 @@ def analyse(
     share of the whole. Raises a UserError of one sentence for a log that cannot be read."""
     from estimation.analysis.run import Given, analyse_flights
     from estimation.analysis.stages import Stages, digest
-    from estimation.report.markup.html import software
+    from estimation.report.page import software
     from estimation.session.flights import unique_names
 
     logs = [logs] if isinstance(logs, str | Path) else list(logs)

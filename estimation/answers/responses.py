@@ -62,7 +62,7 @@ def frequency(
 
 def _with_mass(asked: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
     """What is asked for, with the mass of the aircraft where it is known."""
-    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.aircraft.library import aircraft_of
     from estimation.errors import AircraftError
 
     try:
@@ -132,7 +132,7 @@ class Response(Answer):
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""
-        from estimation.frequency.page import write_frequency_report
+        from estimation.frequency.answer import write_frequency_report
 
         return write_frequency_report(self.answer, self.flights, Path(folder))
 

@@ -12,7 +12,7 @@ from daq.contract import limits
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 from daq.contract.plain_words import meant
-from estimation.campaign.errors import CampaignError
+from estimation.campaign.tasks import CampaignError
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import check_extras, find
 

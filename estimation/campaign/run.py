@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
+from estimation.campaign.aerodynamics.differences import difference_rows, step_rows
 from estimation.campaign.aerodynamics.joint_tables import joint_model_rows, joint_rows, model_texts
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
@@ -35,7 +35,7 @@ LEAST_VARIANCE = 1e-300  # an estimate without a bound weighs nothing that can b
 
 
 class CampaignEngine(Protocol):
-    """Where work is done: `estimation.campaign.workers.serial` or `estimation.campaign.workers.cluster`."""
+    """Where work is done: `estimation.campaign.workers.in_process` or `estimation.campaign.workers.cluster`."""
 
     workers: int
     dashboard: str

@@ -18,7 +18,6 @@ from daq.contract import limits
 from daq.contract.errors import UserError
 from daq.contract.input_files import matching, read_bytes
 from daq.contract.plain_words import visible
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import (
     FLIGHT_SUFFIXES,
@@ -28,7 +27,7 @@ from estimation.campaign.plan import (
     SimulateEntry,
     said_of,
 )
-from estimation.campaign.tasks import FlightMaker, FlightSource
+from estimation.campaign.tasks import CampaignError, FlightMaker, FlightSource
 
 CHUNK = 1 << 20  # bytes read at a time: a record of any size is looked at in little memory
 REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError, TypeError, AttributeError, LookupError, AssertionError)

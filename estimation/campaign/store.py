@@ -12,9 +12,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from daq.contract.durable import clear_leftovers, make_directories, open_log, whole
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
-from estimation.campaign.tasks import Row
+from estimation.campaign.tasks import CampaignError, Row
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -7,12 +7,11 @@ from pathlib import Path
 
 from daq.contract.errors import UserError
 from estimation.aircraft import built_in_aircraft, load_aircraft, unknown_aircraft
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import CampaignFlight
-from estimation.campaign.tasks import Subject, Work
+from estimation.campaign.tasks import CampaignError, Subject, Work
 from estimation.campaign.workers.work import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import find

@@ -11,8 +11,7 @@ import numpy as np
 from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
 from daq.contract.plain_words import meant
 from estimation.aircraft import Aircraft
-from estimation.design.condition import Condition, trimmed
-from estimation.design.limits import Limits, usual_limits
+from estimation.design.limits import Condition, Limits, trimmed, usual_limits
 from estimation.design.measured_inputs import DRAWS, expected
 from estimation.design.optimal import (
     Criterion,

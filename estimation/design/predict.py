@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.design.condition import Condition
-from estimation.design.limits import Limits
+from estimation.design.limits import Condition, Limits
 from estimation.engine.data import Segment
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError

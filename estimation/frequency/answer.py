@@ -1,12 +1,19 @@
-"""A response with what was fitted to it and what that says: the whole answer, as lines, as JSON."""
+"""A response with what was fitted to it and what that says: the whole answer, as lines, as JSON, as a page."""
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from estimation.frequency.figure import response_picture
 from estimation.frequency.handling import Craft, Number, handling
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction, fit_transfer
+from estimation.report.flight_tables import provenance_table
+from estimation.report.page import Page, Part, Section, box, paragraph, sentence
+from estimation.report.tables import ReportTable, number, pair, significant
+from groundstation.flight import Flight
 
 ACCEPTABLE = 100.0  # CIFER's J; Tischler and Remple, chapter 11
 DEGREES = 57.29577951308232
@@ -91,3 +98,93 @@ def _fit_lines(found: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
         yield f"  {n.name} = {n.value:.4g}{bound}{unit}: {n.definition} ({n.source}){level}"
     if found.craft.why_no_level:
         yield f"  {found.craft.why_no_level}"
+
+
+def write_frequency_report(found: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
+    """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page."""
+    r = found.response
+    warnings = box((paragraph(f"{note[:1].upper()}{note[1:]}") for note in r.notes), warn=True) if r.notes else None
+    picture, numbers = [response_picture(r, found.fit)], [response_table(found)]
+    sections = [
+        Section("", "", [warnings]),
+        Section("frequency_response_figure", "Response", picture, "Response"),
+        *_fit_sections(found),
+        Section("table", "Response in numbers", numbers, "Table"),
+        Section("provenance_of_flights", "Provenance", [provenance_table(flights)], "Provenance"),
+    ]
+    beside = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
+    lengths = ", ".join(f"{w:.3g}" for w in r.windows)
+    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{beside}; windows of {lengths} s."
+    page = Page(f"Frequency response of {r.output} to {r.input}", lead, sections)
+    return page.write(folder / "index.html", folder / "tables")
+
+
+def _fit_sections(found: FrequencyResult) -> list[Section]:
+    """The transfer function and what it says of handling qualities, where one was fitted."""
+    if found.fit is None:
+        return []
+    no_level = found.craft.why_no_level
+    note = paragraph(sentence(no_level), "note") if no_level else None
+    fit: list[Part] = [paragraph(sentence(judged(found.fit))), _fit_table(found.fit)]
+    handling = _handling_table(found)
+    if handling is None:
+        return [Section("fit", "Transfer function", [*fit, note], "Fit")]
+    return [
+        Section("fit", "Transfer function", fit, "Fit"),
+        Section("handling", "Handling qualities", [handling, note]),
+    ]
+
+
+def response_table(found: FrequencyResult) -> ReportTable:
+    """Every frequency kept."""
+    r = found.response
+    rows = tuple(
+        (
+            significant(float(r.omega[k]), 4),
+            *pair(float(r.magnitude[k]), float(r.std[k])),
+            *pair(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])),
+            number(float(r.coherence[k]), 3),
+        )
+        for k in range(r.omega.size)
+    )
+    return ReportTable(
+        "frequency_response",
+        "Frequency response with its random error, one standard deviation",
+        ("frequency [rad/s]", "magnitude", "error", "phase [deg]", "error", "coherence"),
+        rows,
+        symbols=False,
+    )
+
+
+def _fit_table(fit: TransferFunction) -> ReportTable:
+    rows = tuple((n, *pair(p.estimate, p.std), significant(fit.cifer[n], 4), p.unit) for n, p in fit.parameters.items())
+    return ReportTable(
+        "transfer_function",
+        f"Transfer function, form {fit.form.name}: H = {fit.form.equation}",
+        ("parameter", "estimate", "bound", "at the least CIFER cost", "unit"),
+        rows,
+        symbols=False,
+        note="Estimates and bounds by maximum likelihood over the random errors; the bound counts that neighbouring "
+        "frequencies share windows.",
+    )
+
+
+def _handling_table(found: FrequencyResult) -> ReportTable | None:
+    if not found.numbers:
+        return None
+    rows = tuple(
+        (
+            n.name,
+            *(pair(n.value, n.std) if math.isfinite(n.std) else (significant(n.value, 4), "")),
+            n.unit,
+            "" if n.level is None else "beyond 3" if n.level > 3 else str(n.level),
+            n.definition,
+            n.source,
+        )
+        for n in found.numbers
+    )
+    head = ("number", "value", "bound", "unit", "level", "definition", "source")
+    note = "Of the response to the measured surface: the servo before it is not in them."
+    return ReportTable(
+        "handling_qualities", "Handling-quality numbers", head, rows, symbols=False, texts=(5, 6), note=note
+    )

@@ -1,25 +1,117 @@
-"""The page of `sideslip check`: Table 2 beside the paper's, Figure 7, and what is wrong with the data."""
+"""What `sideslip check` shows: page, lines and figure; Table 2 beside the paper's, Figure 7, what is wrong with the data."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
-from estimation.compatibility.result import Compatibility, ReconstructedFlight
+from estimation.compatibility.result import Compatibility, FactorEstimate, ReconstructedFlight
+from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
-from estimation.report.compatibility_tables import fit_of
-from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
-from estimation.report.flight_card import flight_card
-from estimation.report.markup.html import write_page
+from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, save_figure, styled
+from estimation.report.flight_tables import collected, flight_card, notes_table, provenance_table
 from estimation.report.names import face, literal, tex
-from estimation.report.notes import collected, notes_table
-from estimation.report.provenance import provenance_table
-from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant, write_all
+from estimation.report.page import Page, Section, box, coloured, free_table
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
     from groundstation.flight.quality.report import Finding
+
+_SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
+_TITLES = {
+    "V": "V [m/s]",
+    "alpha": "α [deg]",
+    "beta": "β [deg]",
+    "phi": "φ [deg]",
+    "theta": "θ [deg]",
+    "psi": "ψ [deg]",
+}
+
+
+def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
+    """One column a flight, as in Table 2 of the paper: estimate (bound corrected for coloured innovations)."""
+    names = list(results[0][1].factors)
+    width = max(21, *(len(n) + 2 for n, _ in results))
+    yield f"{'factor':<10}{'unit':<7}" + "".join(f"{name:>{width}}" for name, _ in results)
+    for name in names:
+        cells = [_cell(r.factors[name]) for _, r in results]
+        yield f"{name:<10}{results[0][1].factors[name].unit:<7}" + "".join(f"{c:>{width}}" for c in cells)
+    for name, result in results:
+        yield f"{name}: {result.text}; turbulence {result.turbulence:.3f} m/s per root second"
+        for factor in result.factors.values():
+            if not factor.identifiable:
+                yield f"{name}: {factor.name}: {factor.why}"
+        for note in result.flights[0].notes if len(result.flights) == 1 else ():
+            yield f"{name}: {note}"
+
+
+def published_lines() -> Iterator[str]:
+    """The paper's Table 2, to compare with."""
+    flights = published.published_flights()
+    yield "published (bounds of output error, without the noise of the inertial sensors)"
+    yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)
+    for factor in STANDARD_FACTORS:
+        said = [published.compatibility_factor(flight, factor) for flight in flights]
+        yield f"{factor:<17}" + "".join(f"{_published(s):>21}" for s in said)
+
+
+def _published(said: tuple[float, float] | None) -> str:
+    return "" if said is None else f"{said[0]:+.4f} ({said[1]:.4f})"
+
+
+def _cell(factor: FactorEstimate) -> str:
+    if not np.isfinite(factor.estimate):
+        return "not measured"
+    if not factor.identifiable:
+        return "cannot tell"
+    return f"{factor.estimate:+.4f} ({factor.std_coloured:.4f})"
+
+
+def fit_of(flight: ReconstructedFlight) -> Mapping[str, Mapping[str, float]]:
+    """Per output: rms of measured less reconstructed, coefficient of determination, whiteness."""
+    table = {}
+    for j, name in enumerate(flight.outputs):
+        both = np.isfinite(flight.measured[:, j]) & np.isfinite(flight.reconstructed[:, j])
+        if not both.any():
+            continue
+        z, residual = flight.measured[both, j], (flight.measured - flight.reconstructed)[both, j]
+        spread = float(np.sum((z - z.mean()) ** 2))
+        r2 = 1.0 - float(np.sum(residual**2)) / spread if spread > 0 else 0.0
+        rms = float(np.sqrt(np.mean(residual**2)))
+        table[name] = {"rms": rms, "r2": r2, "noise": flight.noise[name], "whiteness": flight.whiteness[name]}
+    return table
+
+
+def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
+    """Measured and reconstructed motion, one column a flight (Figure 7 of the paper)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    names = flights[0].outputs
+    figure = Figure(figsize=(5.2 * len(flights) + 0.8, 1.55 * len(names) + 0.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(names), len(flights), squeeze=False, sharex="col")
+    for column, flight in enumerate(flights):
+        gaps = np.concatenate([[False], np.diff(flight.time) > 1.0])
+        for row, name in enumerate(names):
+            axis = axes[row][column]
+            scale = 1.0 if name == "V" else float(np.degrees(1.0))
+            for values, colour, width, label in (
+                (flight.measured[:, row], "0.45", 0.7, "measured"),
+                (flight.reconstructed[:, row], "#0072B2", 1.2, "reconstructed"),
+            ):
+                shown = np.where(gaps, np.nan, scale * values)
+                axis.plot(flight.time, shown, color=colour, linewidth=width, label=label)
+            axis.set_ylabel(_TITLES[name])
+            axis.grid(alpha=0.25)
+        axes[0][column].set_title(literal(flight.name))
+        axes[-1][column].set_xlabel("time [s]")
+    axes[0][0].legend(loc="upper right", fontsize="small", ncols=2)
+    save_figure(figure, path, dpi=110)
+
 
 UNITS = {"V": "m/s"}
 RECONSTRUCTED = "#0072B2"
@@ -36,32 +128,50 @@ def write_check_report(
 
     results: one a flight, in the order of `flights`, then the joint one where there is one.
     """
-    own = [r for _, r in results[: len(flights)]]
-    tables = {
-        "factors": factor_table(results, flights),
-        "fit": _fit_table(own),
-        "provenance": provenance_table(flights),
-        "card": flight_card(flights),
-    }
-    findings = [(f.name, list(found)) for f, found in zip(flights, quality, strict=True)]
-    told = [r.flights[0] for r in own]
-    write_all(list(tables.values()), folder / "tables")
-    counts = [f.verdict for _, found in findings for f in found]
-    return write_page(
-        folder / "index.html",
-        "check.html.j2",
-        title="Data compatibility",
-        lead=f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "
-        "Do accelerations, rates, attitude and air data tell the same story?",
-        tables=tables,
-        figures=motion_figures(told),
-        findings=findings,
-        unclear=_unclear(results),
-        status=[(n, r.converged, r.text, r.turbulence) for n, r in results],
-        notes=notes_table((t.name, note) for t in told for note in t.notes),
-        fails=counts.count("fail"),
-        warns=counts.count("warn"),
+    reconstructed = [r.flights[0] for _, r in results[: len(flights)]]
+    counts = [finding.verdict for findings in quality for finding in findings]
+    notes = notes_table((flight.name, note) for flight in reconstructed for note in flight.notes)
+    sections = [
+        Section("", "", [_status_box(results, counts.count("fail"), counts.count("warn"))]),
+        Section("card", "Flight card", [flight_card(flights)], "Flight card"),
+        Section("factors", "Instrument factors", [factor_table(results, flights), _unclear(results)], "Factors"),
+        Section(
+            "motion",
+            "Measured and reconstructed motion",
+            [*motion_figures(reconstructed), _fit_table(reconstructed)],
+            "Motion",
+        ),
+        Section("quality", "Data quality", [*_findings(flights, quality), notes], "Quality"),
+        Section("provenance", "Provenance", [provenance_table(flights)], "Provenance"),
+    ]
+    lead = (
+        f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "
+        "Do accelerations, rates, attitude and air data tell the same story?"
     )
+    return Page("Data compatibility", lead, sections).write(folder / "index.html", folder / "tables")
+
+
+def _status_box(results: Sequence[tuple[str, Compatibility]], fails: int, warns: int) -> Markup:
+    """How the data is, and how each reconstruction ended."""
+    if fails:
+        verdict = coloured(f"{fails} checks failed", "fail") + (f", {warns} warned" if warns else "")
+    elif warns:
+        verdict = coloured(f"{warns} checks warn", "warn") + ", none failed"
+    else:
+        verdict = coloured("every check passed", "ok")
+    lines = [Markup("<p>Data quality: {}.</p>").format(verdict)]
+    line = Markup('<p>{}: <span class="{}">{}</span>; turbulence {:.3f} m/s per √s.</p>')
+    lines += [line.format(n, "ok" if r.converged else "fail", r.text, r.turbulence) for n, r in results]
+    return box(lines, warn=bool(fails or warns))
+
+
+def _findings(flights: Sequence["Flight"], quality: Sequence[Sequence["Finding"]]) -> Iterator[Markup]:
+    """Under the name of each flight a row for each check of its data."""
+    for flight, findings in zip(flights, quality, strict=True):
+        yield Markup("<h3>{}</h3>").format(flight.name)
+        head = [("", "verdict"), ("text", "check"), ("text", "finding")]
+        rows = [[(f"verdict {f.verdict}", f.verdict), ("text", f.check), ("text", f.text)] for f in findings]
+        yield free_table(head, rows, "findings", labels=(None, "", ""))
 
 
 def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None:
@@ -72,7 +182,9 @@ def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None
     if not found:
         return None
     rows = tuple((*what.split(": ", 1), ", ".join(flights)) for what, flights in found.items())
-    return ReportTable("unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2))
+    return ReportTable(
+        "unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2), filed=False
+    )
 
 
 def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> ReportTable:
@@ -109,10 +221,9 @@ def _with_bound(value: float, bound: float) -> str:
     return f"{shown} ({said})" if said else shown
 
 
-def _fit_table(results: Sequence[Compatibility]) -> ReportTable:
+def _fit_table(flights: Sequence[ReconstructedFlight]) -> ReportTable:
     rows = []
-    for r in results:
-        flight = r.flights[0]
+    for flight in flights:
         for name, fit in fit_of(flight).items():
             factor, unit = face(name, UNITS.get(name, "rad"))
             rows.append((flight.name, name, unit, significant(factor * fit["rms"]), significant(factor * fit["noise"]),

@@ -1,12 +1,15 @@
 """The front page of a folder of reports: key numbers and figures, what was hidden where that is known, links to each page."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from estimation.report import published
 from estimation.report.drawing.figures import Picture, file_picture
-from estimation.report.markup.html import MARK, link_back, write_page
+from estimation.report.page import MARK, Page, Section, box, bullets, link_back, paragraph
 from estimation.report.tables import CANNOT_TELL, ReportTable, number, pair, rounded, significant
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
@@ -44,20 +47,57 @@ def write_front_page(folder: Path) -> Path:
     "hidden": {"name": effect, "parameters": {name: [value, unit]}}}.
     """
     found = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
-    there = [(n, title, about) for n, title, about in PAGES if (folder / n / "index.html").is_file()]
-    truth = found["truth"] or {}
-    page = write_page(
-        folder / "index.html", "front.html.j2", mark=MARK, back="",
-        title="Flight-test report", lead=_lead(found["estimate"], found["check"]),
-        links=[(f"{n}/index.html", title, about) for n, title, about in there], keys=_keys(found),
-        derivatives=_derivatives(found["estimate"], truth.get("derivatives", {})), match=_match(found["match"]),
-        hidden=_hidden(found["gap"], truth.get("hidden")), gap_table=_gap_table(found["gap"]),
-        match_figure=_match_figure(folder), gap=found["gap"], verdict=WORDS.get((found["gap"] or {}).get("verdict", ""), ""),
-        files=[f"{n}.json" for n, data in found.items() if data is not None],
-    )  # fmt: skip
-    for name, *_ in there:
+    links = [(n, title, about) for n, title, about in PAGES if (folder / n / "index.html").is_file()]
+    files = [f"{name}.json" for name, data in found.items() if data is not None]
+    sections = [
+        Section("", "", [_key_numbers(found), _contents(links)]),
+        *_gap_section(found["gap"], (found["truth"] or {}).get("hidden")),
+    ]
+    derivatives = _derivatives(found["estimate"], (found["truth"] or {}).get("derivatives", {}))
+    if derivatives is not None:
+        sections.append(Section("aerodynamic", "Aerodynamic derivatives", [derivatives]))
+    match = _match(found["match"])
+    if match is not None:
+        sections.append(Section("proof", "Proof of match", [match, _match_figure(folder)]))
+    if files:
+        sections.append(Section("files", "Files", [_file_links(files)]))
+    lead = _lead(found["estimate"], found["check"])
+    navigation = [(f"{name}/index.html", title) for name, title, _ in links]
+    page = Page("Flight-test report", lead, sections, navigation, back="", mark=MARK)
+    written = page.write(folder / "index.html")
+    for name, *_ in links:
         link_back(folder / name / "index.html")
-    return page
+    return written
+
+
+def _key_numbers(found: dict[str, dict[str, Any] | None]) -> Markup | None:
+    """Numbers in large letters, red where they are beyond their limit."""
+    keys = [
+        Markup('<div class="key"><b{}>{}</b><span>{}</span></div>').format(
+            Markup(' class="fail"') if failed else "", value, what
+        )
+        for value, what, failed in _keys(found)
+    ]
+    return Markup('<div class="figures">{}</div>').format(Markup().join(keys)) if keys else None
+
+
+def _contents(links: Sequence[tuple[str, str, str]]) -> Markup | None:
+    entry = Markup('<a href="{}/index.html"><b>{}</b></a>: {}')
+    return bullets(entry.format(*link) for link in links) if links else None
+
+
+def _gap_section(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> list[Section]:
+    """The answer of the gap workflow, and what was hidden where that is known."""
+    if not gap:
+        return []
+    text = box([paragraph(gap["text"])]) if gap["text"] else None
+    title = f"Gap: {WORDS.get(gap.get('verdict', ''), '')}"
+    return [Section("gap_answer", title, [text, _hidden(gap, hidden), _gap_table(gap)])]
+
+
+def _file_links(files: Sequence[str]) -> Markup:
+    links = Markup(", ").join(Markup('<a href="{}">{}</a>').format(file, file) for file in files)
+    return paragraph(Markup("The same results for a program: {}.").format(links))
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -214,10 +254,7 @@ def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
         held = step["holdout"] or {}
         cells = [number(step["gap"][k], 2) for k in ("before", "after", "floor")]
         cells += [number(held.get(k), 2) for k in ("before", "after")]
-        size = "; ".join(
-            f"{n} = {' ± '.join(t for t in rounded(e['estimate'], e['std']) if t)} {_unit(e)}".strip()
-            for n, e in step["parameters"].items()
-        )
+        size = "; ".join(_size(name, e) for name, e in step["parameters"].items())
         rows.append((step["effect"], step["title"], size, number(step["confidence"], 2), *cells))
     return ReportTable(
         "gap",
@@ -231,13 +268,10 @@ def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
 
 
 def _size(name: str, entry: dict[str, Any]) -> str:
+    """`Cn_da = -0.0102 ± 0.0006 1/rad`."""
     value = " ± ".join(text for text in rounded(entry["estimate"], entry["std"]) if text)
-    return f"{name} = {value} {_unit(entry)}".strip()
-
-
-def _unit(entry: dict[str, Any]) -> str:
     unit = str(entry.get("unit", ""))
-    return "" if unit == "1" else unit
+    return f"{name} = {value} {'' if unit == '1' else unit}".strip()
 
 
 def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> ReportTable | None:
@@ -253,13 +287,6 @@ def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Report
     rows = []
     for name, (value, unit) in hidden["parameters"].items():
         estimate, bound = pair(*((found[name]["estimate"], found[name]["std"]) if name in found else (None, None)))
-        said = (
-            "not found"
-            if step is None
-            else "named"
-            if step["effect"] == hidden["name"]
-            else f"among those that {step['effect']} stands for"
-        )
         rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", said))
     return ReportTable(
         "hidden",

@@ -2,7 +2,6 @@
 
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,8 @@ CANNOT_TELL = "cannot tell"
 class ReportTable:
     """name: of its files. groups: (label, columns spanned) over `head`, or empty. The first cell of a row is a parameter
     or signal name where `symbols`. note: what the reader must know of the columns. texts: columns of sentences, which may
-    break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone."""
+    break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone. filed: whether it is also
+    written beside the page."""
 
     name: str
     caption: str
@@ -28,6 +28,7 @@ class ReportTable:
     note: str = ""
     texts: tuple[int, ...] = ()
     failed: frozenset[tuple[int, int]] = frozenset()
+    filed: bool = True
 
     def write(self, folder: Path) -> None:
         """<name>.csv and <name>.tex in `folder`."""
@@ -115,9 +116,3 @@ def _unsigned_zero(text: str) -> str:
 def pair(value: float | None, bound: float | None) -> list[str]:
     """Two cells: a value and its bound, both to the second figure of the bound; empty where they are not there."""
     return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
-
-
-def write_all(tables: Sequence[ReportTable], folder: Path) -> None:
-    """Every table as CSV and LaTeX."""
-    for table in tables:
-        table.write(folder)

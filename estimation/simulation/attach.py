@@ -1,4 +1,4 @@
-"""What a verb with `--simulation` does first: the simulation along the flights, and the model that stands on it."""
+"""What a verb with `--simulation` does first: which simulation, along which flights, and the model that stands on it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,17 +8,42 @@ import numpy as np
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.models.load import load_model, read_model
 from estimation.simulation.along_flight import Along, along
+from estimation.simulation.autopilot.simulations import ARDUPILOT, GAZEBO, ardupilot_simulation, gazebo_simulation
 from estimation.simulation.base_model import Free, base_model
+from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
+from estimation.simulation.jsbsim.library import PREFIX
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError
-from estimation.simulation.spec import simulation_of
+from estimation.simulation.own_simulations import function_simulation, text_simulation
 from groundstation.flight import Flight
+
+# From the text after `--simulation` to a simulation: `jsbsim:AIRCRAFT`, `ardupilot:FILE.json`, `gazebo:FILE.sdf`,
+# `module:function` or `MODEL.toml`.
+
+
+def simulation_of(spec: str) -> Simulation:
+    """The simulation that `spec` names. Raises SimulationError (one sentence) where there is none."""
+    if spec.startswith(PREFIX):
+        return jsbsim_simulation(spec.removeprefix(PREFIX))
+    if spec.startswith(ARDUPILOT):
+        return ardupilot_simulation(spec.removeprefix(ARDUPILOT))
+    if spec.startswith(GAZEBO):
+        return gazebo_simulation(spec.removeprefix(GAZEBO))
+    if spec.endswith(".toml"):
+        return text_simulation(spec)
+    if ":" in spec:
+        return function_simulation(spec)
+    raise SimulationError(
+        f"simulation {spec!r}: write jsbsim:AIRCRAFT (a name or a folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+        " module:function, or a MODEL.toml"
+    )
+
 
 MOST = 6  # renewals; each squares what is left of the distance, so that more would not help
 SETTLED = 1e-3  # of a motion's own scatter: far below any noise beside it

@@ -20,10 +20,9 @@ from estimation.simulation.jsbsim.as_text import (
     arm_of,
     imported,
 )
-from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aircraft_file, known
-from estimation.simulation.jsbsim.surfaces import aerodynamics_of
+from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aerodynamics_of, aircraft_file, known
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
-from estimation.simulation.text_model import TextOracle
+from estimation.simulation.own_simulations import TextOracle
 
 SAME = 1e-9  # of the largest of a coefficient: text and JSBSim differ by rounding only
 STATES = 200

@@ -59,7 +59,7 @@ class States:
 
 
 class Oracle(Protocol):
-    """Coefficients of a simulation. Made by `estimation.simulation.spec`."""
+    """Coefficients of a simulation. Made by `estimation.simulation.attach`."""
 
     def coefficients(self, states: States) -> Array:
         """(N, 6) coefficients in the order of COEFFICIENTS, referred to the simulation's own area, span and chord; a column of

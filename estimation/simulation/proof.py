@@ -1,9 +1,4 @@
-"""Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
-with the same surfaces, and the two are compared in units of what sensors could see.
-
-The model takes the steps that JSBSim takes, and the rate of alpha that it reads, of its step before: what is left is a difference
-of forces, moments, inertia and actuators, whatever the rate of steps. What that is off by, the same model moved exactly says.
-"""
+"""Proof of an export: JSBSim flies what was written, the model moves by its own equations in the same steps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.engine.data import Preparation, prepare
-from estimation.engine.simulate import simulate
+from estimation.engine.data import FlightData, Preparation, Segment, prepare
+from estimation.engine.simulate import Simulator, simulate
+from estimation.engine.trace import trace
 from estimation.models.base import Model
 from estimation.simulation.along_flight import MOMENTS, along, column_name
 from estimation.simulation.attach import carrying, computed, without_simulation
@@ -20,8 +16,71 @@ from estimation.simulation.jsbsim.export import Written
 from estimation.simulation.jsbsim.flying import flown
 from estimation.simulation.jsbsim.increments import Increments
 from estimation.simulation.oracle import ALPHA_RATE, Array, Simulation
-from estimation.simulation.stepped import stepped
 from groundstation.flight import Flight
+
+# A model moved by the steps that JSBSim takes, so that a comparison with JSBSim sees equations and not integrators.
+#
+# JSBSim's rule of the proof is the Adams-Bashforth rule of second order,
+#
+#     x[k+1] = x[k] + h (3 f[k] - f[k-1]) / 2
+#
+# with f[k] at the surfaces of that frame. While a surface moves this is half a frame late against inputs on straight lines: a
+# rate differs by h/2 times what its acceleration changed by in the last frame, however right both are. Lagging states of
+# effects are `lag_filter`s in JSBSim, by the trapezoidal rule, and are so here.
+
+UNIT = 1.0  # of a filter's state: its rate is linear in it, so that any step gives its slope
+
+
+def stepped(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...]) -> Array:
+    """(samples, ny) what a model shows that is moved by JSBSim's steps, one a sample, from x0 (nx,); NaN outside segments.
+
+    filters: its states of the form x_dot = (input - x)/tau, which JSBSim has in its flight control. The flight begins steady: the
+    rate before the first sample is that of the first.
+    """
+    simulator = Simulator.build(model, (), substeps=1)
+    values = model.starts()
+    shown = np.full((data.samples, len(model.outputs)), np.nan)
+    p = simulator.vector(values)
+    filtered = [model.state_names.index(n) for n in filters]
+    for segment in data.segments:
+        u = simulator.drive(segment, values, False).u
+        shown[segment.first : segment.first + len(segment)] = _moved(model, segment, u, p, x0, filtered)
+    return shown
+
+
+def _moved(model: Model, segment: Segment, u: Array, p: Array, x0: Array, filtered: list[int]) -> Array:
+    """(N, ny) outputs of one segment with inputs u (N, nu)."""
+    functions = trace(model.structure)
+
+    def rates(x: Array, k: int) -> Array:
+        return np.asarray(functions.rates(x, u[k], p), float).ravel()
+
+    x, h = x0.astype(float), np.diff(segment.time)
+    f = before = rates(x, 0)
+    shown = [np.asarray(functions.outputs(x, u[0], p), float).ravel()]
+    for k in range(len(segment) - 1):
+        after = x + 0.5 * h[k] * (3.0 * f - before)
+        after[filtered] = x[filtered]
+        for i in filtered:  # in the order in which JSBSim has them: one may read another
+            drive = rates(after, k + 1)[i]
+            raised = after.copy()
+            raised[i] += UNIT
+            slope = rates(raised, k + 1)[i] - drive
+            after[i] += 0.5 * h[k] * (f[i] + drive) / (1.0 - 0.5 * h[k] * slope)
+        x, before, f = after, f, rates(after, k + 1)
+        shown.append(np.asarray(functions.outputs(x, u[k + 1], p), float).ravel())
+        if not np.isfinite(x).all():
+            shown += [np.full(len(model.outputs), np.nan)] * (len(segment) - len(shown))
+            break
+    return np.array(shown)
+
+
+# Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
+# with the same surfaces, and the two are compared in units of what sensors could see.
+#
+# The model takes the steps that JSBSim takes, and the rate of alpha that it reads, of its step before: what is left is a
+# difference of forces, moments, inertia and actuators, whatever the rate of steps. What that is off by, the same model moved
+# exactly says.
 
 DEG = float(np.pi / 180.0)
 NOISE: Mapping[str, float] = {

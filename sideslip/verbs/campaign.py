@@ -126,7 +126,7 @@ def _engine(pieces: int, workers: int | None, scheduler: str, serial: bool, dash
     import os
 
     if serial:
-        from estimation.campaign.workers.serial import SerialEngine
+        from estimation.campaign.workers.in_process import SerialEngine
 
         return SerialEngine()
     from estimation.campaign.workers.cluster import Cluster
@@ -148,7 +148,7 @@ def _page(outcome: "CampaignOutcome", plan: "CampaignPlan", folder: Path) -> Pat
 
 
 def _say(outcome: "CampaignOutcome", out: Path, page: Path | None, wall_s: float) -> None:
-    from estimation.campaign.claims import told
+    from estimation.campaign.groups import told
 
     click.echo(
         f"{outcome.flights} flights: {outcome.done} estimated, {len(outcome.failed)} not"

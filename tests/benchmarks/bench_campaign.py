@@ -24,7 +24,7 @@ from estimation.campaign.schema import RESULTS, arrow_schema
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
-from estimation.campaign.workers.serial import SerialEngine
+from estimation.campaign.workers.in_process import SerialEngine
 from estimation.campaign.workers.work import do, read_subject
 from groundstation.flight.quality.report import quality_report
 from tests.estimation.campaign.running import children, results_of, start

@@ -19,7 +19,7 @@ from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from estimation.aircraft import Aircraft, PriorDerivative, built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.aircraft.handbook import HandbookShape, beliefs, flap_effectiveness, lift_slope, wing_moment
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError, ModelError
 from estimation.models import load_model, write_model

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from estimation.report.advice import Untold, grouped
-from estimation.report.drawing.ellipses import ellipse
+from estimation.report.drawing.estimate_figures import ellipse
 from estimation.report.drawing.figures import LARGE, picture
 from estimation.report.drawing.residual_figures import binned, spectrum
-from estimation.report.flight_card import flight_card, mean_wind
-from estimation.report.markup.fold import SHEET, label, needs_width, pieces, width, words
-from estimation.report.markup.html import render
-from estimation.report.notes import notes_table
+from estimation.report.flight_tables import flight_card, mean_wind, notes_table
+from estimation.report.fold import SHEET, label, needs_width, pieces, width, words
+from estimation.report.page import Page, Section
 from estimation.report.tables import ReportTable, pair, rounded
 from groundstation.flight import Flight, Provenance
 
@@ -37,27 +36,13 @@ def test_a_wide_table_is_cut_between_groups_and_each_piece_fits_and_begins_with_
     assert all(p.columns[0] == 0 and width(wide, p.columns, small=p.wide) <= SHEET for p in found)
     assert [c for p in found for c in p.columns[1:]] == list(range(1, 1 + 3 * groups))
     assert all(sum(span for _, span in p.groups) == len(p.columns) for p in found)
-    assert needs_width({"tables": [wide]})
-    assert not needs_width({"tables": {"a": table(1), "b": None}})
+    assert needs_width([table(1), wide])
+    assert not needs_width([table(1)])
 
 
 def test_every_cell_of_the_page_has_its_head_and_failed_ones_are_marked() -> None:
     shown = replace(table(1), failed=frozenset({(1, 2)}))
-    page = render(
-        "front.html.j2",
-        title="t",
-        lead="l",
-        links=[],
-        keys=[],
-        derivatives=shown,
-        match=None,
-        hidden=None,
-        gap_table=None,
-        match_figure=None,
-        gap=None,
-        verdict="",
-        files=[],
-    )
+    page = Page("t", "l", [Section("derivatives", "Derivatives", [shown])]).html()
     assert page.count('data-label="g0 h1"') == 2
     assert page.count('class="fail"') == 1
     assert label(shown, 0) == ""

@@ -23,7 +23,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("daq/contract/recordings/accounting.py", "open:wb"): GIVEN,
     ("daq/recorder/storage.py", "os.open:w"): "the card: segments that grow, unbuffered",
     ("daq/transport/signing.py", "os.open:w"): "a file that no link planted beside it leads elsewhere",
-    ("estimation/campaign/workers/limits.py", "open:w"): "the null device",
+    ("estimation/campaign/workers/in_process.py", "open:w"): "the null device",
     ("estimation/campaign/workers/work.py", "write_bytes"): "a temporary folder, removed at once",
     ("estimation/engine/compiled.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/simulation/jsbsim/library.py", "write_text"): "a temporary folder, removed at once",

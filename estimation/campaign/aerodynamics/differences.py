@@ -4,6 +4,8 @@ Flights of both groups share their curves over the conditions and the variances 
 the difference. So another speed is not taken for another rudder, and where only one group flew at a condition the bound grows.
 """
 
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +13,9 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
+from estimation.campaign.aerodynamics.steps import DateStep, ParameterStep
+from estimation.campaign.aerodynamics.tables import Curves, flown_rows
+from estimation.campaign.tasks import Row
 
 
 @dataclass(frozen=True)
@@ -77,3 +82,86 @@ def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: 
         tests,
         curves.forms[j].words,
     )
+
+
+CHANGE_OF_INTEREST = 0.05  # of the estimate: the change whose chance to be found is stated as power
+
+
+def step_rows(found: Sequence[Curves]) -> Iterator[Row]:
+    """A row for each parameter that a step in time moved; one without a parameter where only all together tell it."""
+    for curves in found:
+        for step in curves.steps:
+            moved = [m for m in step.moved if m.probability <= pooling.LEVEL]
+            if not moved:
+                yield _step_row(curves, step, None, ())
+            for m in moved:
+                yield _step_row(curves, step, m, [o.parameter for o in moved if o is not m])
+
+
+def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: Sequence[str]) -> Row:
+    of = curves.envelope.of
+    first, last = step.dates
+    when = f"with {of.flights[step.first]} of {of.dates[step.first]} (95 %: after {first}, by {last})"
+    row: Row = {
+        **curves.about,
+        "kind": "step",
+        "flights": len(of.flights),
+        "at": of.dates[step.first],
+        "flight": of.flights[step.first],
+        "probability": step.probability,
+    }
+    if m is None:
+        text = f"{row['group']} ({row['method']}): the parameters together change {when}, none clearly by itself"
+        return {**row, "text": f"{text}: look what was done to the aircraft or its sensors before it"}
+    half = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, step.freedom) * m.std
+    low, high = m.change - half, m.change + half
+    beside = f", together with {', '.join(others)}" if others else ""
+    text = (
+        f"{m.parameter} ({row['method']}) of {row['group']} changes by {m.change:+.4g} (95 % {low:.4g} to {high:.4g}) {when}"
+        f"{beside}: look what was done to the aircraft or its sensors before it"
+    )
+    numbers = {"parameter": m.parameter, "estimate": m.change, "std": m.std, "low": low, "high": high}
+    return {**row, **numbers, "text": text}
+
+
+def difference_rows(found: Sequence[Curves], keys: Sequence[str]) -> Iterator[Row]:
+    """Groups that differ in one of `keys` alone, parameter by parameter, at the same conditions; a day is a step in time."""
+    compared = [k for k in keys if k != "day"]
+    for a, b in itertools.combinations(found, 2):
+        apart = [k for k in keys if a.about[k] != b.about[k]]
+        if a.about["method"] == b.about["method"] and len(apart) == 1 and apart[0] in compared:
+            both = {**a.rows, **b.rows}
+            second = np.array([flight in b.rows for flight in sorted(both)])
+            for d in differences(flown_rows(both), second):
+                yield _difference_row(a, b, d)
+
+
+def _difference_row(a: Curves, b: Curves, d: Difference) -> Row:
+    low, high = d.interval
+    chance = d.power(CHANGE_OF_INTEREST)
+    told = abs(d.value) > 3.0 * d.value_std  # a share of what may be zero says nothing
+    share = f" ({d.change / d.value:+.1%})" if told else ""
+    same = "" if d.form == "1" else f", at the same conditions (over {d.form})"
+    text = (
+        f"{d.parameter} ({a.about['method']}): {b.about['group']} less {a.about['group']} is {d.change:+.4g}{share}{same}, "
+        f"95 % {low:.4g} to {high:.4g}: "
+        + ("they differ" if d.probability <= pooling.LEVEL else "no difference found")
+        + f"; a change of {CHANGE_OF_INTEREST:.0%} would be found with probability {chance:.2f}, one of {d.detectable:.2g} four"
+        " times in five"
+    )
+    return {
+        **a.about,
+        "kind": "difference",
+        "other": b.about["group"],
+        "parameter": d.parameter,
+        "flights": d.flights,
+        "estimate": d.change,
+        "std": d.std,
+        "low": low,
+        "high": high,
+        "between": d.between,
+        "probability": d.probability,
+        "power": chance,
+        "detectable": d.detectable,
+        "text": text,
+    }

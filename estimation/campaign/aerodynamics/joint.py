@@ -21,8 +21,8 @@ from estimation.campaign.aerodynamics.terms import (
     row_of,
     with_terms,
 )
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.pooling import LEVEL, t_quantile
+from estimation.campaign.tasks import CampaignError
 from estimation.engine.data import AS_USUAL, FlightData, Preparation
 from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from estimation.campaign.aerodynamics import pooled
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves
-from estimation.campaign.aerodynamics.sides import Side, sides, starts_of
-from estimation.campaign.aerodynamics.steps import DateStep, with_steps
+from estimation.campaign.aerodynamics.steps import DateStep, Side, sides, starts_of, with_steps
 from estimation.campaign.groups import Starts, label_of
 from estimation.campaign.tasks import Row
 

@@ -5,11 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from markupsafe import Markup
 
 from daq.contract.plain_words import file_name
 from estimation.campaign.groups import label_of
 from estimation.campaign.tasks import Row
-from estimation.report.markup.html import write_page
+from estimation.report.page import Page, Section, box, breakable, bullets, free_table, paragraph
 from estimation.report.tables import ReportTable, number, significant
 
 if TYPE_CHECKING:
@@ -147,19 +150,34 @@ def _write(
         tables.append(_estimates(method, [r for r in rows if r["method"] == method], group, pooled))
     tables += [_fits(kind, rows) for kind in ("fit", "match") if any(r["kind"] == kind for r in rows)]
     runs = [r for r in rows if r["kind"] == "run"]
-    write_page(
-        path,
-        "campaign_flight.html.j2",
-        title=first["flight"],
-        lead=f"{group}; {first['date'] or 'no date'}; {first['source']}",
+    sentences = list(dict.fromkeys([*words, *(r["why"] for r in runs if r["why"])]))
+    sound = all(r["status"] == "ok" for r in runs) and not words
+    status = paragraph(", ".join(dict.fromkeys(f"{r['method']}: {r['status']}" for r in runs)))
+    head = box([status, *([bullets(breakable(text) for text in sentences)] if sentences else [])], warn=not sound)
+    digest = first["sha256"] or ""
+    note = Markup(
+        "Histories and residuals: <code>sideslip estimate {} --report DIR</code>."
+        ' SHA-256 <code class="breaks">{}<wbr>{}</code>'
+    ).format(breakable(first["source"]), digest[:32], digest[32:])
+    Page(
+        first["flight"],
+        f"{group}; {first['date'] or 'no date'}; {first['source']}",
+        [Section("", "", [head, *tables, paragraph(note, "note")])],
         back='<a href="../index.html">&larr; Campaign</a>',
-        words=list(dict.fromkeys([*words, *(r["why"] for r in runs if r["why"])])),
-        status=", ".join(dict.fromkeys(f"{r['method']}: {r['status']}" for r in runs)),
-        sound=all(r["status"] == "ok" for r in runs) and not words,
-        tables=tables,
-        source=first["source"],
-        sha256=first["sha256"] or "",
-    )
+    ).write(path)
+
+
+def flight_list(entries: Sequence[FlightListEntry]) -> Markup:
+    """Every flight, with its page, as a table."""
+    words = ("flight", "group", "date", "V [m/s]", "alpha [deg]", "status", "sentences")
+    kinds = {"group": "text", "status": "word"}
+    rows = []
+    for f in entries:
+        link = Markup('<a href="{}">{}</a>').format(quote(f.page), f.flight) if f.page else f.flight
+        count = ("" if f.sentences else "none", str(f.sentences or ""))
+        numbers = [("", f.date), ("", f.speed), ("", f.alpha)]
+        rows.append([("", link), ("text", breakable(f.group)), *numbers, ("word", f.status), count])
+    return free_table([(kinds.get(word, ""), word) for word in words], rows, "short", "Every flight, with its page")
 
 
 def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> ReportTable:

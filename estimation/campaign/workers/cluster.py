@@ -11,9 +11,8 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from estimation.campaign.errors import CampaignError
-from estimation.campaign.tasks import Finished, Row, Work
-from estimation.campaign.workers.limits import ended_after, overdue_text
+from estimation.campaign.tasks import CampaignError, Finished, Row, Work
+from estimation.campaign.workers.in_process import ended_after, overdue_text
 from estimation.campaign.workers.work import OtherSoftwareError, do, failed
 
 if TYPE_CHECKING:

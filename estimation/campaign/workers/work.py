@@ -16,9 +16,8 @@ from typing import Any
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.campaign.conditions import measured
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import versions
-from estimation.campaign.tasks import FlightSource, Row, Subject, Work
+from estimation.campaign.tasks import CampaignError, FlightSource, Row, Subject, Work
 from estimation.estimators.estimator import Extra, Extras
 from estimation.estimators.registry import find
 from estimation.estimators.result import Estimate, Result, finite

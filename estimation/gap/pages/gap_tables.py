@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from estimation.gap.answer.result import EffectStep, Gap, GapResult
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects.base import Effect
-from estimation.report.notes import collected
+from estimation.report.flight_tables import collected
 from estimation.report.tables import ReportTable, number, pair, significant
 
 GAP_HEAD = ("before [σ]", "after [σ]", "floor [σ]", "closed [%]")

@@ -17,9 +17,17 @@ from estimation.simulation.autopilot.ardupilot_equations import SitlPlane, sitl_
 from estimation.simulation.autopilot.ardupilot_equations import air_of as air_of_sitl
 from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
 from estimation.simulation.autopilot.gazebo_equations import air_of as air_of_gazebo
-from estimation.simulation.autopilot.linear import AXES, FlightStates, LinearAircraft, accelerations, forces, gyroscopic
+from estimation.simulation.autopilot.linear import (
+    ALPHAS,
+    AXES,
+    FlightStates,
+    LinearAircraft,
+    accelerations,
+    forces,
+    gyroscopic,
+    random_motion,
+)
 from estimation.simulation.autopilot.neutral import BuildUp, evaluated
-from estimation.simulation.autopilot.states import ALPHAS, random_motion
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array
 
 SITL_LIMIT, GAZEBO_LIMIT, TEXT_LIMIT = (

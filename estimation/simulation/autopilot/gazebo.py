@@ -11,9 +11,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from estimation.simulation.autopilot.bodies import Body, rest_of, turned
 from estimation.simulation.autopilot.gathering import symmetric_throws
-from estimation.simulation.autopilot.linear import LINES, SLOPES, LinearAircraft
+from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, rest_of, turned
 from estimation.simulation.oracle import Array
 
 DEGREE = math.pi / 180.0

@@ -7,12 +7,13 @@ per rad, rates as p b/2V, q c/2V, r b/2V; body axes x forward, y right, z down; 
 stability axes, side force and moments along body axes, about the centre of gravity.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.aircraft import Aircraft
+from estimation.aircraft import GRAVITY, Aircraft
 from estimation.simulation.oracle import SURFACES, Array
 
 SLOPES: Mapping[str, str] = {
@@ -135,3 +136,69 @@ def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     nothing = np.zeros(len(motion))
     turned = accelerations(aircraft, {"X": nothing, "Y": nothing, "Z": nothing, "L": roll, "M": pitch, "N": yaw})
     return {axis: turned[axis] for axis in ("L", "M", "N")}
+
+
+STATES = 200
+SEED = 20261127
+ALPHAS = (-0.1, 0.2)  # rad: where a linear aircraft flies
+SIZES = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
+DEFLECTION = 0.3  # rad, where the throw is not less
+CRUISE = 0.4  # lift coefficient of the speed about which states are taken
+SPEEDS = (0.7, 1.8)  # of that
+SEA_LEVEL = 1.225  # kg/m3: where true and equivalent airspeed are one
+
+
+def random_motion(
+    craft: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL, count: int = STATES
+) -> FlightStates:
+    """States in which the aircraft may fly; rho [kg/m3] and the range of angle of attack [rad] are given."""
+    rng, aircraft = np.random.default_rng(SEED), craft.aircraft
+    cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL * aircraft.area * CRUISE))
+    values = {n: rng.uniform(-size, size, count) for n, size in SIZES.items()}
+    for name in SURFACES:
+        least, greatest = craft.throws.get(name, (-DEFLECTION, DEFLECTION))
+        values[name] = rng.uniform(max(least, -DEFLECTION), min(greatest, DEFLECTION), count)
+    values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*alphas, count)
+    values["rho"] = np.full(count, rho)
+    return FlightStates(values)
+
+
+@dataclass(frozen=True)
+class Body:
+    """mass [kg], centre (3,) [m], inertia (3, 3) about the centre [kg m2], all along the same axes."""
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+    def about(self, point: Array) -> Array:
+        """(3, 3) inertia about a point."""
+        d = self.centre - point
+        return np.asarray(self.inertia + self.mass * (np.dot(d, d) * np.eye(3) - np.outer(d, d)))
+
+
+def together(bodies: Sequence[Body]) -> Body:
+    """All bodies as one."""
+    mass = sum(b.mass for b in bodies)
+    centre = np.asarray(sum(b.mass * b.centre for b in bodies)) / mass
+    return Body(mass, centre, np.asarray(sum(b.about(centre) for b in bodies)))
+
+
+def rest_of(whole: Body, parts: Sequence[Body]) -> Body:
+    """What has to be added to the parts so that they are the whole."""
+    mass = whole.mass - sum(b.mass for b in parts)
+    moment = whole.mass * whole.centre - sum(b.mass * b.centre for b in parts)
+    centre = np.asarray(moment / mass)
+    point = Body(mass, centre, np.zeros((3, 3)))
+    inertia = whole.inertia - sum(b.about(whole.centre) for b in parts) - point.about(whole.centre)
+    return Body(mass, centre, np.asarray(inertia))
+
+
+def turned(roll: float, pitch: float, yaw: float) -> Array:
+    """(3, 3) rotation of a pose: from its axes to those it stands in, fixed-axis roll, pitch, yaw [rad]."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip

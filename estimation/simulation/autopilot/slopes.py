@@ -9,16 +9,17 @@ from estimation.simulation.autopilot.linear import (
     CONSTANT,
     POLAR,
     SLOPES,
+    STATES,
     FlightStates,
     LinearAircraft,
     accelerations,
     coefficients,
     forces,
     gyroscopic,
+    random_motion,
 )
-from estimation.simulation.autopilot.states import STATES, random_motion
 from estimation.simulation.oracle import Array, SimulationError, States
-from estimation.simulation.text_model import TextOracle
+from estimation.simulation.own_simulations import TextOracle
 
 STEP = 0.1  # rad or hatted: a linear line has the same slope over any
 SPEED, DENSITY = 20.0, 1.2  # m/s, kg/m3 at which slopes are taken; a linear line has no others anywhere

@@ -13,8 +13,17 @@ from typing import Any, NoReturn
 import numpy as np
 
 from estimation.aircraft import Aircraft
-from estimation.simulation.jsbsim.library import FOOT, SLUG, SLUG_FOOT2, aircraft_file, known, loaded
-from estimation.simulation.jsbsim.surfaces import EXPORTED, Surfaces, surfaces_of
+from estimation.simulation.jsbsim.library import (
+    EXPORTED,
+    FOOT,
+    SLUG,
+    SLUG_FOOT2,
+    Surfaces,
+    aircraft_file,
+    known,
+    loaded,
+    surfaces_of,
+)
 from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
 
 ATTITUDES = (0.0, 1.0)  # rad of pitch: gravity across the flow differs by 0.46 g, and alphadot by that over V

@@ -24,9 +24,8 @@ from estimation.simulation.jsbsim.coefficients import (
     solved_lift,
     written,
 )
-from estimation.simulation.jsbsim.library import INCH
+from estimation.simulation.jsbsim.library import INCH, Follows
 from estimation.simulation.jsbsim.reading import LIFT, Reader
-from estimation.simulation.jsbsim.surfaces import Follows
 from estimation.simulation.jsbsim.terms import constant, number_text
 from estimation.simulation.oracle import ALPHA_RATE, SimulationError
 

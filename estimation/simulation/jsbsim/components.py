@@ -12,7 +12,7 @@ from estimation.models.expressions import parse
 from estimation.simulation.jsbsim.forces import OURS
 from estimation.simulation.jsbsim.functions import PROPERTIES, Term, Translator, node, product, prop, total
 from estimation.simulation.jsbsim.increments import Increments
-from estimation.simulation.jsbsim.surfaces import SIGNS, surfaces_of
+from estimation.simulation.jsbsim.library import SIGNS, surfaces_of
 from estimation.simulation.oracle import SURFACES, SimulationError
 
 Maker = Callable[..., ET.Element]

@@ -14,8 +14,7 @@ import numpy as np
 
 from estimation.simulation.jsbsim.aircraft import GROUND, SWITCHED_OFF
 from estimation.simulation.jsbsim.forces import OURS
-from estimation.simulation.jsbsim.library import FOOT, POUND, SLUG, loaded
-from estimation.simulation.jsbsim.surfaces import Surfaces, surfaces_of
+from estimation.simulation.jsbsim.library import FOOT, POUND, SLUG, Surfaces, loaded, surfaces_of
 from estimation.simulation.oracle import SURFACES, Array, SimulationError
 from groundstation.flight import Flight
 
@@ -27,7 +26,7 @@ STEP = 0.8  # s
 CENTRING = 3  # frames
 FEEDBACK = {"delta_e": (0.15, 0.1), "delta_a": (0.08, 0.02)}  # on pitch and bank [rad per rad], their rates [s]
 INJECTED = f"{OURS}/injected/"
-ADAMS_BASHFORTH = 3.0  # JSBSim's number for that of second order; `estimation.simulation.stepped` takes the same steps
+ADAMS_BASHFORTH = 3.0  # JSBSim's number for that of second order; `estimation.simulation.proof` takes the same steps
 TRIMMED = 1e-4  # g and rad/s2
 LIFTS = (0.4, 0.3, 0.5, 0.6, 0.8, 0.2)  # lift coefficients at which a glide is tried
 

@@ -6,10 +6,18 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from xml.etree import ElementTree as ET
 
-from estimation.simulation.jsbsim.library import FOOT, SLUG
-from estimation.simulation.jsbsim.surfaces import Follows
-from estimation.simulation.jsbsim.tables import TableError, looked_up, table_of
-from estimation.simulation.jsbsim.terms import Product, Sum, collected, constant, factor, text_of
+from estimation.simulation.jsbsim.library import FOOT, SLUG, Follows
+from estimation.simulation.jsbsim.terms import (
+    Product,
+    Sum,
+    TableError,
+    collected,
+    constant,
+    factor,
+    looked_up,
+    table_of,
+    text_of,
+)
 
 DEGREE = 180.0 / math.pi
 LENGTHS = {"metrics/Sw-sqft": "area", "metrics/bw-ft": "span", "metrics/cbarw-ft": "chord"}

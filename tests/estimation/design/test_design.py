@@ -13,9 +13,8 @@ from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 from estimation.aircraft import load_aircraft
 from estimation.answers.designs import with_effects, write_manoeuvre
 from estimation.design import measured_inputs
-from estimation.design.condition import trimmed
 from estimation.design.design import DesignTask, InputDesign, design
-from estimation.design.limits import Limits, load_limits, usual_limits
+from estimation.design.limits import Limits, load_limits, trimmed, usual_limits
 from estimation.design.predict import DesignInformation, fly, information
 from estimation.engine.data import FlightData, Segment
 from estimation.errors import EstimationError

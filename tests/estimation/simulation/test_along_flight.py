@@ -11,9 +11,8 @@ from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model, write_model
 from estimation.session.proof_of_match import predict
 from estimation.simulation import along_flight
-from estimation.simulation.attach import Free, attach, estimated_about_its_motion, renewed, settled
+from estimation.simulation.attach import Free, attach, estimated_about_its_motion, renewed, settled, simulation_of
 from estimation.simulation.oracle import VARIABLES, SimulationError, States
-from estimation.simulation.spec import simulation_of
 from groundstation.flight import Flight, Provenance, read_flight
 from tests.studies import second_truth as truth
 

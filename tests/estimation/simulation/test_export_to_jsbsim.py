@@ -18,7 +18,7 @@ from estimation.gap.effects import catalogue
 from estimation.models import load_model, write_model
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate
-from estimation.simulation.attach import Attached, attach
+from estimation.simulation.attach import Attached, attach, simulation_of
 from estimation.simulation.exporting import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
 from estimation.simulation.jsbsim.components import chains_of
@@ -28,9 +28,7 @@ from estimation.simulation.jsbsim.functions import Translator
 from estimation.simulation.jsbsim.increments import increments_of
 from estimation.simulation.jsbsim.library import aircraft_file, loaded
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Oracle, Simulation, SimulationError, States
-from estimation.simulation.proof import AS_IT_IS, proof_of
-from estimation.simulation.spec import simulation_of
-from estimation.simulation.stepped import stepped
+from estimation.simulation.proof import AS_IT_IS, proof_of, stepped
 from groundstation.flight import Flight
 from sideslip.cli import cli
 

@@ -17,16 +17,14 @@ from estimation.models import read_model
 from estimation.models.expressions import evaluate
 from estimation.models.numeric import FUNCTIONS
 from estimation.simulation import importing
+from estimation.simulation.attach import simulation_of
 from estimation.simulation.importing import ProvedImport, import_from_jsbsim, imported_exactly, random_states
 from estimation.simulation.jsbsim.export import inlined
 from estimation.simulation.jsbsim.flying import flown
 from estimation.simulation.jsbsim.library import aircraft_file
-from estimation.simulation.jsbsim.tables import TableError, looked_up, table_of
-from estimation.simulation.jsbsim.terms import Sum, constant, factor, text_of
+from estimation.simulation.jsbsim.terms import Sum, TableError, constant, factor, looked_up, table_of, text_of
 from estimation.simulation.oracle import SimulationError
-from estimation.simulation.proof import AS_IT_IS, NOISE, SHARE
-from estimation.simulation.spec import simulation_of
-from estimation.simulation.stepped import stepped
+from estimation.simulation.proof import AS_IT_IS, NOISE, SHARE, stepped
 from sideslip.cli import cli
 from tests.studies import jsbsim_flights as truth
 

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from estimation.campaign.aerodynamics.evidence import PooledInformation, grown, superfluous
 from estimation.campaign.aerodynamics.joint import GlobalModel, global_model
 from estimation.campaign.aerodynamics.terms import ConditionTerm, candidates, row_of, terms_of, with_terms
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.run import CampaignOutcome
+from estimation.campaign.tasks import CampaignError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model
 from estimation.models.expressions import evaluate

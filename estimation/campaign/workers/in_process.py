@@ -1,4 +1,4 @@
-"""A limit on the time that one piece of work may take: in this process by a signal, on a worker by ending the worker."""
+"""The engine `--serial`: work in this process, one piece after the other, and the limits of time that hold for any worker."""
 
 import contextlib
 import faulthandler
@@ -10,6 +10,8 @@ from types import FrameType
 from typing import Any
 
 from estimation.campaign.errors import OverdueError
+from estimation.campaign.tasks import Finished, Work
+from estimation.campaign.workers.work import do, failed
 
 GRACE_S = 3.0
 """Between saying that work is overdue and ending the process: the word must leave it first."""
@@ -64,3 +66,23 @@ def overdue_text(what: str, limit_s: float) -> str:
     return (
         f"{what}: took longer than {limit_s:g} s and was ended; look at it by itself, or allow more with --time-limit"
     )
+
+
+class SerialEngine:
+    """Runs work where it is. A flight that ends the process ends the campaign; what was done is on disk."""
+
+    workers = 1
+    dashboard = ""
+
+    def run(self, works: Iterator[Work]) -> Iterator[Finished | None]:
+        """Finished work, in the order given."""
+        for work in works:
+            try:
+                with interrupted_after(work.limit_s, work.name):
+                    rows = do(work)
+            except OverdueError as error:
+                rows = failed(work, str(error))
+            yield Finished(work, rows)
+
+    def close(self) -> None:
+        """Nothing to close."""

@@ -3,9 +3,8 @@
 Widths are counted from the characters of a column, for the widest of the fonts that the style sheet names (DejaVu Sans).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from estimation.report.tables import CANNOT_TELL, ReportTable
 
@@ -101,10 +100,6 @@ def label(table: ReportTable, column: int) -> str:
     return f"{above} {table.head[column]}".strip()
 
 
-def needs_width(found: Any) -> bool:
-    """Whether any table in what a page shows is better printed across."""
-    if isinstance(found, ReportTable):
-        return any(width(found, p.columns, small=p.wide) > PORTRAIT for p in pieces(found))
-    if isinstance(found, dict):
-        return any(needs_width(v) for v in found.values())
-    return isinstance(found, list | tuple) and any(needs_width(v) for v in found)
+def needs_width(tables: Iterable[ReportTable]) -> bool:
+    """Whether any of the tables of a page is better printed across."""
+    return any(width(t, p.columns, small=p.wide) > PORTRAIT for t in tables for p in pieces(t))

@@ -1,14 +1,16 @@
-"""The flight card: mass, CG, speeds, height, weather and configuration of each flight, from its columns and its aircraft."""
+"""Tables of flights for any page: the flight card (mass, CG, speeds, weather, configuration), provenance, notes."""
 
+import hashlib
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.errors import AircraftError
 from estimation.report.tables import ReportTable, number
 
@@ -144,3 +146,52 @@ def _air_velocity(c: Mapping[str, Array]) -> tuple[Array, Array]:
     aside = v * cf - w * sf
     sp, cp = np.sin(c["psi"]), np.cos(c["psi"])
     return ahead * cp - aside * sp, ahead * sp + aside * cp
+
+
+def provenance_table(flights: Sequence["Flight"]) -> ReportTable:
+    """One row a flight: file and its hash, the raw recording it was calibrated from, the calibration, the program."""
+    rows = []
+    for flight in flights:
+        p = flight.provenance
+        raw = p.detail.get("derived_from")
+        raw_hash = str(raw.get("sha256", "")) if isinstance(raw, dict) else ""
+        rows.append((flight.name, p.source, p.path or "in memory", p.sha256[:16], raw_hash[:16], calibration_digest(flight),
+                     p.software, str(len(flight)), f"{flight.time[-1] - flight.time[0]:.1f}"))  # fmt: skip
+    return ReportTable(
+        "provenance", "Where the flights come from",
+        ("flight", "source", "file", "sha-256 of file", "of raw recording", "of calibration", "calibrated by", "samples",
+         "duration [s]"), tuple(rows), symbols=False, texts=(2,),
+        note="First 16 digits of each SHA-256; that of the calibration is over all its files' names and hashes together.",
+    )  # fmt: skip
+
+
+def calibration_digest(flight: "Flight") -> str:
+    """First 16 digits of the SHA-256 over the calibration files' names and hashes; empty where none is stated."""
+    files = dict(flight.provenance.calibration)
+    if not files:
+        return ""
+    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def simulated(flights: Sequence["Flight"]) -> bool:
+    """Whether any of the flights was made by a simulator."""
+    return any(f.provenance.source == "simulated" for f in flights)
+
+
+def notes_table(notes: Iterable[tuple[str, str]], *, filed: bool = False) -> ReportTable | None:
+    """Notes as (flight, sentence) as a table of sentences; None where there are none. filed: whether it is written as a file."""
+    by = collected((text, flight) for flight, text in notes)
+    if not by:
+        return None
+    rows = tuple((text, ", ".join(flights)) for text, flights in by.items())
+    return ReportTable(
+        "notes", "Notes on the flights", ("note", "flights"), rows, symbols=False, texts=(0, 1), filed=filed
+    )
+
+
+def collected(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Second members by the first, each once, in their order."""
+    by: dict[str, dict[str, None]] = {}
+    for key, value in pairs:
+        by.setdefault(key, {})[value] = None
+    return {key: list(values) for key, values in by.items()}
