@@ -94,7 +94,6 @@ class VerbTable(click.Group):
         return [*VERBS, *(found.name for found in _package_verbs())]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one verb."""
         verb = VERBS.get(cmd_name)
         if verb is None:
             return _package_verb(cmd_name)

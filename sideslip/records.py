@@ -75,15 +75,12 @@ class RecordAnswer(Answer):
         return self.sound
 
     def to_json(self) -> dict[str, Any]:
-        """As the verb writes it with --json."""
         return dict(self.content)
 
     def lines(self) -> tuple[str, ...]:
-        """What the verb prints."""
         return self.sentences
 
     def headline(self) -> str:
-        """The first sentence."""
         return self.sentences[0]
 
     def numbers(self) -> dict[str, int]:
@@ -93,11 +90,9 @@ class RecordAnswer(Answer):
         return {n: v for n, v in self.content.items() if isinstance(v, int) and not isinstance(v, bool)}
 
     def rows(self) -> Rows:
-        """A row for each channel or count."""
         return ("", "number"), [(n, str(v)) for n, v in self.numbers().items()]
 
     def plot(self, ax: Any = None) -> Any:
-        """A bar for each channel or count; gives the axes."""
         return _bars(self.numbers(), ax)
 
 
@@ -109,33 +104,27 @@ class Calibrated(Answer):
     name: str
 
     def to_json(self) -> dict[str, Any]:
-        """As `calibrate --json` has it."""
         from groundstation.cli.data import written_content
 
         return written_content(self.flight, self.name)
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip calibrate` prints."""
         from groundstation.cli.data import written_lines
 
         return written_lines(self.flight, self.name)
 
     def headline(self) -> str:
-        """How much there is of the flight."""
         return next(self.lines())
 
     def numbers(self) -> dict[str, int]:
-        """Samples of each column."""
         import numpy as np
 
         return {n: int(np.isfinite(v).sum()) for n, v in self.flight.columns.items()}
 
     def rows(self) -> Rows:
-        """A row for each column."""
         return ("column", "samples"), [(n, str(v)) for n, v in self.numbers().items()]
 
     def plot(self, ax: Any = None) -> Any:
-        """A bar for each column; gives the axes."""
         return _bars(self.numbers(), ax)
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:

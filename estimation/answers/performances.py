@@ -145,7 +145,7 @@ class Performance(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Polar, sink and power required over speed with 95 % bands; gives the three axes."""
-        from estimation.performance.drawing import draw_performance
+        from estimation.performance.polar import draw_performance
 
         axes = panels(ax, 3, (6.0, 7.5))
         draw_performance(self.flights, self.polar, self.curve if self.passed else (), axes)
@@ -155,14 +155,14 @@ class Performance(Answer):
         """The figure of the page."""
         from functools import partial
 
-        from estimation.performance.drawing import performance_picture
+        from estimation.performance.polar import performance_picture
 
         curve = self.curve if self.passed else ()
         return Figures({"performance": partial(performance_picture, self.flights, self.polar, curve)})
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the curve as .csv, the figure as a picture."""
-        from estimation.performance.drawing import write_performance
+        from estimation.performance.polar import write_performance
 
         curve = self.curve if self.passed else ()
         pictures = picture_writers(lambda path: write_performance(self.flights, self.polar, curve, path))

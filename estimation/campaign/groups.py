@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.pooling import LEVEL
+from estimation.campaign.schema import usable_estimates
 from estimation.campaign.tasks import Row
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 FEWEST_TO_POOL = 2
 FEWEST_FOR_OUTLIERS = 5  # below, the median of the others says too little
@@ -42,23 +43,15 @@ class ParameterSeries:
     v: Array
 
     def part(self, keep: NDArray[np.bool_]) -> "ParameterSeries":
-        """Only some of the flights."""
         chosen = [i for i, k in enumerate(keep) if k]
-        return ParameterSeries(
-            self.group,
-            self.label,
-            self.method,
-            self.parameter,
-            tuple(self.flights[i] for i in chosen),
-            tuple(self.dates[i] for i in chosen),
-            tuple(self.places[i] for i in chosen),
-            self.y[keep],
-            self.v[keep],
+        return replace(
+            self,
+            flights=tuple(self.flights[i] for i in chosen),
+            dates=tuple(self.dates[i] for i in chosen),
+            places=tuple(self.places[i] for i in chosen),
+            y=self.y[keep],
+            v=self.v[keep],
         )
-
-
-_Found = tuple[str, str, tuple[str, str], float, float]
-"""Date, flight, (key, manoeuvre), estimate, variance."""
 
 
 def label_of(group: Mapping[str, str]) -> str:
@@ -66,46 +59,26 @@ def label_of(group: Mapping[str, str]) -> str:
     return ", ".join(f"{k}={v}" for k, v in group.items() if v) or "all flights"
 
 
+def label_in(row: Row, keys: Sequence[str]) -> str:
+    return label_of({key: row[key] or "" for key in keys})
+
+
 def series_of(results: "pa.Table", keys: Sequence[str]) -> list[ParameterSeries]:
     """Every usable estimate of every flight, by group, method and parameter."""
-    wanted = (
-        "kind",
-        "flight",
-        "method",
-        "parameter",
-        "estimate",
-        "std_coloured",
-        "identifiable",
-        "status",
-        "date",
-        "key",
-        "manoeuvre",
-    )
-    names = list(dict.fromkeys((*wanted, *keys)))
-    columns = {name: results[name].to_pylist() for name in names}
-    found: dict[tuple[Any, ...], list[_Found]] = {}
-    for i in range(results.num_rows):
-        std, value = columns["std_coloured"][i], columns["estimate"][i]
-        usable = (
-            columns["kind"][i] in ("estimate", "check") and columns["status"][i] == "ok" and columns["identifiable"][i]
+    places: dict[tuple[Any, ...], list[tuple[Any, ...]]] = {}
+    for row in usable_estimates(results, ("estimate", "check"), ("manoeuvre", *keys)):
+        place = (tuple(row[k] or "" for k in keys), row["method"], row["parameter"])
+        flight = (row["date"] or "", row["flight"], (row["key"], row["manoeuvre"] or ""))
+        places.setdefault(place, []).append((*flight, row["estimate"], row["std_coloured"] ** 2))
+    series = []
+    for (values, method, parameter), rows in sorted(places.items()):
+        group = dict(zip(keys, values, strict=True))
+        dates, flights, pieces, y, v = zip(*sorted(rows), strict=True)
+        label = label_of(group)
+        series.append(
+            ParameterSeries(group, label, method, parameter, flights, dates, pieces, np.array(y), np.array(v))
         )
-        if usable and value is not None and std:
-            group = tuple(columns[k][i] or "" for k in keys)
-            place = (group, columns["method"][i], columns["parameter"][i])
-            order = (
-                columns["date"][i] or "",
-                columns["flight"][i],
-                (columns["key"][i], columns["manoeuvre"][i] or ""),
-            )
-            found.setdefault(place, []).append((*order, value, std**2))
-    return [_series(place, rows, keys) for place, rows in sorted(found.items())]
-
-
-def _series(place: tuple[Any, ...], rows: list[_Found], keys: Sequence[str]) -> ParameterSeries:
-    rows = sorted(rows)
-    group = dict(zip(keys, place[0], strict=True))
-    dates, flights, places, y, v = zip(*rows, strict=True)
-    return ParameterSeries(group, label_of(group), place[1], place[2], flights, dates, places, np.array(y), np.array(v))
+    return series
 
 
 def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = MappingProxyType({})) -> list[Row]:
@@ -207,11 +180,8 @@ def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
 
 
 def _about(s: ParameterSeries) -> Row:
-    return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **_group(s.group)}
-
-
-def _group(group: Mapping[str, str]) -> Row:
-    return {key: value or None for key, value in group.items()}
+    group = {key: value or None for key, value in s.group.items()}
+    return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **group}
 
 
 FIRST = ("difference", "step", "envelope", "outlying flight", "outlier")

@@ -77,7 +77,6 @@ class RecordConditions(_CampaignTable):
 
     @property
     def day(self) -> str:
-        """The date without its time."""
         return self.date[:10]
 
 

@@ -8,9 +8,8 @@ beyond the bounds, variance tau2 >= 0 by restricted maximum likelihood (Viechtba
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 LEVEL = 0.05
 """Two-sided, of every test and interval here."""
@@ -32,7 +31,6 @@ class Pooled:
 
     @property
     def std(self) -> Array:
-        """(terms,) standard errors."""
         deviation: Array = np.sqrt(np.diag(self.covariance))
         return deviation
 
@@ -144,7 +142,6 @@ def power(difference: float, std: float, freedom: int, tests: int = 1) -> float:
 
 
 def t_quantile(probability: float, freedom: int) -> float:
-    """Quantile of Student's distribution."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, probability))

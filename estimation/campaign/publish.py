@@ -84,7 +84,6 @@ def unreadable_rows(entries: Sequence[CampaignFlight]) -> "pa.Table":
 
 
 def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> None:
-    """A small table, in one step."""
     import pyarrow.parquet as pq
 
     make_directories(path.parent)

@@ -21,7 +21,7 @@ from estimation.campaign.publish import (
     write_table,
     write_texts,
 )
-from estimation.campaign.schema import DATABASE, GROUPS
+from estimation.campaign.schema import DATABASE, GROUPS, usable_estimates
 from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
@@ -66,7 +66,6 @@ class CampaignOutcome:
     unchanged: bool = False
 
     def to_json(self, wall_s: float) -> dict[str, Any]:
-        """As `campaign --json` has it."""
         return {
             "version": 1,
             "flights": self.flights,
@@ -150,13 +149,11 @@ class Campaign:
             label = label_of(dict(group))
             known: Row = {"group": label, **{k: v or None for k, v in group}}
             joint = joint_work(self._plan, label, members) if self._plan.joint else None
-            if joint is not None:
-                works.append(joint)
-                self._about |= dict.fromkeys(joint.pieces.values(), known)
-            whole = envelope_work(self._plan, label, members) if self._plan.envelope else None
-            if whole is not None:
-                works.append(whole)
-                self._about |= dict.fromkeys(whole.pieces.values(), known)
+            envelope = envelope_work(self._plan, label, members) if self._plan.envelope else None
+            for together in (joint, envelope):
+                if together is not None:
+                    works.append(together)
+                    self._about |= dict.fromkeys(together.pieces.values(), known)
             for match in match_works(self._plan, label, members) if self._plan.match else ():
                 entry = self._work.by_key[self._flight_key(match)].entry
                 works.append(match)
@@ -238,19 +235,13 @@ def failures_of(results: "pa.Table") -> dict[str, str]:
 def members_of(
     results: "pa.Table", work: WorkList, plan: CampaignPlan
 ) -> dict[tuple[tuple[str, str], ...], list[Member]]:
-    """Flights with a usable estimate, by group."""
-    names = ("kind", "status", "identifiable", "key", "method", "parameter", "estimate", "std_coloured", *plan.groups)
-    columns = {name: results[name].to_pylist() for name in dict.fromkeys(names)}
     groups: dict[tuple[tuple[str, str], ...], dict[str, dict[str, dict[str, tuple[float, float]]]]] = {}
     by_key = work.by_key
-    for i in range(results.num_rows):
-        std, value = columns["std_coloured"][i], columns["estimate"][i]
-        told = columns["kind"][i] == "estimate" and columns["status"][i] == OK and columns["identifiable"][i]
-        if told and value is not None and std:
-            group = tuple((k, columns[k][i] or "") for k in plan.groups)
-            flight = by_key[columns["key"][i]].work.identity
-            methods = groups.setdefault(group, {}).setdefault(flight, {})
-            methods.setdefault(columns["method"][i], {})[columns["parameter"][i]] = (value, max(std**2, LEAST_VARIANCE))
+    for row in usable_estimates(results, ("estimate",), plan.groups):
+        group = tuple((k, row[k] or "") for k in plan.groups)
+        methods = groups.setdefault(group, {}).setdefault(by_key[row["key"]].work.identity, {})
+        variance = max(row["std_coloured"] ** 2, LEAST_VARIANCE)
+        methods.setdefault(row["method"], {})[row["parameter"]] = (row["estimate"], variance)
     return {
         g: [Member(by_key[key], methods) for key, methods in flights.items()] for g, flights in sorted(groups.items())
     }

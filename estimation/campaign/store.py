@@ -6,7 +6,7 @@ whole parts, and what was not in one yet is done again. A part holds all rows of
 
 import fcntl
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -151,11 +151,3 @@ def write_part(table: "pa.Table", folder: Path, stem: str, content: Iterable[str
     except OSError as error:
         raise CampaignError(f"{path}: cannot be written ({error.strerror or error}); make room there") from error
     return path
-
-
-def rows_where(table: "pa.Table", column: str, values: Sequence[str]) -> "pa.Table":
-    """Rows whose text column is one of `values`."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    return table.filter(pc.is_in(table[column], pa.array(values, pa.string())))

@@ -12,7 +12,7 @@ from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.tasks import CampaignError, Subject, Work
-from estimation.campaign.workers.work import CHECK, aircraft_from_text, model_of
+from estimation.campaign.workers.subjects import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import find
 

@@ -104,7 +104,6 @@ class InputDesign:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Derivatives that this input will not tell."""
         return tuple(n for n, r in self.relative.items() if r > UNTOLD)
 
     @property

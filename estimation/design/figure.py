@@ -17,7 +17,6 @@ _HIGHEST_HZ = 3.0  # of the spectra shown
 
 
 def write_figure(found: InputDesign, path: Path) -> None:
-    """Write the picture; its ending chooses the format."""
     from matplotlib.figure import Figure
 
     with styled():

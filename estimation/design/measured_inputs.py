@@ -16,7 +16,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.design.predict import NOISE, DesignSetting, PredictedMotion, output_noise, sampled
 from estimation.engine.data import FlightData
@@ -24,9 +23,7 @@ from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Signal
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array, Flight
 
 DRAWS = 50
 """Flights with noisy inputs: the standard deviation that they add is known to 10 %."""

@@ -28,8 +28,8 @@ from estimation.design.predict import (
 )
 from estimation.design.shapes import STARTS, Multisine, deal, flat, from_zero, low_peak_multisine, total
 from estimation.errors import EstimationError
+from groundstation.flight import Array
 
-Array = NDArray[np.float64]
 Criterion = Callable[[Array], tuple[float, Array]]
 """Covariance of the relative errors (n, n) -> value to make small, and its derivative with respect to the covariance."""
 
@@ -188,7 +188,6 @@ def worst_of(chosen: NDArray[np.bool_]) -> Criterion:
 
 
 def one_of(index: int) -> Criterion:
-    """The bound of one parameter."""
 
     def criterion(covariance: Array) -> tuple[float, Array]:
         slope = np.zeros_like(covariance)

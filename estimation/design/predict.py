@@ -17,8 +17,7 @@ from estimation.engine.data import Segment
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Model, Parameter, Signal
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 SERVO_LAG = 0.04
 """Time constant of a servo [s]: a hobby servo reaches a step in about 0.1 s."""

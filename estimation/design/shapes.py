@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 PATTERNS: Mapping[str, tuple[float, ...]] = {
     "doublet": (1.0, -1.0),
@@ -51,7 +51,6 @@ class Multisine:
         return -float(np.sin(speed * time + self.phases) @ (self.amplitudes * speed))
 
     def scaled(self, factor: float) -> "Multisine":
-        """The same shape, larger or smaller."""
         return Multisine(self.period, self.harmonics, factor * self.amplitudes, self.phases)
 
 
@@ -133,7 +132,6 @@ class _PeakSearch:
         return raw / math.sqrt(0.5 * raw @ raw), unknowns[self._count :]
 
     def peak(self, unknowns: Array) -> float:
-        """Relative peak factor."""
         amplitudes, phases = self.parts(unknowns)
         return relative_peak_factor(self._wave(amplitudes, phases))
 

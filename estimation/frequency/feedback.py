@@ -10,12 +10,10 @@ Remple, chapter 8).
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimation.frequency.records import DetrendedStretch, Signals
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 SECONDS = 1.0  # of past that models look at, and of future in which a pilot or autopilot would have answered
 CHANCE = 1e-4  # that this is said of a flight in open loop

@@ -20,7 +20,6 @@ SPLIT = 1.35  # ratio of neighbouring frequencies from which points between them
 
 
 def draw(response: FrequencyResponse, fit: TransferFunction | None = None) -> "Figure":
-    """The whole figure."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.6, 7.4), layout="constrained")
@@ -95,13 +94,11 @@ def _plain() -> Any:
 
 
 def write_figure(response: FrequencyResponse, fit: TransferFunction | None, path: Path) -> None:
-    """Write the figure; its ending chooses the format."""
     with styled():
         save_figure(draw(response, fit), path, dpi=150)
 
 
 def response_picture(response: FrequencyResponse, fit: TransferFunction | None) -> Picture:
-    """The figure for a page."""
     with styled():
         drawn = draw(response, fit)
     caption = (

@@ -14,9 +14,7 @@ from estimation.engine.conditioned import conditioned
 from estimation.errors import DataError
 from estimation.signals.fourier import FEWEST, curve
 from estimation.signals.preprocess import noise_level
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array, Flight
 
 CONTROLS = ("delta_e", "delta_a", "delta_r")
 STILL = 1.5  # noise levels: an input whose samples scatter less than this shows noise and nothing else

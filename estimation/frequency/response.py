@@ -19,9 +19,7 @@ from estimation.frequency.feedback import feedback_note
 from estimation.frequency.records import Signals, collect
 from estimation.frequency.spectra import FrequencyGrid, WindowResponse, respond
 from estimation.signals.fourier import Complex
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array, Flight
 
 PERIODS = 2.0  # of a frequency in a window: below, its transform holds the mean and the trend
 LENGTHS = 5  # windows, as CIFER takes

@@ -26,8 +26,7 @@ from scipy.stats import t as student
 
 from estimation.frequency.records import DetrendedStretch
 from estimation.signals.fourier import Complex
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 OVERLAP = 0.8  # of a window, as CIFER takes (Tischler and Remple, chapter 7)
 MOST_WINDOWS = 1000  # of one length: beyond, they are spread wider, down to half overlap and less

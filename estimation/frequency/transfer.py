@@ -21,8 +21,7 @@ from estimation.frequency.forms import TransferForm, form_for, general_forms
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.spectra import tapers
 from estimation.signals.fourier import Complex
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 GOOD = 0.6  # coherence from which a point is fitted (Tischler and Remple, chapter 7)
 PHASE_WEIGHT = 0.01745  # of one degree squared against one dB squared

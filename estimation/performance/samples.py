@@ -48,7 +48,6 @@ class Usable:
 
     @property
     def used(self) -> int:
-        """Samples that are used."""
         return sum(s.V.size for s in self.stretches)
 
 
@@ -138,5 +137,4 @@ def _turned(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array,
 
 
 def together(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
-    """All stretches of all flights."""
     return tuple(s for f in flights for s in f.stretches)

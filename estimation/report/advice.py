@@ -95,7 +95,6 @@ def _once(items: Iterable[str]) -> tuple[str, ...]:
 
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:
-    """A manoeuvre that would tell a parameter."""
     for control in sorted(companions(model, parameter)):
         if control in CONTROL_WORDS:
             word = CONTROL_WORDS[control]

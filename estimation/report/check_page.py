@@ -49,7 +49,6 @@ def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
 
 
 def published_lines() -> Iterator[str]:
-    """The paper's Table 2, to compare with."""
     flights = published.published_flights()
     yield "published (bounds of output error, without the noise of the inertial sensors)"
     yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)

@@ -24,12 +24,19 @@ from estimation.report.drawing.estimate_figures import (
 from estimation.report.drawing.figures import Picture
 from estimation.report.drawing.histories import write_flights
 from estimation.report.drawing.residual_figures import against_figure, moved, residual_figure
-from estimation.report.estimate_tables import estimate_table, fit_table, is_published, joint_table, mean_table
+from estimation.report.estimate_tables import (
+    estimate_table,
+    fit_table,
+    is_published,
+    joint_table,
+    match_table,
+    mean_table,
+)
 from estimation.report.flight_tables import flight_card, notes_table, provenance_table, simulated
 from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
 from estimation.report.page import Page, Section, box, free_table, paragraph, sentence
-from estimation.report.tables import ReportTable, number
+from estimation.report.tables import ReportTable
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
@@ -314,25 +321,17 @@ def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfM
     if not proofs:
         return None
     outputs = session.model.output_names
-    rows: list[tuple[str, ...]] = []
-    failed: set[tuple[int, int]] = set()
-    for whose, p in proofs:
-        fits = [p.fit.get(o) for o in outputs]
-        beyond = [k for k, fit in enumerate(fits) if fit is not None and not fit.theil <= THEIL_LIMIT]
-        failed |= {(len(rows), 3 + 2 * k) for k in beyond} | ({(len(rows), 2 + 2 * len(outputs))} if beyond else set())
-        cells = [c for fit in fits for c in (("", "") if fit is None else (number(fit.r2, 3), number(fit.theil, 3)))]
-        rows.append((p.name, whose, *cells, "FAIL" if beyond else "pass"))
-    return ReportTable(
+    fits = [[p.fit.get(output) for output in outputs] for _, p in proofs]
+    pairs = [[(None, None) if fit is None else (fit.r2, fit.theil) for fit in flight] for flight in fits]
+    return match_table(
         "figure10_match",
         "Proof of match over flights",
-        ("flight", "predicted by", *(h for _ in outputs for h in ("r²", "Theil")), "match"),
-        tuple(rows),
-        (("", 2), *((o, 2) for o in outputs), ("", 1)),
-        symbols=False,
-        failed=frozenset(failed),
-        note=f"Limit: Theil's coefficient at most {THEIL_LIMIT:g} in every channel; in red what is above it. Derivatives frozen, "
-        f"{refitted(session)} refitted. A flight that could not tell a derivative predicts with what was believed before flying, "
-        "or with a poor number: its predictions of flights that use that control show it.",
+        ("flight", "predicted by"),
+        outputs,
+        zip([(p.name, whose) for whose, p in proofs], pairs, strict=True),
+        THEIL_LIMIT,
+        f" Derivatives frozen, {refitted(session)} refitted. A flight that could not tell a derivative predicts with what was"
+        " believed before flying, or with a poor number: its predictions of flights that use that control show it.",
     )
 
 

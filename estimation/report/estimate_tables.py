@@ -1,5 +1,7 @@
 """Tables 3 to 5 of the paper for one's own flights, beside the published columns."""
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from estimation.report import published
@@ -7,7 +9,7 @@ from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, 
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
-    from estimation.estimators.result import Estimate
+    from estimation.estimators.result import Estimate, Result
     from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
 
@@ -27,65 +29,91 @@ def _believed(session: "EstimationSession") -> bool:
     return any(p.reference is not None for p in session.model.parameters)
 
 
-def _head(
-    session: "EstimationSession", methods: list[str], columns: tuple[str, ...]
-) -> tuple[list[tuple[str, int]], list[str]]:
-    """Groups and head of a table of parameters by methods."""
-    before, value = ([("before flying", 2)], ["value", "source"]) if _believed(session) else ([], [])
-    groups = [("", 1), *before, *((m, len(columns)) for m in methods)]
-    return groups, ["", *value, *(c for _ in methods for c in columns)]
+Cells = Callable[[str], list[str]]
+"""Name of a parameter -> cells."""
+
+
+def _parameter_table(
+    session: "EstimationSession",
+    name: str,
+    caption: str,
+    parameters: Iterable[str],
+    methods: Mapping[str, Cells],
+    columns: tuple[str, ...],
+    beside: Sequence[tuple[str, tuple[str, ...], Cells]],
+    note: str,
+) -> ReportTable:
+    """Parameters by methods, with what was believed before. methods: what fills the `columns` of each; beside: groups of columns
+    after those, as (label, heads, what fills them)."""
+    before = _believed(session)
+    groups = [*methods.items(), *((label, cells) for label, _, cells in beside)]
+    rows = tuple(
+        (n, *(_before(session, n) if before else ()), *(cell for _, cells in groups for cell in cells(n)))
+        for n in parameters
+    )
+    heads = [*(columns for _ in methods), *(head for _, head, _ in beside)]
+    spans = [(label, len(head)) for (label, _), head in zip(groups, heads, strict=True)]
+    return ReportTable(
+        name,
+        caption,
+        ("", *(("value", "source") if before else ()), *(h for head in heads for h in head)),
+        rows,
+        (("", 1), *([("before flying", 2)] if before else []), *spans),
+        note=note,
+    )
+
+
+def _fitted(result: "Result") -> Cells:
+    return lambda name: _three(result.parameters.get(name))
+
+
+def _published(numbers: Callable[[str], tuple[float, float] | None]) -> Cells:
+    """A published number and its bound or scatter."""
+
+    def cells(name: str) -> list[str]:
+        pair = numbers(name)
+        return ["", ""] if pair is None else [number(pair[0]), significant(pair[1], 2)]
+
+    return cells
+
+
+def _truth(session: "EstimationSession") -> list[tuple[str, tuple[str, ...], Cells]]:
+    """What simulated flights were flown with, where that is known."""
+    return [("simulated", ("truth",), lambda name: [number(session.truth.get(name))])] if session.truth else []
 
 
 def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> ReportTable:
     """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
-    beside = published.counterpart(flight.flight.name) if is_published(session) else None
-    methods = list(flight.results)
-    rows = []
-    for name in next(iter(flight.results.values())).parameters:
-        row = [name, *_before(session, name)]
-        for method in methods:
-            row += _three(flight.results[method].parameters.get(name))
-        for other in ("ml", "ngn") if beside else ():
-            said = published.estimate(str(beside), other, name)
-            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
-        rows.append(tuple(row))
-    groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
-    if beside:
-        groups += [(f"{beside}, {m} (published)", 2) for m in ("ml", "ngn")]
-        head += ["estimate", "bound"] * 2
-    note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if beside else "")
-    caption = f"Estimates of {flight.flight.name}{_best(flight.verdict)}"
-    return ReportTable(
-        f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows), tuple(groups), note=note
+    twin = published.counterpart(flight.flight.name) if is_published(session) else None
+    beside = [] if twin is None else [
+        (f"{twin}, {m} (published)", ("estimate", "bound"), _published(partial(published.estimate, twin, m)))
+        for m in ("ml", "ngn")
+    ]  # fmt: skip
+    return _parameter_table(
+        session,
+        f"estimates_{_safe(flight.flight.name)}",
+        f"Estimates of {flight.flight.name}{_best(flight.verdict)}",
+        next(iter(flight.results.values())).parameters,
+        {method: _fitted(result) for method, result in flight.results.items()},
+        ("estimate", "bound", "corrected"),
+        beside,
+        _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if twin else ""),
     )
 
 
 def joint_table(session: "EstimationSession") -> ReportTable | None:
-    """The joint estimate over all flights."""
     if not session.joint:
         return None
-    methods = list(session.joint)
-    rows = []
-    for name in session.joint[methods[0]].parameters:
-        row = [name, *_before(session, name)]
-        for method in methods:
-            row += _three(session.joint[method].parameters.get(name))
-        if session.truth:
-            row.append(number(session.truth[name]) if name in session.truth else "")
-        rows.append(tuple(row))
-    groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
-    if session.truth:
-        groups.append(("simulated", 1))
-        head.append("truth")
-    return ReportTable(
+    return _parameter_table(
+        session,
         "estimates_joint",
         f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
-        tuple(head),
-        tuple(rows),
-        tuple(groups),
-        note=_recommended(session.verdict)
-        + BOUNDS
-        + " Constant coefficients are each flight's own: their line is the mean over flights.",
+        next(iter(session.joint.values())).parameters,
+        {method: _fitted(result) for method, result in session.joint.items()},
+        ("estimate", "bound", "corrected"),
+        _truth(session),
+        f"{_recommended(session.verdict)}{BOUNDS} Constant coefficients are each flight's own: their line is the mean over"
+        " flights.",
     )
 
 
@@ -103,36 +131,56 @@ def mean_table(session: "EstimationSession") -> ReportTable | None:
     """Table 5: mean and scatter over the flights that can tell, against their bounds."""
     if len(session.flights) < 2:
         return None
-    methods, ours = list(session.mean), is_published(session)
-    rows = []
-    for name in session.model.free_names:
-        if not any(name in session.mean[m] for m in methods):
-            continue
-        row = [name, *_before(session, name)]
-        for method in methods:
-            s = session.mean[method].get(name)
-            row += [CANNOT_TELL, "", "", ""] if s is None else [*_to_bound(s.mean, s.std, s.bound), str(s.count)]
-        for other in ("ml", "ngn") if ours else ():
-            said = published.mean(other, name)
-            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
-        if session.truth:
-            row.append(number(session.truth[name]) if name in session.truth else "")
-        rows.append(tuple(row))
-    groups, head = _head(session, methods, ("mean", "scatter", "bound", "flights"))
-    if ours:
-        groups += [(f"{m} (published)", 2) for m in ("ml", "ngn")]
-        head += ["mean", "scatter"] * 2
-    if session.truth:
-        groups.append(("simulated", 1))
-        head.append("truth")
-    return ReportTable(
+
+    def cells(method: str, name: str) -> list[str]:
+        s = session.mean[method].get(name)
+        return [CANNOT_TELL, "", "", ""] if s is None else [*_to_bound(s.mean, s.std, s.bound), str(s.count)]
+
+    paper = [
+        (f"{m} (published)", ("mean", "scatter"), _published(partial(published.mean, m)))
+        for m in (("ml", "ngn") if is_published(session) else ())
+    ]
+    return _parameter_table(
+        session,
         "table5_means",
         "Mean and scatter over the flights that can tell",
-        tuple(head),
+        [n for n in session.model.free_names if any(n in means for means in session.mean.values())],
+        {method: partial(cells, method) for method in session.mean},
+        ("mean", "scatter", "bound", "flights"),
+        [*paper, *_truth(session)],
+        "scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
+        + (published.COMPARISON if paper else ""),
+    )
+
+
+def match_table(
+    name: str,
+    caption: str,
+    head: tuple[str, ...],
+    outputs: Sequence[str],
+    proofs: Iterable[tuple[tuple[str, ...], Sequence[tuple[float | None, float | None]]]],
+    limit: float,
+    more: str = "",
+) -> ReportTable:
+    """Proofs of match. head: of the first columns; proofs: (first cells, (r2, Theil) of each output, None where there is none);
+    limit: of Theil's coefficient; more: of the note."""
+    rows: list[tuple[str, ...]] = []
+    failed: set[tuple[int, int]] = set()
+    for first, fits in proofs:
+        beyond = [k for k, (_, theil) in enumerate(fits) if theil is not None and not theil <= limit]
+        columns = [*(len(head) + 1 + 2 * k for k in beyond), *([len(head) + 2 * len(outputs)] if beyond else [])]
+        failed |= {(len(rows), column) for column in columns}
+        cells = [number(value, 3) for fit in fits for value in fit]
+        rows.append((*first, *cells, "FAIL" if beyond else "pass"))
+    return ReportTable(
+        name,
+        caption,
+        (*head, *(h for _ in outputs for h in ("r²", "Theil")), "match"),
         tuple(rows),
-        tuple(groups),
-        note="scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
-        + (published.COMPARISON if ours else ""),
+        (("", len(head)), *((o, 2) for o in outputs), ("", 1)),
+        symbols=False,
+        failed=frozenset(failed),
+        note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.{more}",
     )
 
 
@@ -170,8 +218,6 @@ def _fit_cells(fit: object) -> list[str]:
 
 
 def _before(session: "EstimationSession", name: str) -> list[str]:
-    if not _believed(session):
-        return []
     parameter = session.model.parameter(name)
     if parameter.reference is None:
         return ["", ""]

@@ -8,17 +8,16 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.aircraft.library import aircraft_of
 from estimation.errors import AircraftError
 from estimation.report.tables import ReportTable, number
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.aircraft import Aircraft
     from groundstation.flight import Flight
 
-Array = NDArray[np.float64]
 KELVIN = 273.15
 UTC_KEY = "utc_offset_s"  # in a flight's provenance: UTC less the flight's time [s]
 LATEST = 1e11  # seconds since 1970 that a calendar still has a year for

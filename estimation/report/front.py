@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from estimation.report import published
 from estimation.report.drawing.figures import Picture, file_picture
+from estimation.report.estimate_tables import match_table
 from estimation.report.page import MARK, Page, Section, box, bullets, link_back, paragraph
 from estimation.report.tables import CANNOT_TELL, ReportTable, number, pair, rounded, significant
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
@@ -224,25 +225,12 @@ def _mean_pair(entry: dict[str, Any] | None) -> list[str]:
 def _match(data: dict[str, Any] | None) -> ReportTable | None:
     if not data or not data["flights"]:
         return None
-    channels, limit = list(data["flights"][0]["fit"]), _limit(data)
-    rows: list[tuple[str, ...]] = []
-    failed: set[tuple[int, int]] = set()
-    for flight in data["flights"]:
-        fits = [flight["fit"].get(channel, {}) for channel in channels]
-        beyond = [k for k, fit in enumerate(fits) if fit.get("theil") is not None and fit["theil"] > limit]
-        failed |= {(len(rows), 2 + 2 * k) for k in beyond} | ({(len(rows), 1 + 2 * len(channels))} if beyond else set())
-        cells = [c for fit in fits for c in (number(fit.get("r2"), 3), number(fit.get("theil"), 3))]
-        rows.append((flight["name"], *cells, "FAIL" if beyond else "pass"))
-    return ReportTable(
-        "match",
-        "Proof of match: flights predicted with parameters frozen",
-        ("flight", *(h for _ in channels for h in ("r²", "Theil")), "match"),
-        tuple(rows),
-        (("", 1), *((c, 2) for c in channels), ("", 1)),
-        symbols=False,
-        failed=frozenset(failed),
-        note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.",
-    )
+    channels = list(data["flights"][0]["fit"])
+    fits = [[flight["fit"].get(channel, {}) for channel in channels] for flight in data["flights"]]
+    pairs = [[(fit.get("r2"), fit.get("theil")) for fit in flight] for flight in fits]
+    proofs = zip([(flight["name"],) for flight in data["flights"]], pairs, strict=True)
+    caption = "Proof of match: flights predicted with parameters frozen"
+    return match_table("match", caption, ("flight",), channels, proofs, _limit(data))
 
 
 def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:

@@ -33,7 +33,6 @@ class ModelRow:
 
 
 def model_rows(model: Model) -> list[ModelRow]:
-    """The parameters of a model in its order."""
     return [
         ModelRow(p.name, p.start, p.unit, p.prior_std, p.reference, p.reference_std, p.reference_source)
         for p in model.parameters

@@ -15,9 +15,8 @@ from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.report.tables import ReportTable, rounded, significant
-from groundstation.flight import Flight
+from groundstation.flight import Array, Flight
 
-Array = NDArray[np.float64]
 DRAWS = 300
 AT_REST = ("beta", "p", "q", "r", "phi", "delta_a", "delta_r", "V_dot", "alpha_dot", "beta_dot", "ay")
 

@@ -15,9 +15,8 @@ from markupsafe import Markup, escape
 from daq.contract.durable import write_text
 from daq.contract.plain_words import printed
 from estimation.report.drawing.figures import Picture
-from estimation.report.fold import label, needs_width, pieces, words
 from estimation.report.names import html as symbol
-from estimation.report.tables import ReportTable
+from estimation.report.tables import ReportTable, label, needs_width, pieces, words
 
 HERE = Path(__file__).parent
 FRONT = "index.html"
@@ -40,7 +39,6 @@ class Section:
     link: str = ""
 
     def shown(self) -> list[Part]:
-        """The parts that are there."""
         return [part for part in self.parts if part is not None]
 
 
@@ -59,7 +57,6 @@ class Page:
     beside: Sequence[ReportTable] = ()
 
     def shown(self) -> list[Section]:
-        """The sections that are there."""
         return [section for section in self.sections if section is not None]
 
     def tables(self) -> list[ReportTable]:

@@ -38,7 +38,6 @@ def wind_tunnel(name: str) -> float | None:
 
 
 def published_flights() -> tuple[str, ...]:
-    """UFP_LD1 .. UFP_LD4."""
     return tuple(_data()["estimates"])
 
 

@@ -177,7 +177,6 @@ def computed(model: Model) -> tuple[str, ...]:
 
 
 def carrying(flights: Sequence[Flight], told: Along) -> tuple[Flight, ...]:
-    """Flights with the columns of a simulation."""
     return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, told.columns, strict=True))
 
 

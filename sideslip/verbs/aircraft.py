@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from daq.contract.options import json_option
+from daq.contract.options import json_option, path_option
 from daq.contract.outputs import check_file, write_json, write_text
 
 
@@ -17,7 +17,7 @@ def aircraft() -> None:
 
 @aircraft.command(epilog="Example: sideslip aircraft new glider -o aircraft/glider.toml")
 @click.argument("name")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write [default: NAME.toml].")
+@path_option("-o", "--output", text="File to write [default: NAME.toml].")
 def new(name: str, output: Path | None) -> None:
     """Write a commented file for aircraft NAME, every key explained; asks nothing, replaces nothing."""
     from estimation.aircraft.template import template

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from daq.contract.options import aircraft_option, json_option
+from daq.contract.options import aircraft_option, flights_argument, json_option, path_option
 from daq.contract.outputs import tried_folder, write_json
 
 EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
@@ -12,21 +12,12 @@ _PATH = click.Path(path_type=Path)
 
 
 @click.command(epilog=EXAMPLE)
-@click.argument("logs", nargs=-1, required=True, type=_PATH, metavar="LOG...")
+@flights_argument("logs", "LOG...")
 @aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same", "")
-@click.option("--map", "mapping", type=_PATH, help="Mapping file, as of 'sideslip import'.")
-@click.option(
-    "--holdout", multiple=True, type=_PATH, metavar="LOG", help="A log kept out of every fit; may be repeated."
-)
+@path_option("--map", "mapping", text="Mapping file, as of 'sideslip import'.")
+@path_option("--holdout", text="A log kept out of every fit; may be repeated.", multiple=True, metavar="LOG")
 @json_option()
-@click.option(
-    "-o",
-    "--output",
-    type=_PATH,
-    required=True,
-    callback=tried_folder,
-    help="Folder for index.html, answer.json and stages.",
-)
+@path_option("-o", "--output", text="Folder for index.html, answer.json and stages.", tried=tried_folder, required=True)
 def analyse(
     logs: tuple[Path, ...],
     aircraft: str | None,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.options import aircraft_option, json_option, model_option, seed_option
+from daq.contract.options import aircraft_option, flag_option, json_option, model_option, path_option, seed_option
 from daq.contract.outputs import tried_folder, write_json
 from daq.contract.plain_words import comma_separated
 
@@ -25,14 +25,12 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
     epilog="Example: sideslip campaign 'flights/*.mcap' --aircraft cdfp --method ml,ls --out campaign --workers 2"
 )
 @click.argument("flights", nargs=-1, required=True, metavar="PLAN.toml|FLIGHT...")
-@click.option(
-    "--out", type=click.Path(path_type=Path), required=True, callback=tried_folder, help="Folder of the data set."
-)
+@path_option("--out", text="Folder of the data set.", tried=tried_folder, required=True)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes on this machine  [default: one a processor].")
 @click.option(
     "--scheduler", default="", metavar="ADDRESS", help="A dask scheduler that runs already, like tcp://host:8786."
 )
-@click.option("--serial", is_flag=True, help="In this process, without the engine.")
+@flag_option("--serial", text="In this process, without the engine.")
 @click.option("--method", "methods", callback=_names, help="Comma-separated, as of estimate  [default: ml].")
 @model_option("As of estimate  [default: lateral].", None)
 @aircraft_option(default="the one each flight carries or names")
@@ -42,26 +40,19 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 @click.option(
     "--check", type=click.Choice(["none", "quality", "full"]), help="Data checks; full also reconstructs the motion."
 )
-@click.option("--joint", is_flag=True, default=None, help="Also one estimate over all flights of each group.")
-@click.option(
-    "--envelope",
-    is_flag=True,
-    default=None,
-    help="Also one model over the envelope, fitted to all flights of each group.",
-)
-@click.option("--match", is_flag=True, default=None, help="Also predict each flight with the others of its group.")
+@flag_option("--joint", text="Also one estimate over all flights of each group.", default=None)
+@flag_option("--envelope", text="Also one model over the envelope, fitted to all flights of each group.", default=None)
+@flag_option("--match", text="Also predict each flight with the others of its group.", default=None)
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Replicates a flight.")
-@click.option("--each-segment", is_flag=True, default=None, help="Each segment of a flight is a manoeuvre of its own.")
+@flag_option("--each-segment", text="Each segment of a flight is a manoeuvre of its own.", default=None)
 @seed_option("Of every random draw  [default: 0].", None, 0)
 @click.option("--time-limit", type=float, help="Seconds that one piece of work may take  [default: 300].")
 @click.option("--retry", type=click.Choice(["failed"]), help="Try again what failed before.")
-@click.option(
-    "--trust-code",
-    is_flag=True,
-    help="Run the Python that the PLAN names (module:NAME); read it first: it can do anything.",
+@flag_option(
+    "--trust-code", text="Run the Python that the PLAN names (module:NAME); read it first: it can do anything."
 )
-@click.option("--dashboard", is_flag=True, help="Print the address of the engine's dashboard (needs bokeh).")
-@click.option("--no-report", is_flag=True, help="Tables only, no page.")
+@flag_option("--dashboard", text="Print the address of the engine's dashboard (needs bokeh).")
+@flag_option("--no-report", text="Tables only, no page.")
 @json_option("Write counts and failures as JSON.")
 def campaign(
     flights: tuple[str, ...],

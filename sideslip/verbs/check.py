@@ -5,7 +5,16 @@ from typing import Any
 
 import click
 
-from daq.contract.options import aircraft_option, figure_option, json_option, report_option, segments_option
+from daq.contract.options import (
+    aircraft_option,
+    figure_option,
+    flag_option,
+    flights_argument,
+    json_option,
+    path_option,
+    report_option,
+    segments_option,
+)
 from daq.contract.outputs import tried_folder
 
 EXAMPLE = (
@@ -14,7 +23,7 @@ EXAMPLE = (
 
 
 @click.command(epilog=EXAMPLE)
-@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@flights_argument()
 @click.option(
     "--factors",
     help="Factors to estimate, comma-separated; with a leading + they "
@@ -25,19 +34,13 @@ EXAMPLE = (
     "Built-in aircraft or an AIRCRAFT.toml: its derivatives predict what the flight can tell",
     "the one each flight carries or names; without one nothing is predicted",
 )
-@click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
-@click.option("--keep-held", is_flag=True, help="Take the repeated values of slow and stuck sensors for measurements.")
+@flag_option("--joint", text="Also one set of factors shared by all flights.")
+@flag_option("--keep-held", text="Take the repeated values of slow and stuck sensors for measurements.")
 @segments_option()
 @json_option()
 @figure_option("Write measured and reconstructed motion.")
 @report_option("Write an HTML report: factors beside published ones, motion, quality.")
-@click.option(
-    "--write",
-    "folder",
-    type=click.Path(path_type=Path),
-    callback=tried_folder,
-    help="Write corrected flights here.",
-)
+@path_option("--write", "folder", text="Write corrected flights here.", tried=tried_folder)
 def check(
     flights: tuple[Path, ...],
     json_path: Path | None,

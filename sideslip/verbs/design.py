@@ -5,7 +5,15 @@ from typing import Any
 
 import click
 
-from daq.contract.options import aircraft_option, figure_option, json_option, model_option, seed_option
+from daq.contract.options import (
+    aircraft_option,
+    figure_option,
+    flag_option,
+    json_option,
+    model_option,
+    path_option,
+    seed_option,
+)
 from daq.contract.outputs import tried_model
 
 EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multisine --time 20 -o multisine.toml"
@@ -13,16 +21,11 @@ EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multi
 
 @click.command(epilog=EXAMPLE)
 @model_option("Built-in name, MODEL.toml or module:Class.")
-@click.option(
-    "--from",
-    "estimate",
-    type=click.Path(path_type=Path),
-    help="What estimate --json wrote: its model, aircraft, values and noise.",
-)
+@path_option("--from", "estimate", text="What estimate --json wrote: its model, aircraft, values and noise.")
 @aircraft_option(default="")
 @click.option("--kind", default="optimal", show_default=True, help="doublet, 121, 3211, chirp, multisine or optimal.")
 @click.option("--time", "duration", type=float, required=True, help="How long it takes [s].")
-@click.option("--limits", type=click.Path(path_type=Path), help="What it may do (LIMITS.toml).")
+@path_option("--limits", text="What it may do (LIMITS.toml).")
 @click.option("--separate", default="", help="Two effects of the gap catalogue, or parameters, to be told apart: A,B.")
 @click.option(
     "--criterion", default="worst", show_default=True, help="Of kind optimal: worst, D, A, or the name of a parameter."
@@ -32,16 +35,9 @@ EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multi
 @click.option("--speed", type=float, help="True airspeed [m/s]  [default: that of a lift coefficient of 0.3].")
 @click.option("--density", default=1.17, show_default=True, help="Air density [kg/m3].")
 @click.option("--rate", "rate_hz", default=20.0, show_default=True, help="Samples a second of the recording [Hz].")
-@click.option("--pilot-holds", "held", is_flag=True, help="A pilot holds bank and pitch gently meanwhile.")
+@flag_option("--pilot-holds", "held", text="A pilot holds bank and pitch gently meanwhile.")
 @seed_option("Of the search for phases.")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    callback=tried_model,
-    help="Manoeuvre file to write (.toml).",
-)
+@path_option("-o", "--output", text="Manoeuvre file to write (.toml).", tried=tried_model, required=True)
 @json_option("Write everything as JSON.")
 @figure_option("Draw inputs, spectra, motion, bounds.")
 def design(

@@ -8,9 +8,12 @@ import click
 from daq.contract.options import (
     aircraft_option,
     figure_option,
+    flag_option,
+    flights_argument,
     histories_option,
     json_option,
     model_option,
+    path_option,
     report_option,
     seed_option,
     segments_option,
@@ -29,7 +32,7 @@ def _able(extra: Extra) -> str:
 
 
 @click.command(epilog=EXAMPLE)
-@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@flights_argument()
 @click.option(
     "--method",
     "method",
@@ -41,23 +44,20 @@ def _able(extra: Extra) -> str:
 @model_option()
 @aircraft_option()
 @simulation_option()
-@click.option("--joint", is_flag=True, help="Also one estimate over all flights together.")
+@flag_option("--joint", text="Also one estimate over all flights together.")
 @click.option("--device", default="cpu", show_default=True, help="Where ngn trains its networks: cpu, cuda or auto.")
 @segments_option()
-@click.option(
+@flag_option(
     "--each-segment",
-    is_flag=True,
-    help="Take each segment as a flight of its own: estimates each, their scatter, --joint all of them.",
+    text="Take each segment as a flight of its own: estimates each, their scatter, --joint all of them.",
 )
-@click.option(
+@flag_option(
     "--raw-inputs",
-    is_flag=True,
-    help=f"Take measured inputs with their noise, as a plain output error does ({_able(Extra.RAW_INPUTS)}).",
+    text=f"Take measured inputs with their noise, as a plain output error does ({_able(Extra.RAW_INPUTS)}).",
 )
-@click.option(
+@flag_option(
     "--keep-held",
-    is_flag=True,
-    help="Take the repeated values of slow and stuck sensors for measurements; without it they are left out, and said.",
+    text="Take the repeated values of slow and stuck sensors for measurements; without it they are left out, and said.",
 )
 @click.option(
     "--hold-initial",
@@ -71,25 +71,18 @@ def _able(extra: Extra) -> str:
     metavar="NAMES",
     help="Comma-separated states whose initial values are estimated though the model holds them; all.",
 )
-@click.option(
-    "--stepwise", is_flag=True, help=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)})."
-)
+@flag_option("--stepwise", text=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)}).")
 @json_option()
 @report_option()
 @figure_option("Write a figure of measured and estimated histories.")
 @histories_option("shows")
-@click.option(
+@path_option(
     "--save-model",
     "model_path",
-    type=click.Path(path_type=Path),
-    callback=tried_model,
-    help="Write the model with its estimates: joint if asked for, else of the first flight.",
+    text="Write the model with its estimates: joint if asked for, else of the first flight.",
+    tried=tried_model,
 )
-@click.option(
-    "--truth",
-    type=click.Path(path_type=Path),
-    help="True derivatives of simulated flights (JSON), shown beside the means.",
-)
+@path_option("--truth", text="True derivatives of simulated flights (JSON), shown beside the means.")
 @click.option(
     "--profile",
     default="",
@@ -111,10 +104,8 @@ def _able(extra: Extra) -> str:
     help="Test each fit for what its model lacks (derivatives, nonlinear terms, lags, scales); auto adds it and fits again.",
 )
 @seed_option("Of the bootstrap, and of the networks.", 0)
-@click.option(
-    "--brief",
-    is_flag=True,
-    help="Print each flight's estimates in one line; tables for the mean and the joint estimate only.",
+@flag_option(
+    "--brief", text="Print each flight's estimates in one line; tables for the mean and the joint estimate only."
 )
 def estimate(
     flights: tuple[Path, ...],

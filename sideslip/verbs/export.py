@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from daq.contract.options import flag_option, path_option
 from daq.contract.outputs import check_file, check_folder, tried_file, tried_folder
 from estimation.errors import EstimationError
 
@@ -86,7 +87,6 @@ def to_simulator(
 
 
 def report_lines(done: "ExportedSimulator") -> list[str]:
-    """What a person reads."""
     proof = done.proof
     lines = [f"{f}: written" for f in done.files]
     lines.append(f"  {'axis':<8}{'deviation':>11}{'allowed':>11}")
@@ -97,7 +97,6 @@ def report_lines(done: "ExportedSimulator") -> list[str]:
 
 
 def json_of(target: str, file: Path, done: "ExportedSimulator") -> dict[str, Any]:
-    """What `--json` writes."""
     return {
         "version": 1, "from": str(file), "to": target, "files": [str(f) for f in done.files], "proof": done.proof.to_json(),
         "notes": list(done.lines),
@@ -110,11 +109,8 @@ _JSBSIM = "jsbsim:"
 
 @click.command(epilog="Example: sideslip export ld4.mcap -o ld4.parquet")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    help="Its ending chooses the format; of --to gazebo a folder, whose name is the model's.",
+@path_option(
+    "-o", "--output", text="Its ending chooses the format; of --to gazebo a folder, whose name is the model's."
 )
 @click.option(
     "--to",
@@ -125,9 +121,7 @@ _JSBSIM = "jsbsim:"
     " on a JSBSim aircraft back into the aircraft, and prove it by flying both. model: write a"
     " JSBSim aircraft as MODEL.toml (FILE is jsbsim:NAME or jsbsim:FOLDER, for which this is the default).",
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), callback=tried_folder, help="Of --to jsbsim: the folder to write into."
-)
+@path_option("--out", text="Of --to jsbsim: the folder to write into.", tried=tried_folder)
 @click.option(
     "--aircraft-from", help="Of --to jsbsim: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on]."
 )
@@ -145,20 +139,12 @@ _JSBSIM = "jsbsim:"
 )
 @click.option("--thrust", type=float, help="Of the same: static thrust [N]; 0 for a glider.")
 @click.option("--alpha-stall", type=float, help="Of --to ardupilot, gazebo: angle of attack of the stall [rad].")
-@click.option("--force", is_flag=True, help="Of --to ardupilot, gazebo, neutral: replace files that exist.")
-@click.option("--prove", is_flag=True, help="Of the same: write nothing, hold the output that exists against FILE.")
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Of the same: write the proof as JSON.",
-)
-@click.option("--units-row", is_flag=True, help="CSV: a second line with the units.")
-@click.option("--raw", is_flag=True, help="Of a raw recording: counts as recorded, not calibrated columns.")
-@click.option(
-    "--calibration", type=click.Path(path_type=Path), help="Directory of calibration files instead of the embedded set."
-)
+@flag_option("--force", text="Of --to ardupilot, gazebo, neutral: replace files that exist.")
+@flag_option("--prove", text="Of the same: write nothing, hold the output that exists against FILE.")
+@path_option("--json", "json_path", text="Of the same: write the proof as JSON.", tried=tried_file)
+@flag_option("--units-row", text="CSV: a second line with the units.")
+@flag_option("--raw", text="Of a raw recording: counts as recorded, not calibrated columns.")
+@path_option("--calibration", text="Directory of calibration files instead of the embedded set.")
 def export(
     file: Path,
     output: Path | None,
@@ -224,7 +210,7 @@ def export(
 
 def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from: str | None, rate: float) -> int:
     """Write and prove an aircraft; 1 where it does not fly like the model."""
-    from estimation.simulation.exporting import export_to_jsbsim
+    from estimation.simulation.conversion import export_to_jsbsim
 
     if out is None or output is not None:
         raise click.UsageError("--to jsbsim writes a folder: give --out DIR, and no --output")
@@ -242,8 +228,7 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
 
 
 def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> int:
-    """Write an aircraft of JSBSim as a model file."""
-    from estimation.simulation.importing import import_from_jsbsim
+    from estimation.simulation.conversion import import_from_jsbsim
 
     if not spec.startswith(_JSBSIM):
         raise click.UsageError("--to model takes a JSBSim aircraft: jsbsim:NAME or jsbsim:FOLDER for FILE")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq.contract.errors import UserError
-from daq.contract.options import json_option, seed_option
+from daq.contract.options import flag_option, json_option, path_option, seed_option
 from daq.contract.outputs import tried_folder, write_json
 from sideslip.chain import fly_scenario
 
@@ -20,28 +20,23 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: sideslip fly nominal --out flights/first --seed 7")
 @click.argument("scenario", required=False)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    callback=tried_folder,
-    help="Folder for the flight [default: flights/SCENARIO].",
-)
+@path_option("--out", text="Folder for the flight [default: flights/SCENARIO].", tried=tried_folder)
 @click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
 @seed_option("Of everything random [default: the scenario's].", None)
-@click.option("--live", is_flag=True, help="Show the flight live in the browser; implies --speed 1 unless given.")
+@flag_option("--live", text="Show the flight live in the browser; implies --speed 1 unless given.")
 @click.option(
     "--port",
     help="Put the radio on a real port (udp:HOST:PORT, tcpin:PORT, serial:DEVICE:BAUD) for any MAVLink ground station, "
     "in place of the one built in; at the pace of the clock unless --speed is given.",
 )
-@click.option("--no-backfill", is_flag=True, help="Keep what the radio delivered; fetch nothing after landing.")
+@flag_option("--no-backfill", text="Keep what the radio delivered; fetch nothing after landing.")
 @click.option(
     "--manoeuvre",
     type=click.Path(path_type=Path, dir_okay=False),
     help="A file of 'sideslip design', flown by the onboard sequencer; on a scenario without one the pilot arms it in the air.",
 )
 @json_option("Write the ground station's counters as JSON.")
-@click.option("--list", "show_list", is_flag=True, help="List the built-in scenarios.")
+@flag_option("--list", "show_list", text="List the built-in scenarios.")
 def fly(
     scenario: str | None,
     out: Path | None,
@@ -193,6 +188,5 @@ class LiveFactory:
         return self._view
 
     def close(self) -> None:
-        """End page and server."""
         self._view.close()
         self._page.close()

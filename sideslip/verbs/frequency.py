@@ -6,13 +6,21 @@ from typing import Any
 
 import click
 
-from daq.contract.options import aircraft_option, figure_option, json_option, report_option, segments_option
+from daq.contract.options import (
+    aircraft_option,
+    figure_option,
+    flag_option,
+    flights_argument,
+    json_option,
+    report_option,
+    segments_option,
+)
 
 EXAMPLE = "Example: sideslip frequency sweep.mcap --input delta_a --output p --fit -o roll.png"
 
 
 @click.command(epilog=EXAMPLE)
-@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@flights_argument()
 @click.option("--input", "control", required=True, help="Column that was moved: delta_e, delta_a, delta_r, cmd_a ...")
 @click.option("--output", required=True, help="Column that answers: p, q, r, beta, ay ...")
 @click.option(
@@ -20,7 +28,7 @@ EXAMPLE = "Example: sideslip frequency sweep.mcap --input delta_a --output p --f
     "with_",
     help="Comma-separated inputs whose share is taken off; none for none  [default: all other surfaces that moved].",
 )
-@click.option("--fit", is_flag=True, help="Fit a transfer function with delay, and tell what it says.")
+@flag_option("--fit", text="Fit a transfer function with delay, and tell what it says.")
 @click.option(
     "--form",
     help="Fit this form: roll, dutch-roll, short-period, or orders like 1/2  "

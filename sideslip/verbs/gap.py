@@ -7,8 +7,10 @@ import click
 
 from daq.contract.options import (
     aircraft_option,
+    flights_argument,
     json_option,
     model_option,
+    path_option,
     report_option,
     seed_option,
     simulation_option,
@@ -39,13 +41,12 @@ class _ManyHoldouts(click.Command):
 
 
 @click.command(cls=_ManyHoldouts, epilog=EXAMPLE)
-@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option(
+@flights_argument()
+@path_option(
     "--holdout",
+    text="Flights kept out of every fit, to confirm what is found; several may follow.",
     multiple=True,
-    type=click.Path(path_type=Path),
     metavar="FLIGHT...",
-    help="Flights kept out of every fit, to confirm what is found; several may follow.",
 )
 @model_option("Base model: built-in name (lateral, longitudinal, six-dof, ...), MODEL.toml or module:Class.")
 @aircraft_option()
@@ -60,12 +61,7 @@ class _ManyHoldouts(click.Command):
     type=click.IntRange(min=20),
     help="Simulated baselines from which every threshold comes.",
 )
-@click.option(
-    "--effects",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="A .toml or .py file with effects of your own; may be repeated.",
-)
+@path_option("--effects", text="A .toml or .py file with effects of your own; may be repeated.", multiple=True)
 def gap(
     flights: tuple[Path, ...], report_folder: Path | None, json_path: Path | None, model: str, **options: Any
 ) -> int:

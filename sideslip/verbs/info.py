@@ -75,7 +75,6 @@ def _log_or(other: "dict[str, Any] | Exception", file: Path) -> dict[str, Any]:
 
 
 def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
-    """The same for a person."""
     if "boots" in content:
         yield from _log_lines(content)
         return

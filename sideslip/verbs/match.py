@@ -8,6 +8,7 @@ import click
 from daq.contract.options import (
     aircraft_option,
     figure_option,
+    flights_argument,
     histories_option,
     json_option,
     segments_option,
@@ -20,7 +21,7 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 
 @click.command(epilog=EXAMPLE)
 @click.argument("model", type=click.Path(path_type=Path), metavar="MODEL.toml")
-@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@flights_argument()
 @click.option(
     "--free", default="", help="Comma-separated parameters refitted on each flight (biases); all others are frozen."
 )

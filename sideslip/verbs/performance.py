@@ -5,16 +5,24 @@ from typing import Any
 
 import click
 
-from daq.contract.options import aircraft_option, figure_option, json_option, report_option, segments_option
+from daq.contract.options import (
+    aircraft_option,
+    figure_option,
+    flag_option,
+    flights_argument,
+    json_option,
+    report_option,
+    segments_option,
+)
 
 EXAMPLE = "Example: sideslip performance glide1.mcap glide2.mcap --aircraft mine.toml --figure polar.png"
 
 
 @click.command(epilog=EXAMPLE)
-@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@flights_argument()
 @aircraft_option("Whose mass and area make coefficients")
 @segments_option("Use only these stretches: 2:12,15:25 [s].")
-@click.option("--throttle-off", is_flag=True, help="It was off throughout, where no column says so.")
+@flag_option("--throttle-off", text="It was off throughout, where no column says so.")
 @json_option()
 @report_option()
 @figure_option("Write the figure of polar, sink and power (.png .svg .pdf).")

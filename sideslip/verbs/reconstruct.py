@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daq.contract.options import json_option
+from daq.contract.options import json_option, path_option
 from daq.contract.outputs import tried_file
 
 EXAMPLE = "Example: sideslip reconstruct log.mcap -o flight.mcap && sideslip estimate flight.mcap --model lateral"
@@ -13,14 +13,7 @@ EXAMPLE = "Example: sideslip reconstruct log.mcap -o flight.mcap && sideslip est
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flight", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    callback=tried_file,
-    help="Flight to write: .mcap, .csv or .parquet.",
-)
+@path_option("-o", "--output", text="Flight to write: .mcap, .csv or .parquet.", tried=tried_file, required=True)
 @json_option("Write wind and uncertainties as JSON.")
 @click.option(
     "--trim-sideslip",

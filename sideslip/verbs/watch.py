@@ -9,6 +9,7 @@ from daq.contract.options import (
     aircraft_option,
     json_option,
     model_option,
+    path_option,
     report_option,
     seed_option,
     segments_option,
@@ -38,13 +39,7 @@ EXAMPLE = "Example: sideslip watch flight.mcap --model ld4.toml --json watch.jso
     help="Of simulated manoeuvring from which thresholds come.",
 )
 @seed_option()
-@click.option(
-    "--stretch",
-    "stretch_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Write the flight about its first alarm (.mcap).",
-)
+@path_option("--stretch", "stretch_path", text="Write the flight about its first alarm (.mcap).", tried=tried_file)
 @json_option()
 @report_option("Write an HTML page.")
 def watch(

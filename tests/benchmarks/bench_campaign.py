@@ -25,7 +25,8 @@ from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
 from estimation.campaign.workers.in_process import SerialEngine
-from estimation.campaign.workers.work import do, read_subject
+from estimation.campaign.workers.subjects import read_subject
+from estimation.campaign.workers.work import do
 from groundstation.flight.quality.report import quality_report
 from tests.estimation.campaign.running import children, results_of, start
 from tests.studies.campaign_scaling import make_flights, memory_of

@@ -10,9 +10,8 @@ from estimation.report.drawing.estimate_figures import ellipse
 from estimation.report.drawing.figures import LARGE, picture
 from estimation.report.drawing.residual_figures import binned, spectrum
 from estimation.report.flight_tables import flight_card, mean_wind, notes_table
-from estimation.report.fold import SHEET, label, needs_width, pieces, width, words
 from estimation.report.page import Page, Section
-from estimation.report.tables import ReportTable, pair, rounded
+from estimation.report.tables import SHEET, ReportTable, label, needs_width, pair, pieces, rounded, width, words
 from groundstation.flight import Flight, Provenance
 
 

@@ -22,7 +22,7 @@ from estimation.gap.run import analyse
 from estimation.gap.search.search_state import Options
 from estimation.models.load import write_model
 from estimation.simulation.attach import attach, simulation_of
-from estimation.simulation.exporting import ProvedExport, export_to_jsbsim
+from estimation.simulation.conversion import ProvedExport, export_to_jsbsim
 from estimation.simulation.oracle import States
 from tests.studies.jsbsim_flights import NOISE, Array, Flown, changed, columns_of, flight, with_own_channel_only
 

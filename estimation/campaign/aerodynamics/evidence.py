@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
@@ -17,8 +16,7 @@ from estimation.estimators.arrow import FlightBlocks
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.estimators.result import Result
 from estimation.models.base import Model
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 ADVANTAGE = (
     1.5  # standard errors of the held-out gain: one useless term in 2000 has it, so 5 % of searches among 80 take one

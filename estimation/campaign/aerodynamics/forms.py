@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 CONDITIONS = ("alpha", "V", "beta_max", "delta_e")
 LEAST_SPREAD = 1e-3  # of a condition, relative to its size: below, it was the same on all flights

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.campaign.aerodynamics.evidence import TermGain, grown, information, superfluous
 from estimation.campaign.aerodynamics.terms import (
@@ -32,9 +31,7 @@ from estimation.models.base import Model
 from estimation.session.flights import unique_names
 from estimation.session.flown import flown
 from estimation.session.runner import joint_model
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array, Flight
 
 FEWEST = 4  # flights: fewer cannot be held out and leave a choice
 FLIGHTS_A_TERM = 2  # at least: more terms than that follow flights, not the aircraft

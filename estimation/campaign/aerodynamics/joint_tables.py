@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.plain_words import file_name
 from estimation.campaign.aerodynamics.forms import CONDITIONS
@@ -18,11 +17,10 @@ from estimation.campaign.aerodynamics.terms import derivatives_of, terms_of
 from estimation.campaign.groups import Starts
 from estimation.campaign.tasks import Row
 from estimation.models import Model
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

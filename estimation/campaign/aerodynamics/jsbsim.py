@@ -8,13 +8,11 @@ from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.plain_words import file_name
 from estimation.campaign.aerodynamics.tables import SURFACE
 from estimation.campaign.tasks import Row
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 FOOT = 0.3048  # m
 FOLDER = "aero/sideslip/"

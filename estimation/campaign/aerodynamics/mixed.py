@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
+
 Mask = NDArray[np.bool_]
 
 LEAST = 1e-7  # of a flight's variance: a variance so small is none
@@ -30,7 +31,6 @@ class MixedData:
     known: Mask
 
     def part(self, keep: Mask) -> "MixedData":
-        """Only some of the flights."""
         return MixedData(self.y[keep], self.V[keep], self.known[keep])
 
     def one(self, parameter: int) -> "MixedData":
@@ -68,7 +68,6 @@ class MixedDesign:
         return int(self.penalty.max(initial=-1)) + 1
 
     def part(self, keep: Mask) -> "MixedDesign":
-        """Only some of the flights."""
         return MixedDesign(self.X[keep], self.owner, self.penalty)
 
 

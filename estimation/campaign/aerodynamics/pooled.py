@@ -15,8 +15,8 @@ from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
 from estimation.campaign.aerodynamics.forms import CONSTANT, ConditionScale, PolynomialForm, flown, larger
 from estimation.campaign.aerodynamics.mixed import MixedData, MixedDesign, MixedFit
+from groundstation.flight import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SPARE_FLIGHTS = 4  # beyond the terms: fewer leave nothing to judge a form by
@@ -86,7 +86,6 @@ class PooledCurves:
         return float(value[0]), float(std[0])
 
     def half_band(self, parameter: int, std: Array) -> Array:
-        """Half of the 95 % band of a curve."""
         half: Array = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, int(self.fit.freedom[parameter])) * std
         return half
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
+from groundstation.flight import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 FEWEST_BESIDE = 3  # flights on either side of a date

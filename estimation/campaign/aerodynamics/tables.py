@@ -6,19 +6,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.campaign.aerodynamics import pooled
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves
 from estimation.campaign.aerodynamics.steps import DateStep, Side, sides, starts_of, with_steps
 from estimation.campaign.groups import Starts, label_of
+from estimation.campaign.schema import usable_estimates
 from estimation.campaign.tasks import Row
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 GRID = 9  # values of alpha and of V in a surface
 ALONG = 25  # points of a curve over one condition
@@ -130,35 +130,14 @@ def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
 # ------------------------------------------------------------------------------------------------------ inside
 
 
-def _by_group(
-    results: "pa.Table", keys: Sequence[str]
-) -> dict[Group, dict[tuple[str, str, str], list[dict[str, Any]]]]:
+def _by_group(results: "pa.Table", keys: Sequence[str]) -> dict[Group, ByFlight]:
     """Group -> (date, flight, key and manoeuvre) -> rows of usable estimates."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    kinds = pa.array(["estimate", INSTRUMENTS])
-    usable = results.filter(
-        pc.and_(pc.and_(pc.is_in(results["kind"], kinds), pc.equal(results["status"], "ok")), results["identifiable"])
-    )
-    wanted = (
-        "flight",
-        "manoeuvre",
-        "method",
-        "parameter",
-        "estimate",
-        "std_coloured",
-        "date",
-        "key",
-        "place",
-        "covariance",
-    )
     groups: dict[Group, ByFlight] = {}
-    for row in usable.select(list(dict.fromkeys((*wanted, *CONDITIONS, *keys)))).to_pylist():
-        if row["estimate"] is not None and row["std_coloured"]:
-            group = (tuple(row[k] or "" for k in keys), row["method"])
-            flight = (row["date"] or "", row["flight"], f"{row['key']} {row['manoeuvre'] or ''}")
-            groups.setdefault(group, {}).setdefault(flight, []).append(row)
+    columns = ("manoeuvre", "place", "covariance", *CONDITIONS, *keys)
+    for row in usable_estimates(results, ("estimate", INSTRUMENTS), columns):
+        group = (tuple(row[k] or "" for k in keys), row["method"])
+        flight = (row["date"] or "", row["flight"], f"{row['key']} {row['manoeuvre'] or ''}")
+        groups.setdefault(group, {}).setdefault(flight, []).append(row)
     return groups
 
 

@@ -4,18 +4,17 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import label_in
 from estimation.campaign.pages.points import EstimatePoints, faired
 from estimation.campaign.tasks import Row
-from estimation.report.drawing.figures import Picture, picture, styled
+from estimation.report.drawing.figures import Picture, legend_above, panels, picture, styled
 from estimation.report.names import tex
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 PANELS = 3  # beside each other
 FEWEST_FOR_TRENDS = 5  # flights: below, a trend over conditions is anybody's guess
@@ -48,13 +47,13 @@ def scatter_figure(method: str, points: Sequence[EstimatePoints], groups: Sequen
     """The paper's Figure 8 over many flights: estimates in order of date, pooled value and its 95 % as a band, the prior."""
     looks = looks_of([g for p in points for g in p.groups])
     with styled():
-        figure, axes = _grid(len(points))
-        for axis, p in zip(axes, points, strict=False):
+        figure, axes = panels(len(points), PANELS, 2.1, 0.6)
+        for axis, p in zip(axes, points, strict=True):
             _draw(axis, p, p.order, looks)
             for r in groups:
                 if r["kind"] == "pooled" and (r["method"], r["parameter"]) == (method, p.parameter):
                     _band(axis, p, r, looks.get(r["group"], (JOINT, ""))[0])
-        _legend(figure, axes[: len(points)])
+        legend_above(figure, axes, 3)
     caption = (
         f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value, "
         "on each side of a step in time that moved it; dashes: what was believed before."
@@ -70,8 +69,8 @@ def trend_figures(method: str, points: Sequence[EstimatePoints], database: Seque
         if not any(_changes(p, condition) for p in points):
             continue
         with styled():
-            figure, axes = _grid(len(points))
-            for axis, p in zip(axes, points, strict=False):
+            figure, axes = panels(len(points), PANELS, 2.1, 0.6)
+            for axis, p in zip(axes, points, strict=True):
                 _draw(axis, p, factor * p.conditions[condition], looks)
                 every = faired(database, "pooled", method, p.parameter, condition)
                 newest = dict(every)
@@ -83,7 +82,7 @@ def trend_figures(method: str, points: Sequence[EstimatePoints], database: Seque
                     axis.plot(factor * c.x, c.value, color=JOINT, lw=1.2, ls="-.", label="joint model")
                     axis.fill_between(factor * c.x, c.low, c.high, color=JOINT, alpha=0.2, lw=0)
                 axis.set_xlabel(f"{title} [{unit}]")
-            _legend(figure, axes[: len(points)])
+            legend_above(figure, axes, 3)
         caption = (
             f"Estimates by {method} over {title}, with corrected bounds; lines: the faired curves of the database with 95 %, "
             "where anybody flew, dotted those of flights before a step in time that moved the parameter; dashes: what was "
@@ -108,19 +107,13 @@ def bounds_figure(method: str, groups: Sequence[Row]) -> Picture | None:
         axis = figure.subplots()
         for group, (colour, marker) in looks.items():
             mine = [r for r in rows if r["group"] == group]
-            axis.plot(
-                [names.index(r["parameter"]) for r in mine],
-                [r["ratio"] for r in mine],
-                marker,
-                ms=5,
-                color=colour,
-                label=group,
-            )
+            places, ratios = [names.index(r["parameter"]) for r in mine], [r["ratio"] for r in mine]
+            axis.plot(places, ratios, marker, ms=5, color=colour, label=group)
         axis.axhline(1.0, color="#888888", lw=0.8)
         axis.set_yscale("log")
         axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names])
         axis.set_ylabel("scatter / bound")
-        _legend(figure, [axis])
+        legend_above(figure, [axis], 3)
     caption = (
         f"Scatter of the flights' estimates by {method} over their corrected bounds; 1: the bounds are what happens."
     )
@@ -140,18 +133,18 @@ def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
     shown = [pair for pair in COVERAGE if any(r[pair[0]] is not None and r[pair[1]] is not None for r in rows)]
     if not shown:
         return None
-    looks = looks_of([label_of({k: r[k] or "" for k in keys}) for r in rows])
+    labels = [label_in(r, keys) for r in rows]
+    looks = looks_of(labels)
     with styled():
-        figure, axes = _grid(len(shown), across=2, high=3.0)
-        for axis, (across, up) in zip(axes, shown, strict=False):
+        figure, axes = panels(len(shown), 2, 3.0, 0.6)
+        for axis, (across, up) in zip(axes, shown, strict=True):
             for label, look in looks.items():
-                mine = [r for r in rows if label_of({k: r[k] or "" for k in keys}) == label]
-                _cross(
-                    axis, [r for r in mine if r[across] is not None and r[up] is not None], (across, up), label, look
-                )
+                mine = [r for r, of_group in zip(rows, labels, strict=True) if of_group == label]
+                flown = [r for r in mine if r[across] is not None and r[up] is not None]
+                _cross(axis, flown, (across, up), label, look)
             axis.set_xlabel("{} [{}]".format(*titles[across]))
             axis.set_ylabel("{} [{}]".format(*titles[up]))
-        _legend(figure, axes[: len(shown)])
+        legend_above(figure, axes, 3)
     return picture(
         figure, "envelope", "Envelope flown: a point a flight, with its range.", WEIGHT * len(rows) * len(shown)
     )
@@ -189,17 +182,6 @@ def _changes(p: EstimatePoints, condition: str) -> bool:
     return known.size >= FEWEST_FOR_TRENDS and float(np.ptp(known)) > 0.0
 
 
-def _grid(count: int, across: int = PANELS, high: float = 2.1) -> tuple[Any, list[Any]]:
-    from matplotlib.figure import Figure
-
-    rows = -(-count // across)
-    figure = Figure(figsize=(11.6, high * rows + 0.6), layout="constrained")
-    axes = figure.subplots(rows, across, squeeze=False).ravel().tolist()
-    for spare in axes[count:]:
-        spare.set_visible(False)
-    return figure, axes
-
-
 def _draw(axis: Any, p: EstimatePoints, x: Array, looks: Mapping[str, tuple[str, str]]) -> None:
     """Estimates with corrected bounds, a symbol a group; the axis holds the middle nine tenths and what is near."""
     for label, (colour, marker) in looks.items():
@@ -212,13 +194,6 @@ def _draw(axis: Any, p: EstimatePoints, x: Array, looks: Mapping[str, tuple[str,
     room = max(float(high - low), float(np.median(p.std)) * 2.0)
     axis.set_ylim(low - room, high + room)
     axis.set_ylabel(f"${tex(p.parameter)}$")
-
-
-def _legend(figure: Any, axes: Sequence[Any]) -> None:
-    """Each symbol of any panel once."""
-    found = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    if found:
-        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=3)
 
 
 def _name(method: str) -> str:

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from daq.contract.plain_words import file_name
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import label_in
 from estimation.campaign.tasks import Row
 from estimation.report.page import Page, Section, box, breakable, bullets, free_table, paragraph
 from estimation.report.tables import ReportTable, number, significant
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FOLDER = "flights"
+DEGREES = 57.29577951308232
 MOST_PAGES = 2000  # of 20 kB: beyond, only flights with something to say have one
 SHOWN: Mapping[str, tuple[str, float]] = {
     "duration": ("s", 1.0),
     "V": ("m/s", 1.0),
-    "alpha": ("deg", 57.29577951308232),
-    "beta_max": ("deg", 57.29577951308232),
-    "delta_e": ("deg", 57.29577951308232),
+    "alpha": ("deg", DEGREES),
+    "beta_max": ("deg", DEGREES),
+    "delta_e": ("deg", DEGREES),
     "altitude": ("m", 1.0),
     "rho": ("kg/m3", 1.0),
     "mass": ("kg", 1.0),
@@ -80,19 +81,15 @@ def _beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]
 
 def _by_flight(results: "pa.Table") -> dict[str, list[Row]]:
     """Location of a flight -> its rows."""
+    import pyarrow as pa
     import pyarrow.compute as pc
 
-    own = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], _kinds())))
+    kinds = pa.array(["run", "estimate", "fit", "check", "match"])
+    own = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], kinds)))
     flights: dict[str, list[Row]] = {}
     for row in own.drop_columns(["covariance"]).to_pylist():
         flights.setdefault(f"{row['source']} {row['sha256']}", []).append(row)
     return flights
-
-
-def _kinds() -> "pa.Array":
-    import pyarrow as pa
-
-    return pa.array(["run", "estimate", "fit", "check", "match"])
 
 
 def _sentences(groups: Sequence[Row]) -> dict[str, list[str]]:
@@ -109,20 +106,16 @@ def _page_name(row: Row) -> str:
     return f"{file_name(row['flight'])[:60]}-{digest}.html"
 
 
-def _group(row: Row, keys: Sequence[str]) -> str:
-    return label_of({k: row[k] or "" for k in keys})
-
-
 def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]) -> FlightListEntry:
     status = sorted({r["status"] for r in rows if r["kind"] == "run"})
     return FlightListEntry(
         first["flight"],
         f"{FOLDER}/{page}" if page else "",
         (first["date"] or "")[:16],
-        _group(first, keys),
+        label_in(first, keys),
         ", ".join(status),
         number(first["V"], 1),
-        number(None if first["alpha"] is None else 57.29577951308232 * first["alpha"], 1),
+        number(None if first["alpha"] is None else DEGREES * first["alpha"], 1),
         sentences,
     )
 
@@ -135,7 +128,7 @@ def _write(
     pooled: Mapping[tuple[str, str, str], Row],
     keys: Sequence[str],
 ) -> None:
-    group = _group(first, keys)
+    group = label_in(first, keys)
     conditions = tuple(
         (name, number(factor * first[name], 3), unit)
         for name, (unit, factor) in SHOWN.items()

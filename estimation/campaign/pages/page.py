@@ -86,11 +86,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
             r["group"] + (f", {r['since'][:10]} to {r['until'][:10]}" if r.get("since") else ""),
             str(r["flights"]),
             number(r["estimate"]),
-            significant(r["std"], 2),
-            significant(r["between"], 2),
-            significant(r["scatter"], 2),
-            significant(r["bound"], 2),
-            significant(r["ratio"], 2),
+            *(significant(r[name], 2) for name in ("std", "between", "scatter", "bound", "ratio")),
         )
         for r in sorted(rows, key=lambda r: (r["parameter"], r["group"], r.get("since") or ""))
     )
@@ -105,19 +101,13 @@ def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
         "bound",
         "scatter / bound",
     )
-    return (
-        ReportTable(
-            f"pooled_{method.replace(':', '_')}",
-            f"Pooled over flights, {method}",
-            head,
-            cells,
-            note="std: of the pooled estimate; between flights: standard deviation beyond the flights' own bounds (REML); "
-            "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1. "
-            "What a step in time moved is pooled on each side by itself, from date to date.",
-        )
-        if cells
-        else None
+    note = (
+        "std: of the pooled estimate; between flights: standard deviation beyond the flights' own bounds (REML); "
+        "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1. "
+        "What a step in time moved is pooled on each side by itself, from date to date."
     )
+    name, caption = f"pooled_{method.replace(':', '_')}", f"Pooled over flights, {method}"
+    return ReportTable(name, caption, head, cells, note=note) if cells else None
 
 
 def power_table(groups: Sequence[Row]) -> ReportTable | None:
@@ -128,10 +118,7 @@ def power_table(groups: Sequence[Row]) -> ReportTable | None:
             r["method"],
             f"{r['other']} less {r['group']}",
             number(r["estimate"]),
-            significant(r["std"], 2),
-            significant(r["probability"], 2),
-            significant(r["detectable"], 2),
-            significant(r["power"], 2),
+            *(significant(r[name], 2) for name in ("std", "probability", "detectable", "power")),
         )
         for r in sorted(rows, key=lambda r: r["probability"])
     )
@@ -158,14 +145,9 @@ def step_table(groups: Sequence[Row]) -> ReportTable | None:
     rows = [r for r in groups if r["kind"] == "step" and r.get("parameter")]
     cells = tuple(
         (
-            r["parameter"],
-            r["method"],
-            r["group"],
-            r["at"],
-            r["flight"],
+            *(r[name] for name in ("parameter", "method", "group", "at", "flight")),
             number(r["estimate"]),
-            significant(r["std"], 2),
-            significant(r["probability"], 2),
+            *(significant(r[name], 2) for name in ("std", "probability")),
         )
         for r in sorted(rows, key=lambda r: (r["at"], r["group"], r["parameter"]))
     )

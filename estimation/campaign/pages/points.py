@@ -5,16 +5,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.campaign.aerodynamics.forms import CONDITIONS
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import label_in
+from estimation.campaign.schema import usable_estimates
 from estimation.campaign.tasks import Row
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,8 @@ class Faired:
 
 def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[EstimatePoints]:
     """Usable estimates by parameter, in order of date and name."""
-    import pyarrow.compute as pc
-
-    keep = pc.and_(pc.equal(results["kind"], "estimate"), pc.equal(results["method"], method))
-    own = ("flight", "date", "key", "parameter", "estimate", "std_coloured", "identifiable", "reference")
-    sound = results.filter(pc.and_(keep, pc.equal(results["status"], "ok")))
-    rows = sound.select(list(dict.fromkeys((*own, *CONDITIONS, *keys)))).to_pylist()
-    rows = [r for r in rows if r["identifiable"] and r["estimate"] is not None and r["std_coloured"]]
+    columns = ("reference", *CONDITIONS, *keys)
+    rows = [r for r in usable_estimates(results, ("estimate",), columns) if r["method"] == method]
     flights = sorted({(r["date"] or "", r["flight"], r["key"]) for r in rows})
     place = {key: i for i, (_, _, key) in enumerate(flights)}
     by_name: dict[str, list[Row]] = {}
@@ -63,7 +57,7 @@ def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequ
     def column(key: str) -> Array:
         return np.array([np.nan if r[key] is None else r[key] for r in rows], float)
 
-    groups = tuple(label_of({k: r[k] or "" for k in keys}) for r in rows)
+    groups = tuple(label_in(r, keys) for r in rows)
     order = np.array([place[r["key"]] for r in rows], float)
     priors = {r["reference"] for r in rows} - {None}
     prior = priors.pop() if len(priors) == 1 else None
@@ -82,7 +76,4 @@ def faired(database: Sequence[Row], kind: str, method: str, parameter: str, alon
 
 
 def _faired(rows: Sequence[Row], along: str) -> Faired:
-    def column(key: str) -> Array:
-        return np.array([r.get(key, np.nan) for r in rows], float)
-
-    return Faired(column(along), column("estimate"), column("low"), column("high"))
+    return Faired(*(np.array([r.get(n, np.nan) for r in rows], float) for n in (along, "estimate", "low", "high")))

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
-from estimation.campaign.errors import OverdueError
-from estimation.campaign.tasks import Finished, Work
+from estimation.campaign.tasks import Finished, OverdueError, Work
 from estimation.campaign.workers.work import do, failed
 
 GRACE_S = 3.0
@@ -62,7 +61,6 @@ def ended_after(limit_s: float, tell: Callable[[], Any]) -> Iterator[None]:
 
 
 def overdue_text(what: str, limit_s: float) -> str:
-    """The sentence on work that took too long."""
     return (
         f"{what}: took longer than {limit_s:g} s and was ended; look at it by itself, or allow more with --time-limit"
     )

@@ -5,29 +5,22 @@ sentence, never the end of the campaign.
 """
 
 import json
-import tempfile
 import time
-import tomllib
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.campaign.conditions import measured
 from estimation.campaign.keys import versions
-from estimation.campaign.tasks import CampaignError, FlightSource, Row, Subject, Work
+from estimation.campaign.tasks import Row, Work
+from estimation.campaign.workers.subjects import CHECK, aircraft_of_subject, measured, model_of, read_subject
 from estimation.estimators.estimator import Extra, Extras
 from estimation.estimators.registry import find
 from estimation.estimators.result import Estimate, Result, finite
-from estimation.models import Model, load_model
 from estimation.models.base import ParameterRole
-from estimation.resolve import which_aircraft
 from estimation.threads import one_thread
-from groundstation.flight import Flight, read_flight
+from groundstation.flight import Flight
 
-CHECK = "check"
 FAILED, DOUBTFUL, OPEN, OK = "failed", "doubtful", "not converged", "ok"
 
 
@@ -84,7 +77,7 @@ def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
 def _flight(work: Work) -> Iterator[Row]:
     subject = work.subjects[0]
     whole = read_subject(subject)
-    craft = _aircraft(subject, whole, work)
+    craft = aircraft_of_subject(subject, whole, work)
     parts = _parts(whole, work)
     for number, part in enumerate(parts, start=1):
         about: Row = {**measured(part), "aircraft": craft.name}
@@ -236,7 +229,7 @@ def _joint(work: Work) -> Iterator[Row]:
     from estimation.session.runner import joint_model, run_method
 
     flights = unique_names([part for s in work.subjects for part in _parts(read_subject(s), work)])
-    craft = _aircraft(work.subjects[0], flights[0], work)
+    craft = aircraft_of_subject(work.subjects[0], flights[0], work)
     model = joint_model(model_of(work.subjects[0], craft))
     for method in work.pieces:
         begin = time.thread_time()
@@ -257,7 +250,7 @@ def _envelope(work: Work) -> Iterator[Row]:
     from estimation.models.load import model_text
 
     flights = [part for s in work.subjects for part in _parts(read_subject(s), work)]
-    craft = _aircraft(work.subjects[0], flights[0], work)
+    craft = aircraft_of_subject(work.subjects[0], flights[0], work)
     begin = time.thread_time()
     (method,) = work.pieces
     found = global_model(model_of(work.subjects[0], craft), flights)
@@ -277,7 +270,7 @@ def _match(work: Work) -> Iterator[Row]:
     from estimation.session.proof_of_match import predict
 
     flight = read_subject(work.subjects[0])
-    craft = _aircraft(work.subjects[0], flight, work)
+    craft = aircraft_of_subject(work.subjects[0], flight, work)
     own = model_of(work.subjects[0], craft)
     for piece, values in work.values.items():
         model = own.with_starts(values)
@@ -292,60 +285,3 @@ def _match(work: Work) -> Iterator[Row]:
 
 
 _KINDS = {"flight": _flight, "joint": _joint, "envelope": _envelope, "match": _match}
-
-
-# -------------------------------------------------------------------------------------- what a subject says
-
-
-def read_subject(subject: Subject) -> Flight:
-    """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
-    from estimation.session.flights import select_segments
-
-    source = subject.source
-    if source.path and source.data is None:
-        flight = read_flight(source.path)
-        if flight.provenance.sha256 != source.sha256:
-            raise CampaignError(f"{source.path}: changed while the campaign ran; run it again")
-    else:
-        flight = _from_bytes(source)
-    return select_segments(flight, subject.segments or None)
-
-
-def _from_bytes(source: FlightSource) -> Flight:
-    with tempfile.TemporaryDirectory(prefix="sideslip-") as folder:
-        path = Path(folder) / f"{source.name}{source.suffix}"
-        path.write_bytes(bytes_of(source))
-        return read_flight(path)
-
-
-def bytes_of(source: FlightSource) -> bytes:
-    """Sent along, flown by the maker, or fetched from the URL."""
-    if source.data is not None:
-        return source.data
-    if source.made is not None and source.maker is not None:
-        return source.maker(source.made)
-    from estimation.campaign.sources import fetched
-
-    return fetched(source.url)
-
-
-def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
-    given = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
-    needed = not subject.model_text or any(find(m).needs_aircraft for m in work.pieces if m != CHECK)
-    craft = which_aircraft([flight], given, needed=needed)
-    return craft if subject.mass is None else craft.with_values(mass=subject.mass)
-
-
-@lru_cache(maxsize=32)
-def aircraft_from_text(text: str, name: str) -> Aircraft:
-    """The aircraft of a file's text."""
-    from estimation.aircraft import schema
-
-    return schema.aircraft_from_text(text, f"aircraft {name}", name)
-
-
-def model_of(subject: Subject, craft: Aircraft) -> Model:
-    """The model by its text, or the built-in one with the aircraft's constants."""
-    if subject.model_text:
-        return Model.from_dict(tomllib.loads(subject.model_text))
-    return load_model(subject.model, craft)

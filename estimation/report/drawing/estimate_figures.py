@@ -4,14 +4,24 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.estimators.result import FlightFit, Result
 from estimation.models.base import ParameterRole
 from estimation.report import published
-from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, look, picture, styled
+from estimation.report.drawing.figures import (
+    ABOVE,
+    MEASURED,
+    Picture,
+    broken_at_gaps,
+    legend_above,
+    look,
+    panels,
+    picture,
+    styled,
+)
 from estimation.report.estimate_tables import is_published
 from estimation.report.names import axis_label, face, literal, tex
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
@@ -24,20 +34,13 @@ PUBLISHED = "#8b95a1"
 
 def scatter_figure(session: "EstimationSession") -> Picture:
     """Figure 8: each derivative over flights and methods, joint band, wind tunnel, published flights."""
-    from matplotlib.figure import Figure
-
     trims = session.model.free_of(ParameterRole.CONSTANT)
     names = [n for n in session.model.free_names if n not in trims] or list(trims)
-    rows = -(-len(names) // ACROSS)
     with styled():
-        figure = Figure(figsize=(11.6, 2.05 * rows + 0.9), layout="constrained")
-        axes = figure.subplots(rows, ACROSS, squeeze=False)
-        for axis, name in zip(axes.flat, names, strict=False):
+        figure, axes = panels(len(names), ACROSS, 2.05, 0.9)
+        for axis, name in zip(axes, names, strict=True):
             _scatter_panel(axis, session, name)
-        for axis in axes.flat[len(names) :]:
-            axis.set_visible(False)
-        handles = {h: line for axis in axes.flat for line, h in zip(*axis.get_legend_handles_labels(), strict=True)}
-        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=6)
+        legend_above(figure, axes, 6)
     caption = (
         "Each derivative over flights and methods, bars of one corrected bound; a flight that cannot tell has no mark. "
         "Dashed: believed before flying. Band: joint estimate, ± one corrected bound."
@@ -181,7 +184,6 @@ def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of
     return picture(figure, "figure10", caption, points)
 
 
-Array = NDArray[np.float64]
 SHOWN = 8
 TWO_AT_95 = 5.991
 """95 % point of chi-square with two degrees of freedom, -2 ln 0.05: the square of an ellipse's radius in standard deviations."""
@@ -206,21 +208,14 @@ def most_correlated(result: Result, count: int = SHOWN) -> list[tuple[str, str]]
 
 def ellipse_figure(results: Sequence[Result], whose: str, truth: Mapping[str, float]) -> Picture | None:
     """95 % ellipses of the most correlated pairs, one curve a method. results: of the same flights, the leading one first."""
-    from matplotlib.figure import Figure
-
     pairs = most_correlated(results[0]) if results else []
     if not pairs:
         return None
-    rows = -(-len(pairs) // ACROSS)
     with styled():
-        figure = Figure(figsize=(11.6, 2.5 * rows + 0.5), layout="constrained")
-        axes = figure.subplots(rows, ACROSS, squeeze=False)
-        for axis, both in zip(axes.flat, pairs, strict=False):
+        figure, axes = panels(len(pairs), ACROSS, 2.5, 0.5)
+        for axis, both in zip(axes, pairs, strict=True):
             _panel(axis, results, both, truth)
-        for axis in axes.flat[len(pairs) :]:
-            axis.set_visible(False)
-        handles = {h: line for axis in axes.flat for line, h in zip(*axis.get_legend_handles_labels(), strict=True)}
-        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=6)
+        legend_above(figure, axes, 6)
     caption = f"95 % confidence ellipses of the {len(pairs)} most correlated pairs, {whose}; "
     caption += "from the covariance corrected for coloured residuals."
     return picture(figure, "ellipses", caption)

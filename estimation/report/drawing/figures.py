@@ -4,7 +4,7 @@ import base64
 import io
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
@@ -12,17 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.durable import make_directories, whole, write_bytes
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Look
 from estimation.estimators.registry import find, names
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 MEASURED = "#9aa3ad"
 SPARE = Look("#000000", "P")  # of an estimator that brings none; Okabe and Ito's colours are told apart by all readers
@@ -79,6 +78,25 @@ def styled() -> Iterator[None]:
 
     with mpl.rc_context(STYLE):
         yield
+
+
+def panels(count: int, across: int, height: float, margin: float) -> "tuple[Figure, list[Any]]":
+    """(figure, axes of `count` panels), `across` beside each other. height: of a row, margin: beside all rows [inches]."""
+    from matplotlib.figure import Figure
+
+    rows = -(-count // across)
+    figure = Figure(figsize=(11.6, height * rows + margin), layout="constrained")
+    axes = figure.subplots(rows, across, squeeze=False).ravel().tolist()
+    for spare in axes[count:]:
+        spare.set_visible(False)
+    return figure, axes[:count]
+
+
+def legend_above(figure: "Figure", axes: Iterable[Any], columns: int) -> None:
+    """Each symbol of any panel once, above them all."""
+    handles = {label: h for axis in axes for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    if handles:
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)
 
 
 def save_figure(figure: "Figure", path: Path, dpi: int) -> None:

@@ -4,10 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from estimation.report.drawing.figures import save_figure
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
@@ -16,7 +14,6 @@ if TYPE_CHECKING:
     from estimation.session.session import EstimationSession
     from groundstation.flight import Flight
 
-Array = NDArray[np.float64]
 DEGREES = 57.29577951308232
 
 
@@ -33,7 +30,6 @@ def write_histories(session: "EstimationSession", path: Path) -> None:
 
 
 def write_proof(proofs: Sequence["ProofOfMatch"], path: Path) -> None:
-    """Measured and predicted outputs of every flight."""
     columns = [(p.name, p.time, p.measured, {"predicted": p.predicted}) for p in proofs]
     _draw(proofs[0].result.model, columns, path)
 

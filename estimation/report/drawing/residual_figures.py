@@ -3,18 +3,17 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.estimators.result import FlightFit, Result
 from estimation.report.drawing.figures import LARGE, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.names import axis_label, face, tex
 from estimation.signals.goodness_of_fit import autocorrelation
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
     from groundstation.flight import Flight
 
-Array = NDArray[np.float64]
 AGAINST = ("alpha", "beta", "delta_e", "delta_a", "delta_r")
 BINS = 10  # equally filled: enough to show a bend, and each mean is over a tenth of the flight
 FEWEST = 8  # samples from which a spectrum, a correlation or a bin says anything

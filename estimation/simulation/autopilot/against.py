@@ -13,10 +13,14 @@ from estimation.aircraft import Aircraft
 from estimation.models.expressions import evaluate, names_in
 from estimation.models.numeric import FUNCTIONS
 from estimation.simulation.autopilot import ardupilot, gazebo
-from estimation.simulation.autopilot.ardupilot_equations import SitlPlane, sitl_accelerations
-from estimation.simulation.autopilot.ardupilot_equations import air_of as air_of_sitl
-from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
-from estimation.simulation.autopilot.gazebo_equations import air_of as air_of_gazebo
+from estimation.simulation.autopilot.equations import (
+    GazeboPlane,
+    SitlPlane,
+    air_of_gazebo,
+    air_of_sitl,
+    gazebo_forces,
+    sitl_accelerations,
+)
 from estimation.simulation.autopilot.linear import (
     ALPHAS,
     AXES,
@@ -68,7 +72,6 @@ class SimulatorProof:
         return tuple(n for n, v in self.deviation.items() if not v <= self.limit)
 
     def sentence(self) -> str:
-        """How the proof ended."""
         worst = max(
             self.deviation, key=lambda n: self.deviation[n] if self.deviation[n] == self.deviation[n] else np.inf
         )
@@ -83,7 +86,6 @@ class SimulatorProof:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As `export --json` has it."""
         return {
             "states": self.states,
             "deviation": dict(self.deviation),

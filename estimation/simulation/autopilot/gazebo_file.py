@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from estimation.aircraft import Aircraft
-from estimation.simulation.autopilot.gazebo_equations import CONTROLS, KEYS, GazeboPlane, Hinged
+from estimation.simulation.autopilot.equations import CONTROLS, KEYS, GazeboPlane, Hinged
 from estimation.simulation.autopilot.linear import Body, together, turned
 from estimation.simulation.bounded_xml import bounded_tree
 from estimation.simulation.oracle import Array, SimulationError

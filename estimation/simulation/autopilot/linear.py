@@ -53,7 +53,6 @@ class LinearAircraft:
         return tuple(name for name in order if self[name] != 0.0)
 
     def without(self, names: tuple[str, ...]) -> "LinearAircraft":
-        """The same without some derivatives."""
         return replace(self, derivatives={n: v for n, v in self.derivatives.items() if n not in names})
 
 
@@ -178,7 +177,6 @@ class Body:
 
 
 def together(bodies: Sequence[Body]) -> Body:
-    """All bodies as one."""
     mass = sum(b.mass for b in bodies)
     centre = np.asarray(sum(b.mass * b.centre for b in bodies)) / mass
     return Body(mass, centre, np.asarray(sum(b.about(centre) for b in bodies)))

@@ -64,7 +64,6 @@ Tree = float | str | list[Any]
 
 
 def tree_of(expression: str) -> Tree:
-    """An expression of a model's text as a tree."""
     return _tree(parse(expression))
 
 

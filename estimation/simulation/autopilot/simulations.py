@@ -12,8 +12,7 @@ import numpy as np
 
 from estimation.aircraft import Aircraft
 from estimation.simulation.autopilot.ardupilot import read_sitl_plane
-from estimation.simulation.autopilot.ardupilot_equations import MASS, SitlPlane, sitl_accelerations
-from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
+from estimation.simulation.autopilot.equations import MASS, GazeboPlane, SitlPlane, gazebo_forces, sitl_accelerations
 from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
 from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array, Simulation, SimulationError, States

@@ -59,12 +59,10 @@ def airframe(name: str, craft: LinearAircraft) -> str:
 
 
 def airframe_name(name: str) -> str:
-    """File name of the airframe."""
     return f"{OWN}_gz_{name}"
 
 
 def config(name: str, title: str) -> ET.Element:
-    """model.config."""
     root = ET.Element("model")
     for tag, text in (("name", name), ("version", "1.0")):
         ET.SubElement(root, tag).text = text
@@ -77,7 +75,6 @@ def config(name: str, title: str) -> ET.Element:
 
 
 def command_lines(folder: Path, name: str) -> list[str]:
-    """How to fly it."""
     above = shlex.quote(str(folder.resolve().parent))
     return [
         f"needs: {NEEDS}",

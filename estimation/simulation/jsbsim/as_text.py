@@ -77,7 +77,6 @@ class Imported:
     tables: int
 
     def sentences(self) -> list[str]:
-        """What was written, in words."""
         held = ", ".join(f"{n} {v:g}" if math.isfinite(v) else n for n, v in self.held.items())
         return [
             f"by the field's names: {', '.join(self.standard) or 'nothing'}",

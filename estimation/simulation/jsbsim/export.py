@@ -64,7 +64,6 @@ def export_aircraft(
 
 
 def written(found: Increments, source: Path, rate: float, lineage: str) -> Written:
-    """The XML of the aircraft `source` with increments."""
     root = inlined(source)
     aerodynamics = _child(root, "aerodynamics")
     strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {

@@ -19,7 +19,7 @@ from estimation.models import load_model, write_model
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate
 from estimation.simulation.attach import Attached, attach, simulation_of
-from estimation.simulation.exporting import export_to_jsbsim
+from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
 from estimation.simulation.jsbsim.components import chains_of
 from estimation.simulation.jsbsim.export import Written, export_aircraft, inlined

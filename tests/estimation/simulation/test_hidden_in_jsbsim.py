@@ -17,7 +17,7 @@ from estimation.gap.workflow import Options
 from estimation.models import load_model
 from estimation.simulation.along_flight import WITHOUT_DRAWS, motion
 from estimation.simulation.attach import attach, simulation_of
-from estimation.simulation.exporting import export_to_jsbsim
+from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
 from groundstation.flight import Flight, write_flight
 from sideslip.cli import cli

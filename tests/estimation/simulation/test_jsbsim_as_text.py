@@ -16,9 +16,9 @@ from estimation.gap.effects import catalogue
 from estimation.models import read_model
 from estimation.models.expressions import evaluate
 from estimation.models.numeric import FUNCTIONS
-from estimation.simulation import importing
+from estimation.simulation import conversion
 from estimation.simulation.attach import simulation_of
-from estimation.simulation.importing import ProvedImport, import_from_jsbsim, imported_exactly, random_states
+from estimation.simulation.conversion import ProvedImport, import_from_jsbsim, imported_exactly, random_states
 from estimation.simulation.jsbsim.export import inlined
 from estimation.simulation.jsbsim.flying import flown
 from estimation.simulation.jsbsim.library import aircraft_file
@@ -180,14 +180,14 @@ def test_a_function_without_a_form_is_named(old: str, new: str, told: str, tmp_p
 
 def test_a_text_that_is_another_is_not_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A point of a table out of place by a ten-millionth."""
-    real = importing.imported
+    real = conversion.imported
 
-    def wrong(source: importing.AircraftSource) -> importing.Imported:
+    def wrong(source: conversion.AircraftSource) -> conversion.Imported:
         found = real(source)
         shifted = found.model.with_starts(Cl_p=found.model.parameter("Cl_p").start * (1 + 1e-7))
-        return importing.Imported(shifted, found.held, found.standard, found.own, found.tables)
+        return conversion.Imported(shifted, found.held, found.standard, found.own, found.tables)
 
-    monkeypatch.setattr(importing, "imported", wrong)
+    monkeypatch.setattr(conversion, "imported", wrong)
     with pytest.raises(SimulationError, match="another Cl than JSBSim"):
         import_from_jsbsim("jsbsim:c172p", tmp_path / "own.toml")
 
