@@ -40,8 +40,10 @@ def analyse(
         imported.append(_imported(number, Path(path), mapping, aircraft, extra, stages))
     flights = unique_names([flight for flight, _, _ in imported])
     key = digest([k for _, k, _ in imported])
-    given = Given(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported))
-    return analyse_flights(given, aircraft, digest(extra[1:]), stages, tell)
+    imported_flights = Given(
+        tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported)
+    )
+    return analyse_flights(imported_flights, aircraft, digest(extra[1:]), stages, tell)
 
 
 def _content(path: Path | None) -> str:

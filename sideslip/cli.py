@@ -91,7 +91,7 @@ class VerbTable(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """All verbs, in the order of the table; then those of installed packages."""
-        return [*VERBS, *(found.name for found in _package_verbs())]
+        return [*VERBS, *(entry.name for entry in _package_verbs())]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         verb = VERBS.get(cmd_name)
@@ -116,7 +116,7 @@ class VerbTable(click.Group):
         """The list of verbs from the table, without importing them."""
         with formatter.section("Commands"):
             rows = [(name, verb.summary) for name, verb in VERBS.items()]
-            formatter.write_dl([*rows, *((found.name, f"From {found.module}.") for found in _package_verbs())])
+            formatter.write_dl([*rows, *((entry.name, f"From {entry.module}.") for entry in _package_verbs())])
 
 
 def _meant(word: str, verbs: list[str], rest: list[str]) -> str:
@@ -124,10 +124,10 @@ def _meant(word: str, verbs: list[str], rest: list[str]) -> str:
     if Path(word).suffix and Path(word).exists():
         return f"; it is a file: did you mean 'sideslip {' '.join(['info', word, *rest])}'?"
     small = word.lower()
-    alike = get_close_matches(small, verbs, n=SUGGESTED, cutoff=ALIKE)
-    alike += [v for v in verbs if len(small) >= BEGINNING and v.startswith(small) and v not in alike]
-    quoted = [f"'sideslip {v}'" for v in alike[:SUGGESTED]]
-    return f"; did you mean {' or '.join(quoted)}?" if quoted else ""
+    similar_verbs = get_close_matches(small, verbs, n=SUGGESTED, cutoff=ALIKE)
+    similar_verbs += [v for v in verbs if len(small) >= BEGINNING and v.startswith(small) and v not in similar_verbs]
+    quoted_verbs = [f"'sideslip {v}'" for v in similar_verbs[:SUGGESTED]]
+    return f"; did you mean {' or '.join(quoted_verbs)}?" if quoted_verbs else ""
 
 
 def _package_verbs() -> tuple[EntryPoint, ...]:
@@ -137,13 +137,13 @@ def _package_verbs() -> tuple[EntryPoint, ...]:
 
 def _package_verb(name: str) -> click.Command | None:
     """The command of an installed package, None where none brings it. UserError when it cannot be had."""
-    for found in _package_verbs():
-        if found.name == name:
+    for entry in _package_verbs():
+        if entry.name == name:
             try:
-                command: click.Command = found.load()
+                command: click.Command = entry.load()
             except (ImportError, AttributeError) as error:
                 raise UserError(
-                    f"entry point sideslip.verbs {name} = {found.value}: no command there ({error}); correct the package"
+                    f"entry point sideslip.verbs {name} = {entry.value}: no command there ({error}); correct the package"
                 ) from error
             return command
     return None
@@ -179,10 +179,12 @@ def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
             stream.reconfigure(errors="backslashreplace")
     if interrupts is not None:
         interrupts.raise_in_work()
-    out, err = SafeStream(sys.stdout), SafeStream(sys.stderr)
-    visible_out, visible_err = (cast("TextIO", VisibleStream(cast("TextIO", stream))) for stream in (out, err))
+    output_stream, err = SafeStream(sys.stdout), SafeStream(sys.stderr)
+    visible_out, visible_err = (
+        cast("TextIO", VisibleStream(cast("TextIO", stream))) for stream in (output_stream, err)
+    )
     with contextlib.redirect_stdout(visible_out), contextlib.redirect_stderr(visible_err):
-        status = _with_streams(_status(argv, interrupts), out, err)
+        status = _with_streams(_status(argv, interrupts), output_stream, err)
     if interrupts is not None:
         interrupts.leave_at_once()  # all is closed; what is left is the interpreter's own end
         if interrupts.seen and not status:  # it came during the last import of all, and the work was done meanwhile
@@ -225,8 +227,8 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
             return _said(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
         if error.filename is None and error.errno not in DISK_ERRNOS:
             return _unforeseen(error)
-        where = error.filename2 or error.filename or "a file"
-        return _said(f"{where}: cannot be read or written ({error.strerror}); choose another place")
+        place = error.filename2 or error.filename or "a file"
+        return _said(f"{place}: cannot be read or written ({error.strerror}); choose another place")
     except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
         return _unforeseen(error)
     return status if isinstance(status, int) else 0
@@ -236,8 +238,8 @@ def _unforeseen(error: Exception) -> int:
     """What nobody thought of, in one sentence: a mistake of ours. With TRACEBACK in the environment it is seen whole."""
     if os.environ.get(TRACEBACK):
         raise error
-    at = traceback.extract_tb(error.__traceback__)[-1:]
-    place = f" at {Path(at[0].filename).name}:{at[0].lineno}" if at else ""
+    last_frame = traceback.extract_tb(error.__traceback__)[-1:]
+    place = f" at {Path(last_frame[0].filename).name}:{last_frame[0].lineno}" if last_frame else ""
     return _said(
         f"a mistake in this program, please report it: {type(error).__name__}{place}: {str(error) or 'no words'}"
         f"; {TRACEBACK}=1 in the environment shows where it comes from"

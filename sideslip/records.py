@@ -25,17 +25,17 @@ def verify(recording: str | Path) -> "RecordAnswer":
     from daq.commands import verify_lines
     from daq.contract.recordings.accounting import verify as checked
 
-    found = checked(recording)
-    return RecordAnswer(found.to_dict(), tuple(verify_lines(Path(recording), found)), found.ok)
+    verification = checked(recording)
+    return RecordAnswer(verification.to_dict(), tuple(verify_lines(Path(recording), verification)), verification.ok)
 
 
 def recover(recording: str | Path, out: str | Path) -> "RecordAnswer":
     """Save everything undamaged in a recording to a new and sound one; `passed` is False where the original is not sound."""
     from daq.contract.recordings.accounting import recover as salvage
 
-    found = salvage(recording, out)
-    content = found.to_dict()
-    return RecordAnswer(content, (content["text"],), found.verification.ok)
+    salvaged = salvage(recording, out)
+    content = salvaged.to_dict()
+    return RecordAnswer(content, (content["text"],), salvaged.verification.ok)
 
 
 def calibrate(
@@ -54,8 +54,8 @@ def calibrate(
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
 
-    given = None if calibration is None else Path(calibration)
-    flight = calibrate_recording(Path(raw), given, align=align, salvage=salvage)
+    calibration_folder = None if calibration is None else Path(calibration)
+    flight = calibrate_recording(Path(raw), calibration_folder, align=align, salvage=salvage)
     if output is not None:
         write_flight(flight, Path(output))
     return Calibrated(flight, str(output or flight.name))

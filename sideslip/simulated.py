@@ -31,9 +31,9 @@ def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
             tables.setdefault(table, {})[name] = value
         else:
             tables[key] = value
-    made = load_scenario(scenario).altered(**tables)
-    true_derivatives(load_aircraft(made.flight.aircraft), made.derivatives)
-    return made.model_dump(mode="json")
+    altered_scenario = load_scenario(scenario).altered(**tables)
+    true_derivatives(load_aircraft(altered_scenario.flight.aircraft), altered_scenario.derivatives)
+    return altered_scenario.model_dump(mode="json")
 
 
 def flown(description: Mapping[str, Any]) -> bytes:

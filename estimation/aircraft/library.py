@@ -26,9 +26,10 @@ def load_aircraft(name_or_path: str | Path) -> Aircraft:
     text = str(name_or_path)
     path = BUILT_IN_FOLDER / f"{text}.toml" if text in built_in_aircraft() else Path(text)
     if not path.is_file():
-        known = ", ".join(built_in_aircraft())
+        built_in_names = ", ".join(built_in_aircraft())
         raise AircraftError(
-            f"aircraft {text!r}: no such file and no built-in of that name (built in: {known}){meant(text, built_in_aircraft())}"
+            f"aircraft {text!r}: no such file and no built-in of that name (built in: {built_in_names})"
+            f"{meant(text, built_in_aircraft())}"
         )
     return aircraft_from_text(read_text(path, "file", AircraftError), str(path), path.stem)
 
@@ -51,26 +52,26 @@ def aircraft_of(flights: Sequence[Flight], given: str | Path | Aircraft | None =
             f"the flights are of different aircraft ({', '.join(names)}); estimate each by itself, or say whose"
             " geometry and mass to take with --aircraft"
         )
-    carried = [str(f.provenance.detail[AIRCRAFT_FILE]) for f in flights if AIRCRAFT_FILE in f.provenance.detail]
-    if not carried:
+    carried_files = [str(f.provenance.detail[AIRCRAFT_FILE]) for f in flights if AIRCRAFT_FILE in f.provenance.detail]
+    if not carried_files:
         return load_aircraft(names[0])
-    if len(set(carried)) > 1:
+    if len(set(carried_files)) > 1:
         raise AircraftError(
             f"the flights carry different files of aircraft {names[0]}; choose one with --aircraft FILE"
         )
 
-    return aircraft_from_text(carried[0], f"aircraft carried by {flights[0].name}", names[0])
+    return aircraft_from_text(carried_files[0], f"aircraft carried by {flights[0].name}", names[0])
 
 
 def _check_named(flight: Flight) -> None:
-    name, known = flight.provenance.aircraft, ", ".join(built_in_aircraft())
+    name, built_in_names = flight.provenance.aircraft, ", ".join(built_in_aircraft())
     if not name:
         raise AircraftError(
-            f"{flight.name} names no aircraft; say which with --aircraft NAME or FILE (built in: {known}), or write one's"
-            " file with: sideslip aircraft new NAME"
+            f"{flight.name} names no aircraft; say which with --aircraft NAME or FILE (built in: {built_in_names}), or write"
+            " one's file with: sideslip aircraft new NAME"
         )
     if AIRCRAFT_FILE not in flight.provenance.detail and name not in built_in_aircraft():
         raise AircraftError(
-            f"{flight.name} is of aircraft {name!r}, which is not built in ({known}) and whose file the flight does not"
+            f"{flight.name} is of aircraft {name!r}, which is not built in ({built_in_names}) and whose file the flight does not"
             f" carry; give it with --aircraft {name}.toml, or write it with: sideslip aircraft new {name}"
         )

@@ -43,12 +43,12 @@ class ParameterSeries:
     v: Array
 
     def part(self, keep: NDArray[np.bool_]) -> "ParameterSeries":
-        chosen = [i for i, k in enumerate(keep) if k]
+        indices = [i for i, k in enumerate(keep) if k]
         return replace(
             self,
-            flights=tuple(self.flights[i] for i in chosen),
-            dates=tuple(self.dates[i] for i in chosen),
-            places=tuple(self.places[i] for i in chosen),
+            flights=tuple(self.flights[i] for i in indices),
+            dates=tuple(self.dates[i] for i in indices),
+            places=tuple(self.places[i] for i in indices),
             y=self.y[keep],
             v=self.v[keep],
         )
@@ -88,11 +88,11 @@ def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = Mappin
     """
     rows: list[Row] = []
     for s in series_of(results, keys):
-        far = outlying(s)
-        rows += outlier_rows(s, far)
-        kept = s.part(~(far > _limit(s)))
-        for side in _sides(kept, starts.get((s.label, s.method, s.parameter), ())):
-            rows += pooled_rows(side, apart=side is not kept)
+        distances = outlying(s)
+        rows += outlier_rows(s, distances)
+        inliers = s.part(~(distances > _limit(s)))
+        for side in _sides(inliers, starts.get((s.label, s.method, s.parameter), ())):
+            rows += pooled_rows(side, apart=side is not inliers)
     return rows
 
 
@@ -118,12 +118,12 @@ def outlying(s: ParameterSeries) -> Array:
         return np.zeros(s.y.size)
     if len(set(s.dates)) < 2 or s.y.size <= 2 * NEIGHBOURS:
         return pooling.outliers(s.y, s.v)
-    away = np.full(s.y.size, np.inf)
+    distances = np.full(s.y.size, np.inf)
     for i in range(s.y.size):
-        for near in (s.y[max(0, i - NEIGHBOURS) : i], s.y[i + 1 : i + 1 + NEIGHBOURS]):
-            if near.size >= FEWEST_BEFORE_A_STEP:
-                away[i] = min(away[i], abs(s.y[i] - float(np.median(near))))
-    z = away / np.sqrt(s.v)
+        for neighbours in (s.y[max(0, i - NEIGHBOURS) : i], s.y[i + 1 : i + 1 + NEIGHBOURS]):
+            if neighbours.size >= FEWEST_BEFORE_A_STEP:
+                distances[i] = min(distances[i], abs(s.y[i] - float(np.median(neighbours))))
+    z = distances / np.sqrt(s.v)
     widened: Array = z / max(1.0, pooling.ROBUST * float(np.median(z)))
     return widened
 
@@ -191,12 +191,12 @@ FIRST = ("difference", "step", "envelope", "outlying flight", "outlier")
 def told(groups: Sequence[Row]) -> list[Row]:
     """Rows that say something that a person must read, the most important first. A flight that is off as a whole is told once,
     not for each of its parameters again."""
-    whole = {(r["group"], r["method"], r["flight"]) for r in groups if r["kind"] == "outlying flight"}
+    outlying_flights = {(r["group"], r["method"], r["flight"]) for r in groups if r["kind"] == "outlying flight"}
     claims = [
         r
         for r in groups
         if r["kind"] in FIRST
         and (r["kind"] != "difference" or r["probability"] <= LEVEL)
-        and (r["kind"] != "outlier" or (r["group"], r["method"], r["flight"]) not in whole)
+        and (r["kind"] != "outlier" or (r["group"], r["method"], r["flight"]) not in outlying_flights)
     ]
     return sorted(claims, key=lambda r: FIRST.index(r["kind"]))

@@ -114,10 +114,10 @@ class SimulateEntry(RecordConditions):
     def _dotted(cls, changes: Mapping[str, Any]) -> Mapping[str, Any]:
         dotted: dict[str, Any] = {}
         for key, value in changes.items():
-            own = {f"{key}.{name}": v for name, v in value.items()} if isinstance(value, Mapping) else {key: value}
-            if twice := sorted(own.keys() & dotted.keys()):
-                raise ValueError(f"{twice[0]} is given twice; give it once")
-            dotted |= own
+            entries = {f"{key}.{name}": v for name, v in value.items()} if isinstance(value, Mapping) else {key: value}
+            if repeated_keys := sorted(entries.keys() & dotted.keys()):
+                raise ValueError(f"{repeated_keys[0]} is given twice; give it once")
+            dotted |= entries
         return dotted
 
     @model_validator(mode="after")
@@ -197,9 +197,11 @@ def read_plan(path: Path, *, trust_code: bool = False) -> CampaignPlan:
 def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
     """What a plan names as `module:NAME`: a model or methods of somebody's own, which are Python and run."""
     methods = data.get("methods", ())
-    named = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
+    program_names = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
     return tuple(
-        dict.fromkeys(n[:80] for n in named if isinstance(n, str) and ":" in n and not n.endswith((".toml", ".xml")))
+        dict.fromkeys(
+            n[:80] for n in program_names if isinstance(n, str) and ":" in n and not n.endswith((".toml", ".xml"))
+        )
     )
 
 
@@ -214,11 +216,11 @@ def plan_from(data: Mapping[str, Any], where: str) -> CampaignPlan:
 def said_of(error: ValidationError) -> str:
     """The first complaint: which key, and what of it."""
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
+    key_path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"{where}: no such key{meant(str(first['loc'][-1]), _keys_beside(first['loc']))}"
-    said = first["msg"].removeprefix("Value error, ")
-    return f"{where}: {said}" if where else said
+        return f"{key_path}: no such key{meant(str(first['loc'][-1]), _keys_beside(first['loc']))}"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key_path}: {message}" if key_path else message
 
 
 def _keys_beside(where: tuple[int | str, ...]) -> Iterable[str]:

@@ -70,7 +70,7 @@ class CampaignOutcome:
             "version": 1,
             "flights": self.flights,
             "done": self.done,
-            "failed": [{"flight": flight, "why": why} for flight, why in self.failed.items()],
+            "failed": [{"flight": flight, "why": reason} for flight, reason in self.failed.items()],
             "skipped_done": self.skipped,
             "fitted": self.fitted,
             "duplicates": [list(pair) for pair in self.duplicates],
@@ -99,15 +99,15 @@ class Campaign:
 
     def run(self, *, retry_failed: bool = False) -> CampaignOutcome:
         """Do what is left to do and publish. Whatever stops it, what was done is on disk."""
-        before = self._store.load()
+        stored_table = self._store.load()
         if retry_failed:
-            before = self._without_failures(before)
-        done = set(before["key"].to_pylist())
-        skipped = sum(all(k in done for k in p.work.pieces.values()) for p in self._work.planned)
+            stored_table = self._without_failures(stored_table)
+        stored_keys = set(stored_table["key"].to_pylist())
+        skipped = sum(all(k in stored_keys for k in p.work.pieces.values()) for p in self._work.planned)
         try:
-            self._do([p.work for p in self._work.planned], done, "flights")
+            self._do([p.work for p in self._work.planned], stored_keys, "flights")
             if self._plan.match or self._plan.joint or self._plan.envelope:
-                self._do_groups(done)
+                self._do_groups(stored_keys)
         finally:
             if self._engine is not None:
                 self._engine.close()
@@ -119,26 +119,26 @@ class Campaign:
         import pyarrow.compute as pc
 
         failed = set(table.filter(pc.equal(table["status"], "failed"))["key"].to_pylist())
-        kept = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(failed), pa.string()))))
-        self._store.replace_all(kept, kept.slice(0, 0))
-        return kept
+        successful = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(failed), pa.string()))))
+        self._store.replace_all(successful, successful.slice(0, 0))
+        return successful
 
     def _do(self, works: Iterable[Work], done: set[str], what: str) -> None:
-        left = list(left_to_do(works, done))
-        if not left:
+        open_works = list(left_to_do(works, done))
+        if not open_works:
             return
         if self._engine is None:
-            self._engine = self._make_engine(len(left))
+            self._engine = self._make_engine(len(open_works))
         self._workers = self._engine.workers
-        ended = 0
-        for finished in self._engine.run(iter(left)):
+        finished_count = 0
+        for finished in self._engine.run(iter(open_works)):
             if finished is None:
                 self._store.tick()
                 continue
             self._store.add([{**row, "attempts": finished.attempts} for row in finished.rows])
-            ended += 1
+            finished_count += 1
             self._fitted += 1
-            self._tell(f"{what}: {ended} of {len(left)}", ended / len(left))
+            self._tell(f"{what}: {finished_count} of {len(open_works)}", finished_count / len(open_works))
         self._store.flush()
 
     def _do_groups(self, done: set[str]) -> None:
@@ -147,17 +147,17 @@ class Campaign:
         works: list[Work] = []
         for group, members in members_of(results, self._work, self._plan).items():
             label = label_of(dict(group))
-            known: Row = {"group": label, **{k: v or None for k, v in group}}
+            group_columns: Row = {"group": label, **{k: v or None for k, v in group}}
             joint = joint_work(self._plan, label, members) if self._plan.joint else None
             envelope = envelope_work(self._plan, label, members) if self._plan.envelope else None
-            for together in (joint, envelope):
-                if together is not None:
-                    works.append(together)
-                    self._about |= dict.fromkeys(together.pieces.values(), known)
+            for group_work in (joint, envelope):
+                if group_work is not None:
+                    works.append(group_work)
+                    self._about |= dict.fromkeys(group_work.pieces.values(), group_columns)
             for match in match_works(self._plan, label, members) if self._plan.match else ():
                 entry = self._work.by_key[self._flight_key(match)].entry
                 works.append(match)
-                self._about |= {key: {**known, **conditions_of(entry)} for key in match.pieces.values()}
+                self._about |= {key: {**group_columns, **conditions_of(entry)} for key in match.pieces.values()}
         self._do(works, done, "groups")
 
     def _flight_key(self, work: Work) -> str:
@@ -169,9 +169,9 @@ class Campaign:
         import pyarrow as pa
 
         results, superseded = planned_rows(self._store.load(), self._about)
-        lost = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
-        if lost:
-            results = ordered(pa.concat_tables([results, unreadable_rows(lost)]))
+        unusable_entries = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
+        if unusable_entries:
+            results = ordered(pa.concat_tables([results, unreadable_rows(unusable_entries)]))
         self._store.replace_all(results, superseded)
         keys = self._plan.groups
         curves = envelopes(results, keys, self._plan.seed)
@@ -190,7 +190,7 @@ class Campaign:
         write_texts(model_texts(results), folder / "database", ".toml")
         write_texts(aerodynamics_files(database), folder / "database", ".xml")
         failures = failures_of(results)
-        planned = len(self._work.planned) + len(lost)
+        planned = len(self._work.planned) + len(unusable_entries)
         unchanged = not write_manifest(manifest(self._plan, self._work, self._store, failures), folder)
         return CampaignOutcome(
             len(self._work.planned) + len(self._work.unreadable) + len(self._work.duplicates),
@@ -198,7 +198,7 @@ class Campaign:
             failures,
             skipped,
             self._fitted,
-            [(e.location, other.location) for e, other in self._work.duplicates],
+            [(e.location, same_flight.location) for e, same_flight in self._work.duplicates],
             self._workers,
             results,
             groups,
@@ -226,10 +226,10 @@ def failures_of(results: "pa.Table") -> dict[str, str]:
             pc.and_(pc.not_equal(results["status"], OK), pc.is_valid(results["source"])),
         )
     )
-    said: dict[str, list[str]] = {}
-    for source, why in zip(runs["source"].to_pylist(), runs["why"].to_pylist(), strict=True):
-        said.setdefault(source, []).append(why)
-    return {source: "; ".join(dict.fromkeys(words)) for source, words in sorted(said.items())}
+    reasons_by_source: dict[str, list[str]] = {}
+    for source, reason in zip(runs["source"].to_pylist(), runs["why"].to_pylist(), strict=True):
+        reasons_by_source.setdefault(source, []).append(reason)
+    return {source: "; ".join(dict.fromkeys(words)) for source, words in sorted(reasons_by_source.items())}
 
 
 def members_of(

@@ -75,8 +75,8 @@ def table_of(rows: Sequence[Mapping[str, Any]], columns: dict[str, str]) -> "pa.
     """Rows as a table; text that holds what is no text (names of files need not be) with that shown by its number."""
     import pyarrow as pa
 
-    sound = [{name: printed(value) for name, value in row.items()} for row in rows]
-    return pa.Table.from_pylist(sound, arrow_schema(columns))
+    printable_rows = [{name: printed(value) for name, value in row.items()} for row in rows]
+    return pa.Table.from_pylist(printable_rows, arrow_schema(columns))
 
 
 def usable_estimates(results: "pa.Table", kinds: Sequence[str], columns: Sequence[str]) -> list[dict[str, Any]]:
@@ -84,7 +84,7 @@ def usable_estimates(results: "pa.Table", kinds: Sequence[str], columns: Sequenc
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    sound = pc.and_(pc.is_in(results["kind"], pa.array(kinds, pa.string())), pc.equal(results["status"], "ok"))
+    is_sound = pc.and_(pc.is_in(results["kind"], pa.array(kinds, pa.string())), pc.equal(results["status"], "ok"))
     names = dict.fromkeys(("flight", "method", "parameter", "date", "key", "estimate", "std_coloured", *columns))
-    rows = results.filter(pc.and_(sound, results["identifiable"])).select(list(names)).to_pylist()
+    rows = results.filter(pc.and_(is_sound, results["identifiable"])).select(list(names)).to_pylist()
     return [row for row in rows if row["estimate"] is not None and row["std_coloured"]]

@@ -82,9 +82,9 @@ def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise CampaignError(f"table {path}: cannot be read as CSV ({error}); correct the key 'table'") from error
     for number, row in enumerate(rows, start=2):
-        known = {k: v for k, v in row.items() if k in FlightEntry.model_fields and v}
+        flight_fields = {k: v for k, v in row.items() if k in FlightEntry.model_fields and v}
         try:
-            yield FlightEntry.model_validate(known)
+            yield FlightEntry.model_validate(flight_fields)
         except ValidationError as error:
             raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
 
@@ -95,21 +95,23 @@ def _located(text: str, folder: Path, conditions: RecordConditions, send: bool) 
             yield _remote(url, conditions)
         return
     path = folder / text
-    for found in _paths(path, text):
-        yield _local(found, conditions, send)
+    for file_path in _paths(path, text):
+        yield _local(file_path, conditions, send)
 
 
 def _paths(path: Path, text: str) -> Sequence[Path]:
     """A file as it is named, all flights of a folder, or what a pattern matches."""
     if path.is_dir():
-        found = sorted(p for p in islice(path.iterdir(), limits.LOOKED_AT) if p.suffix.lower() in FLIGHT_SUFFIXES)
+        flight_files = sorted(
+            p for p in islice(path.iterdir(), limits.LOOKED_AT) if p.suffix.lower() in FLIGHT_SUFFIXES
+        )
     elif path.exists() or not glob.has_magic(text):
         return [path]
     else:
-        found = matching(path, CampaignError)
-    if not found:
+        flight_files = matching(path, CampaignError)
+    if not flight_files:
         raise CampaignError(f"{text}: no flight there; give files ending in {', '.join(FLIGHT_SUFFIXES)}")
-    return found
+    return flight_files
 
 
 def _local(path: Path, conditions: RecordConditions, send: bool) -> CampaignFlight:
@@ -137,12 +139,12 @@ def _urls(text: str) -> list[str]:
         return [text]
     try:
         files, path = _filesystem(text)
-        found = [files.unstrip_protocol(p) for p in sorted(files.glob(path))]
+        addresses = [files.unstrip_protocol(p) for p in sorted(files.glob(path))]
     except REMOTE_ERRORS as error:
         raise CampaignError(f"{text}: cannot be listed ({error}); check address and access") from error
-    if not found:
+    if not addresses:
         raise CampaignError(f"{text}: no flight there")
-    return found
+    return addresses
 
 
 def _filesystem(url: str) -> tuple[Any, str]:
@@ -152,9 +154,9 @@ def _filesystem(url: str) -> tuple[Any, str]:
         raise CampaignError("flights by URL need fsspec; pip install 'sideslip[campaign]'") from error
     protocol = url.partition("://")[0].lower()
     if "::" in url or protocol not in limits.PROTOCOLS:
-        known = ", ".join(sorted(limits.PROTOCOLS))
+        protocols = ", ".join(sorted(limits.PROTOCOLS))
         raise CampaignError(
-            f"{url[:200]}: flights are read by {known}, one at a time; copy it to where one of them leads"
+            f"{url[:200]}: flights are read by {protocols}, one at a time; copy it to where one of them leads"
         )
     files, path = url_to_fs(url)
     return files, str(path)
@@ -191,8 +193,8 @@ def _simulated(
     if simulator is None:
         raise CampaignError("the plan has [[simulate]], but no simulator was handed in; run it with sideslip campaign")
     conditions = RecordConditions(**{k: getattr(entry, k) for k in RecordConditions.model_fields})
-    where = folder / entry.scenario
-    scenario = str(where) if where.is_file() else entry.scenario
+    scenario_file = folder / entry.scenario
+    scenario = str(scenario_file) if scenario_file.is_file() else entry.scenario
     label = f"{Path(scenario).stem}{number}"
     for end in (0, 1):  # what lies between the ends of what varies can be flown if they can
         try:
@@ -200,14 +202,16 @@ def _simulated(
         except UserError as error:
             raise CampaignError(f"plan, simulate.{number}: {error}") from error
     for i in range(entry.count):
-        made = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
-        description: Mapping[str, Any] = {"scenario": made, "seed": int(key_of(entry.seed, i)[:8], 16)}
-        own = str(made.get("flight", {}).get("aircraft", ""))
+        described = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
+        description: Mapping[str, Any] = {"scenario": described, "seed": int(key_of(entry.seed, i)[:8], 16)}
+        scenario_aircraft = str(described.get("flight", {}).get("aircraft", ""))
         source = FlightSource(
             f"{label}-{i:05d}", ".csv", key_of(description, simulator.digest), made=description, maker=simulator.fly
         )
         yield CampaignFlight(
-            source.location, conditions.model_copy(update={"aircraft": conditions.aircraft or own}), source
+            source.location,
+            conditions.model_copy(update={"aircraft": conditions.aircraft or scenario_aircraft}),
+            source,
         )
 
 

@@ -63,15 +63,15 @@ class Store:
         import pyarrow as pa
 
         tables = [arrow_schema(RESULTS).empty_table()]
-        seen: set[str] = set()
+        loaded_keys: set[str] = set()
         for name in (RESULTS_FOLDER, SUPERSEDED_FOLDER):
             for path in sorted((self.folder / name).glob("*.parquet")):
                 table = self._read(path)
                 if table is None:
                     continue
                 keys = table["key"].to_pylist()
-                fresh = [k not in seen for k in keys]
-                seen.update(keys)
+                fresh = [k not in loaded_keys for k in keys]
+                loaded_keys.update(keys)
                 tables.append(table if all(fresh) else table.filter(pa.array(fresh, pa.bool_())))
         return pa.concat_tables(tables)
 
@@ -88,10 +88,10 @@ class Store:
                 )
             return conformed(table)
         except (pa.ArrowException, OSError, ValueError):
-            aside = self.folder / DAMAGED_FOLDER / path.name
-            aside.parent.mkdir(exist_ok=True)
-            path.replace(aside)
-            self.damaged.append(aside)
+            damaged_path = self.folder / DAMAGED_FOLDER / path.name
+            damaged_path.parent.mkdir(exist_ok=True)
+            path.replace(damaged_path)
+            self.damaged.append(damaged_path)
             return None
 
     def add(self, rows: Iterable[Row]) -> None:

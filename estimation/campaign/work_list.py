@@ -48,7 +48,7 @@ def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Pat
     subjects = _Subjects(plan, folder)
     planned: list[Planned] = []
     unreadable: list[CampaignFlight] = []
-    twice: list[tuple[CampaignFlight, CampaignFlight]] = []
+    duplicates: list[tuple[CampaignFlight, CampaignFlight]] = []
     first: dict[str, CampaignFlight] = {}
     for entry in entries:
         if entry.source is None:
@@ -57,11 +57,11 @@ def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Pat
             continue
         work = _flight_work(plan, subjects.of(entry))
         if work.identity in first:
-            twice.append((entry, first[work.identity]))
+            duplicates.append((entry, first[work.identity]))
             continue
         first[work.identity] = entry
         planned.append(Planned(entry, work))
-    return WorkList(planned, unreadable, twice)
+    return WorkList(planned, unreadable, duplicates)
 
 
 class _Subjects:
@@ -95,8 +95,8 @@ class _Subjects:
         except UserError:  # this aircraft lacks something: its flights will say so, those of others can do without
             return
         for method in self._plan.methods:
-            if why := find(method).refuses(model):
-                raise CampaignError(f"plan, methods: {why}")
+            if problem := find(method).refuses(model):
+                raise CampaignError(f"plan, methods: {problem}")
 
     def _name_of(self, entry: CampaignFlight) -> str:
         return entry.conditions.aircraft or self._plan.aircraft
@@ -105,8 +105,8 @@ class _Subjects:
         """TOML of the aircraft that the plan names for a flight, empty for none; UserError where it cannot be had."""
         name = self._name_of(entry)
         if name and name not in self._aircraft:
-            where = name if name in built_in_aircraft() else str(self._folder / name)
-            self._aircraft[name] = load_aircraft(where).text
+            location = name if name in built_in_aircraft() else str(self._folder / name)
+            self._aircraft[name] = load_aircraft(location).text
         return self._aircraft[name] if name else ""
 
     def _model_text(self) -> str:
@@ -115,18 +115,18 @@ class _Subjects:
         from estimation.models.library import BUILDERS
         from estimation.models.load import asks_for_aircraft, model_text
 
-        which = self._plan.model
-        if which in BUILDERS:
+        model_name = self._plan.model
+        if model_name in BUILDERS:
             return ""
-        if which.endswith(".toml"):
-            return model_text(load_model(self._folder / which))
+        if model_name.endswith(".toml"):
+            return model_text(load_model(self._folder / model_name))
         craft = self._plan.aircraft
-        if asks_for_aircraft(which) and not craft:
-            raise CampaignError(f"model {which} takes constants of an aircraft: say of which with --aircraft")
+        if asks_for_aircraft(model_name) and not craft:
+            raise CampaignError(f"model {model_name} takes constants of an aircraft: say of which with --aircraft")
         if not craft:
-            return model_text(load_model(which))
-        where = craft if craft in built_in_aircraft() else str(self._folder / craft)
-        return model_text(load_model(which, load_aircraft(where)))
+            return model_text(load_model(model_name))
+        location = craft if craft in built_in_aircraft() else str(self._folder / craft)
+        return model_text(load_model(model_name, load_aircraft(location)))
 
 
 def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
@@ -181,16 +181,16 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
     """All flights of a group in one fit by each method that found something in at least two of them."""
     pieces, seeds = {}, {}
     for method in plan.methods:
-        used = sorted(m.planned.work.pieces[method] for m in members if method in m.estimates)
-        if len(used) > 1:
-            pieces[method] = key_of("joint", used)
-            seeds[method] = seed_of(plan.seed, "joint", used)
+        flight_keys = sorted(m.planned.work.pieces[method] for m in members if method in m.estimates)
+        if len(flight_keys) > 1:
+            pieces[method] = key_of("joint", flight_keys)
+            seeds[method] = seed_of(plan.seed, "joint", flight_keys)
     if not pieces:
         return None
-    chosen = sorted(
+    joint_members = sorted(
         (m for m in members if all(p in m.estimates for p in pieces)), key=lambda m: m.planned.work.identity
     )
-    subjects = tuple(m.planned.work.subjects[0] for m in chosen)
+    subjects = tuple(m.planned.work.subjects[0] for m in joint_members)
     limit = _together(plan, len(subjects))
     return Work(
         "joint",
@@ -217,12 +217,12 @@ def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> 
     """All flights of a group, those with a usable estimate, in one model over the envelope; None for too few of them."""
     from estimation.campaign.aerodynamics.joint import FEWEST
 
-    used = sorted(members, key=lambda m: m.planned.work.identity)
-    if len(used) < FEWEST:
+    ordered_members = sorted(members, key=lambda m: m.planned.work.identity)
+    if len(ordered_members) < FEWEST:
         return None
     code = digest_of_files(("estimation/campaign/aerodynamics",))
-    pieces = {ENVELOPE_METHOD: key_of("envelope", code, [m.planned.work.identity for m in used])}
-    subjects = tuple(m.planned.work.subjects[0] for m in used)
+    pieces = {ENVELOPE_METHOD: key_of("envelope", code, [m.planned.work.identity for m in ordered_members])}
+    subjects = tuple(m.planned.work.subjects[0] for m in ordered_members)
     return Work(
         "envelope",
         f"model over the envelope of {label}",
@@ -242,7 +242,9 @@ def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> It
     sums = {method: _Sums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods}
     for member in ordered:
         values = {
-            method: sums[method].without(own) for method, own in member.estimates.items() if sums[method].flights > 1
+            method: sums[method].without(estimates)
+            for method, estimates in member.estimates.items()
+            if sums[method].flights > 1
         }
         if values:
             pieces = {m: key_of("match", member.planned.work.pieces[m], v) for m, v in values.items()}

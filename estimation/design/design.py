@@ -180,23 +180,23 @@ def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | 
         raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{meant(task.kind, KINDS)}")
     if not 2.0 <= task.duration <= 600.0:
         raise EstimationError(f"--time {task.duration:g}: give from 2 to 600 s")
-    allowed = limits or usual_limits()
-    used = with_values(model, task.values)
-    condition = trimmed(used, aircraft, task.speed, task.density)
-    bench = _bench(used, condition, task)
-    sizes = _sizes(used, task)
+    limits_allowed = limits or usual_limits()
+    valued_model = with_values(model, task.values)
+    condition = trimmed(valued_model, aircraft, task.speed, task.density)
+    bench = _bench(valued_model, condition, task)
+    sizes = _sizes(valued_model, task)
     rng = np.random.default_rng([task.seed, 20])
-    doublets = pattern_set(bench, allowed, "doublet", task.duration, sizes)
+    doublets = pattern_set(bench, limits_allowed, "doublet", task.duration, sizes)
     _refuse_untold(bench, doublets, task)
     if task.kind == "doublet":
-        best = doublets
+        chosen_design = doublets
     elif task.kind in PATTERNS:
-        best = pattern_set(bench, allowed, task.kind, task.duration, sizes)
+        chosen_design = pattern_set(bench, limits_allowed, task.kind, task.duration, sizes)
     elif task.kind == "chirp":
-        best = chirp_set(bench, allowed, task.duration, task.band)
+        chosen_design = chirp_set(bench, limits_allowed, task.duration, task.band)
     else:
-        best = _sines(bench, allowed, task, sizes, rng, doublets)
-    return InputDesign(task, bench, allowed, best, doublets, sizes, aircraft.name, condition.notes)
+        chosen_design = _sines(bench, limits_allowed, task, sizes, rng, doublets)
+    return InputDesign(task, bench, limits_allowed, chosen_design, doublets, sizes, aircraft.name, condition.notes)
 
 
 def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
@@ -211,8 +211,8 @@ def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
     sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in told(model.parameters)}
     sizes |= {n: s for n, s in task.sizes.items() if n in model.parameter_names}
-    wanted = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
-    unknown = [n for n in wanted if n not in sizes]
+    requested_names = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
+    unknown = [n for n in requested_names if n not in sizes]
     if unknown:
         raise EstimationError(
             f"{unknown[0]!r} is no parameter with a size of model {model.name}; it has {', '.join(sizes)}"

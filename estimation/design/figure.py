@@ -49,8 +49,8 @@ def _draw(page: Any, found: InputDesign) -> None:
 def _spectrum(axes: Any, command: np.ndarray, last: bool) -> None:  # type: ignore[type-arg]
     frequency = np.fft.rfftfreq(command.size - 1, INTEGRATION_STEP)
     size = 2.0 * np.abs(np.fft.rfft(command[:-1])) / (command.size - 1)
-    shown = (frequency > 0.0) & (frequency <= _HIGHEST_HZ)
-    axes.vlines(frequency[shown], 0.0, size[shown], color="C0", linewidth=1.5)
+    in_band = (frequency > 0.0) & (frequency <= _HIGHEST_HZ)
+    axes.vlines(frequency[in_band], 0.0, size[in_band], color="C0", linewidth=1.5)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("[deg]")
     if last:
@@ -70,12 +70,18 @@ def _response(axes: Any, found: InputDesign, name: str, allowed: float) -> None:
 
 def _bounds(axes: Any, found: InputDesign) -> None:
     names = list(found.relative)
-    at = np.arange(len(names))
-    plain = found.expected_of_doublets
-    axes.bar(at - 0.2, [100 * plain[n] / abs(found.sizes[n]) for n in names], 0.4, color="0.75", label="doublets")
-    axes.bar(at + 0.2, [100 * found.relative[n] for n in names], 0.4, color="C0", label="this input")
+    positions = np.arange(len(names))
+    doublet_bounds = found.expected_of_doublets
+    axes.bar(
+        positions - 0.2,
+        [100 * doublet_bounds[n] / abs(found.sizes[n]) for n in names],
+        0.4,
+        color="0.75",
+        label="doublets",
+    )
+    axes.bar(positions + 0.2, [100 * found.relative[n] for n in names], 0.4, color="C0", label="this input")
     axes.axhline(100 * UNTOLD, color="C3", linewidth=0.8, linestyle="--", label="cannot be told above")
     axes.set_yscale("log")
-    axes.set_xticks(at, [f"${tex(n)}$" for n in names])
+    axes.set_xticks(positions, [f"${tex(n)}$" for n in names])
     axes.set_ylabel("predicted error (1 sigma) [%]")
     axes.legend(loc="upper right", ncols=3)

@@ -40,8 +40,8 @@ def trimmed(model: Model, aircraft: Aircraft, speed: float, density: float) -> C
     """
     values = {**{n: p.value for n, p in aircraft.derivatives.items()}, **model.starts()}
     base = {"V": speed, "rho": density, "g": GRAVITY}
-    needed = ("CL_alpha", "Cm_alpha", "Cm_de")
-    if any(values.get(n, 0.0) == 0.0 for n in needed):
+    derivatives = ("CL_alpha", "Cm_alpha", "Cm_de")
+    if any(values.get(n, 0.0) == 0.0 for n in derivatives):
         note = (
             f"lift and pitching moment are not known: alpha and theta are taken as {math.degrees(USUAL_ALPHA):.1f} deg"
         )
@@ -54,9 +54,9 @@ def trimmed(model: Model, aircraft: Aircraft, speed: float, density: float) -> C
         right = [lift - values.get("CL_0", 0.0), -values.get("Cm_0", 0.0)]
         alpha, elevator = np.linalg.solve(matrix, right).tolist()
         thrust = pressure * (values.get("CD_0", 0.0) + values.get("CD_k", 0.0) * lift**2) / math.cos(alpha)
-    found = {"alpha": alpha, "theta": alpha, "delta_e": elevator, "thrust": thrust}
-    shown = {"az": -GRAVITY * math.cos(alpha), "ax": GRAVITY * math.sin(alpha)}
-    return Condition({**base, **found, **shown})
+    trim_values = {"alpha": alpha, "theta": alpha, "delta_e": elevator, "thrust": thrust}
+    acceleration_values = {"az": -GRAVITY * math.cos(alpha), "ax": GRAVITY * math.sin(alpha)}
+    return Condition({**base, **trim_values, **acceleration_values})
 
 
 # What a designed manoeuvre may do: amplitude and rate of each control, and the motion it may cause.
@@ -100,10 +100,10 @@ class LimitsFile(BaseModel):
     @field_validator("response")
     @classmethod
     def _ranges_in_order(cls, value: dict[str, float | Range]) -> dict[str, float | Range]:
-        for name, allowed in value.items():
-            least, most = allowed if isinstance(allowed, tuple) else (-allowed, allowed)
-            if not (math.isfinite(least) and math.isfinite(most) and least < most):
-                raise ValueError(f"{name} = {allowed}: write a positive number, or [least, most]")
+        for name, range_allowed in value.items():
+            lowest, highest = range_allowed if isinstance(range_allowed, tuple) else (-range_allowed, range_allowed)
+            if not (math.isfinite(lowest) and math.isfinite(highest) and lowest < highest):
+                raise ValueError(f"{name} = {range_allowed}: write a positive number, or [least, most]")
         return value
 
 
@@ -138,15 +138,15 @@ def load_limits(path: Path) -> Limits:
         return _limits(LimitsFile.model_validate(read_toml(path, "file of limits", EstimationError)))
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise EstimationError(f"{path}: {where}: {first['msg']}; see docs/design.md") from error
+        key_path = ".".join(str(part) for part in first["loc"])
+        raise EstimationError(f"{path}: {key_path}: {first['msg']}; see docs/design.md") from error
 
 
 def _limits(file: LimitsFile) -> Limits:
     return Limits(
         {name: math.radians(c.amplitude_deg) for name, c in file.controls.items()},
         {name: math.radians(c.rate_deg_s) for name, c in file.controls.items()},
-        dict(_response(name, allowed) for name, allowed in file.response.items()),
+        dict(_response(name, range_allowed) for name, range_allowed in file.response.items()),
     )
 
 

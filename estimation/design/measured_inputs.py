@@ -57,14 +57,14 @@ def expected(
             f"model {bench.model.name} leaves all bounds in this manoeuvre; make it smaller or shorter"
         )
     count = draws if len(run.y) <= USUAL_SAMPLES else max(LEAST_DRAWS, draws * USUAL_SAMPLES // len(run.y))
-    shown = [simulator.run(_flight(bench, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)]
-    finite = [d for d in shown if np.isfinite(d).all()]
+    output_errors = [simulator.run(_flight(bench, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)]
+    finite = [d for d in output_errors if np.isfinite(d).all()]
     if not finite:
         raise EstimationError(
             f"model {bench.model.name} leaves all bounds where its inputs are as noisy as measured ones"
         )
-    within = np.mean([d.T @ d / len(d) for d in finite], axis=0)
-    std = _scatter(run.dy, _own(bench, run.y, np.diag(within)), within, finite)
+    error_covariance = np.mean([d.T @ d / len(d) for d in finite], axis=0)
+    std = _scatter(run.dy, _own(bench, run.y, np.diag(error_covariance)), error_covariance, finite)
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 

@@ -63,8 +63,8 @@ def measure(
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     if not motion.reached:
         raise EstimationError(f"{kind}: the model leaves all bounds in this manoeuvre; make it smaller or shorter")
-    used = tuple(limits_used(bench, limits, commands, motion))
-    return Designed(kind, commands, motion, information(bench, motion), used, tuple(waves))
+    limit_use = tuple(limits_used(bench, limits, commands, motion))
+    return Designed(kind, commands, motion, information(bench, motion), limit_use, tuple(waves))
 
 
 def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
@@ -74,8 +74,8 @@ def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
         return _inside(bench, limits, factor * commands)
 
     peaks = np.abs(commands).max(axis=0)
-    allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
-    high = min(1e3, float(np.min(allowed / np.maximum(peaks, 1e-12))))
+    amplitudes_allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
+    high = min(1e3, float(np.min(amplitudes_allowed / np.maximum(peaks, 1e-12))))
     if inside(high):
         return high
     low = 0.0
@@ -92,8 +92,8 @@ def each_fitted(bench: DesignSetting, limits: Limits, commands: Array) -> Array:
         low, high = 1.0, limits.amplitude_of(bench.controls[i]) / _peak(factors[i] * commands[:, i])
         for _ in range(SIZES if high > 1.0 + 1e-6 else 0):
             middle = 0.5 * (low + high)
-            tried = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
-            low, high = (middle, high) if _inside(bench, limits, tried * commands) else (low, middle)
+            trial_factors = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
+            low, high = (middle, high) if _inside(bench, limits, trial_factors * commands) else (low, middle)
         factors[i] *= low
     return factors
 
@@ -131,10 +131,10 @@ def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band:
             commands = np.zeros((time.size, len(bench.controls)))
             commands[:, control] = PROBE * np.sin(2.0 * math.pi * k * time / period)
             motion = fly(bench, commands, period)
-            told = information(bench, motion)
-            names = told.names
+            harmonic_information = information(bench, motion)
+            names = harmonic_information.names
             controls.append(control)
-            matrices.append(told.matrix / (0.5 * PROBE**2))
+            matrices.append(harmonic_information.matrix / (0.5 * PROBE**2))
             power.append([u.share**2 / (0.5 * PROBE**2) for u in limits_used(bench, limits, commands, motion)])
     return Harmonics(np.array(controls), np.array(matrices), np.array(power), names)
 
@@ -147,8 +147,8 @@ def allocate(found: Harmonics, scale: Array, criterion: Criterion) -> Array:
     relative = found.information * scale[None, :, None] * scale[None, None, :]
     last = math.inf
     for _ in range(ROUNDS):
-        whole = np.tensordot(weights, relative, axes=1)
-        covariance = np.linalg.pinv(whole, rcond=1e-12, hermitian=True)
+        total_information = np.tensordot(weights, relative, axes=1)
+        covariance = np.linalg.pinv(total_information, rcond=1e-12, hermitian=True)
         value, slope = criterion(covariance)
         gain = np.einsum("ij,kji->k", covariance @ slope @ covariance, relative)
         weights = weights * np.sqrt(np.maximum(gain, 0.0) / (found.power @ multipliers))
@@ -209,9 +209,9 @@ def multisine(
 
     weights: control -> (K,) power of its harmonics; None: flat, each control to its own amplitude's share.
     """
-    dealt = deal(len(bench.controls), period, band)
+    harmonics_by_control = deal(len(bench.controls), period, band)
     waves = []
-    for i, (control, harmonics) in enumerate(zip(bench.controls, dealt, strict=True)):
+    for i, (control, harmonics) in enumerate(zip(bench.controls, harmonics_by_control, strict=True)):
         power = flat(harmonics.size) if weights is None else weights[i]
         keep = power >= LEAST_SHARE * power.max()
         wave = low_peak_multisine(
@@ -238,13 +238,13 @@ def calm(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time:
             return math.inf
         return max(u.share for u in limits_used(bench, limits, commands, motion) if u.name not in bench.controls)
 
-    chosen = list(waves)
-    if not limits.response or pressed(chosen) <= 1.0:
-        return chosen
-    for i in range(len(chosen)):
-        variants = [v for shifted in from_zero(chosen[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
-        chosen[i] = min(variants, key=lambda v: pressed([*chosen[:i], v, *chosen[i + 1 :]]))
-    return chosen
+    chosen_waves = list(waves)
+    if not limits.response or pressed(chosen_waves) <= 1.0:
+        return chosen_waves
+    for i in range(len(chosen_waves)):
+        variants = [v for shifted in from_zero(chosen_waves[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
+        chosen_waves[i] = min(variants, key=lambda v: pressed([*chosen_waves[:i], v, *chosen_waves[i + 1 :]]))
+    return chosen_waves
 
 
 def optimal(
@@ -262,9 +262,9 @@ def optimal(
     scale: parameter -> size that its error is measured by (parameters without one enter as they are, constants).
     criterion: told the names, gives what to make small. judge: of what was flown.
     """
-    found = look_at_harmonics(bench, limits, period, band)
-    sizes = np.array([abs(scale.get(n, 0.0)) for n in found.names])
-    weights = allocate(found, np.where(sizes > 0.0, sizes, 1.0), criterion(found.names))
-    shares = {i: weights[found.control == i] for i in range(len(bench.controls))}
+    harmonics = look_at_harmonics(bench, limits, period, band)
+    sizes = np.array([abs(scale.get(n, 0.0)) for n in harmonics.names])
+    weights = allocate(harmonics, np.where(sizes > 0.0, sizes, 1.0), criterion(harmonics.names))
+    shares = {i: weights[harmonics.control == i] for i in range(len(bench.controls))}
     candidates = (multisine(bench, limits, period, band, rng), multisine(bench, limits, period, band, rng, shares))
     return replace(min(candidates, key=judge), kind="optimal")

@@ -65,9 +65,9 @@ def judged(fit: TransferFunction) -> str:
 def lines(found: FrequencyResult) -> Iterator[str]:
     """What a person reads on the terminal."""
     r = found.response
-    beside = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
+    conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     yield (
-        f"{r.output} to {r.input}{beside}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
+        f"{r.output} to {r.input}{conditioned_text}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
         f"{r.omega[-1]:.3g} rad/s, {r.duration:.4g} s of data"
     )
     yield f"  {'rad/s':>8}{'magnitude':>12}{'+-':>10}{'phase [deg]':>13}{'+-':>8}{'coherence':>11}"
@@ -112,9 +112,9 @@ def write_frequency_report(found: FrequencyResult, flights: Sequence[Flight], fo
         Section("table", "Response in numbers", numbers, "Table"),
         Section("provenance_of_flights", "Provenance", [provenance_table(flights)], "Provenance"),
     ]
-    beside = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
+    conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     lengths = ", ".join(f"{w:.3g}" for w in r.windows)
-    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{beside}; windows of {lengths} s."
+    lead = f"{', '.join(r.flights)}: {r.duration:.4g} s of data{conditioned_text}; windows of {lengths} s."
     page = Page(f"Frequency response of {r.output} to {r.input}", lead, sections)
     return page.write(folder / "index.html", folder / "tables")
 

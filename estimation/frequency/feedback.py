@@ -23,12 +23,12 @@ SHARE = 0.02  # of the control's new movements, below which feedback is too weak
 def feedback_note(signals: Signals) -> str:
     """One sentence where the control follows the output, else nothing."""
     lags = max(2, round(SECONDS / signals.step))
-    told = [t for s in signals.stretches if (t := _moments(s, lags)) is not None]
-    if not told:
+    moments = [t for s in signals.stretches if (t := _moments(s, lags)) is not None]
+    if not moments:
         return ""
-    cross = np.sum([t[0] for t in told], axis=0)
-    norm = math.sqrt(sum(t[1] for t in told) * sum(t[2] for t in told))
-    count = sum(t[3] for t in told)
+    cross = np.sum([t[0] for t in moments], axis=0)
+    norm = math.sqrt(sum(t[1] for t in moments) * sum(t[2] for t in moments))
+    count = sum(t[3] for t in moments)
     if norm <= 0.0:
         return ""
     rho = cross / norm

@@ -34,8 +34,8 @@ def draw_on(axes: Any, response: FrequencyResponse, fit: TransferFunction | None
     omega = response.omega
     relative = SURE * response.std / response.magnitude
     decibels, degrees = 20 * np.log10(response.magnitude), np.degrees(response.phase)
-    up, down = 20 * np.log10(1 + relative), 20 * np.log10(np.maximum(1 - relative, 0.1))
-    _banded(axes[0], omega, decibels, decibels + down, decibels + up)
+    upper_error, lower_error = 20 * np.log10(1 + relative), 20 * np.log10(np.maximum(1 - relative, 0.1))
+    _banded(axes[0], omega, decibels, decibels + lower_error, decibels + upper_error)
     wide = SURE * np.degrees(response.std_phase)
     _banded(axes[1], omega, degrees, degrees - wide, degrees + wide)
     if fit is not None:
@@ -100,10 +100,10 @@ def write_figure(response: FrequencyResponse, fit: TransferFunction | None, path
 
 def response_picture(response: FrequencyResponse, fit: TransferFunction | None) -> Picture:
     with styled():
-        drawn = draw(response, fit)
+        figure = draw(response, fit)
     caption = (
         f"Frequency response of {response.output} to {response.input}"
         + (f", with {', '.join(response.inputs[1:])} taken off" if len(response.inputs) > 1 else "")
         + f". Dashed: coherence {GOOD:g}, from which points are fitted."
     )
-    return picture(drawn, "frequency_response", caption)
+    return picture(figure, "frequency_response", caption)

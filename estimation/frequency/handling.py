@@ -149,13 +149,20 @@ def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -
 def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_d"], fit.parameters["omega_d"]
     product, spread = _derived(fit, lambda v: v["zeta_d"] * v["omega_d"])
-    told = (zeta.estimate, product, omega.estimate)
+    rated_values = (zeta.estimate, product, omega.estimate)
     limits = DUTCH_ROLL[craft.category, craft.small_or_agile]
-    level = next((k + 1 for k, least in enumerate(limits) if all(a >= b for a, b in zip(told, least, strict=True))), 4)
-    shown = level if rated else None
-    yield _number("zeta_d", zeta.estimate, zeta.std, shown)
-    yield _number("omega_d", omega.estimate, omega.std, shown)
-    yield _number("zeta_d omega_d", product, spread, shown)
+    level = next(
+        (
+            k + 1
+            for k, lowest_values in enumerate(limits)
+            if all(a >= b for a, b in zip(rated_values, lowest_values, strict=True))
+        ),
+        4,
+    )
+    level_shown = level if rated else None
+    yield _number("zeta_d", zeta.estimate, zeta.std, level_shown)
+    yield _number("omega_d", omega.estimate, omega.std, level_shown)
+    yield _number("zeta_d omega_d", product, spread, level_shown)
 
 
 def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
@@ -181,12 +188,12 @@ def _delay(fit: TransferFunction, craft: Craft) -> Iterator[Number]:
 
 def _derived(fit: TransferFunction, value: Callable[[dict[str, float]], float]) -> tuple[float, float]:
     """A number of the parameters and its bound, to first order."""
-    at = {n: p.estimate for n, p in fit.parameters.items()}
-    slopes = np.zeros(len(at))
-    for i, (name, v) in enumerate(at.items()):
+    estimates = {n: p.estimate for n, p in fit.parameters.items()}
+    slopes = np.zeros(len(estimates))
+    for i, (name, v) in enumerate(estimates.items()):
         h = 1e-5 * max(abs(v), 1e-6)
-        slopes[i] = (value({**at, name: v + h}) - value({**at, name: v - h})) / (2 * h)
-    return value(at), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
+        slopes[i] = (value({**estimates, name: v + h}) - value({**estimates, name: v - h})) / (2 * h)
+    return value(estimates), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
 
 
 def _below(value: float, limits: tuple[float, ...]) -> int:
@@ -221,8 +228,8 @@ def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[N
     width = min(by_phase, by_gain if by_gain is not None else math.inf)
     yield _number("omega_BW", width)
     if 2 * crossing <= omega[-1]:
-        late = -np.pi - float(np.interp(2 * crossing, omega, phase))
-        yield _number("tau_p", late / (2 * crossing))
+        phase_lag = -np.pi - float(np.interp(2 * crossing, omega, phase))
+        yield _number("tau_p", phase_lag / (2 * crossing))
 
 
 def _near_quarter(offset: float) -> float:
@@ -232,9 +239,9 @@ def _near_quarter(offset: float) -> float:
 
 def _first(omega: Array, values: Array, level: float) -> float | None:
     """Where values first fall through a level."""
-    below = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
-    if not below.size:
+    crossings = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
+    if not crossings.size:
         return None
-    k = int(below[0])
+    k = int(crossings[0])
     share = (values[k] - level) / (values[k] - values[k + 1])
     return float(omega[k] + share * (omega[k + 1] - omega[k]))

@@ -84,27 +84,27 @@ def fitted(stretches: Sequence[PolarSamples]) -> Polar:
             "no stretch of any flight has lift and drag with thrust known; fly glides with the throttle off"
         )
     rows = [np.column_stack([np.ones(s.V.size), s.smooth_CL**2, s.smooth_CL]) / s.scatter[:, None] for s in stretches]
-    seen = [s.CD / s.scatter for s in stretches]
+    scaled_drag = [s.CD / s.scatter for s in stretches]
     # the prior's weight is in units of the noise, which is raised by what residuals are larger than it
     values, scale = np.zeros(3), 1.0
     for _ in range(3):
         inverse = _inverse(rows, scale)
-        values = inverse @ np.sum([J.T @ y for J, y in zip(rows, seen, strict=True)], axis=0) / scale**2
-        left = [y - J @ values for J, y in zip(rows, seen, strict=True)]
-        scale = max(math.sqrt(float(np.mean(np.concatenate(left) ** 2))), 1e-9)
+        values = inverse @ np.sum([J.T @ y for J, y in zip(rows, scaled_drag, strict=True)], axis=0) / scale**2
+        residuals = [y - J @ values for J, y in zip(rows, scaled_drag, strict=True)]
+        scale = max(math.sqrt(float(np.mean(np.concatenate(residuals) ** 2))), 1e-9)
     inverse = _inverse(rows, scale)
     pieces = [
         ResidualSegment((e / scale)[:, None], J / scale, np.zeros((e.size, 0)), np.ones((e.size, 1), bool))
-        for e, J in zip(left, rows, strict=True)
+        for e, J in zip(residuals, rows, strict=True)
     ]
     products = score_covariance(pieces, inverse, [np.zeros((0, 0))] * len(pieces))
     products[2, 2] += 1.0 / OFFSET**2
     covariance = inverse @ products @ inverse
     lift = np.concatenate([s.smooth_CL for s in stretches])
-    off = np.concatenate([e * s.scatter for e, s in zip(left, stretches, strict=True)])
+    drag_residuals = np.concatenate([e * s.scatter for e, s in zip(residuals, stretches, strict=True)])
     density = float(np.mean(np.concatenate([s.rho for s in stretches])))
     low, high = (float(v) for v in np.quantile(lift, EDGES))
-    return Polar(values, covariance, (low, high), float(np.sqrt(np.mean(off**2))), density)
+    return Polar(values, covariance, (low, high), float(np.sqrt(np.mean(drag_residuals**2))), density)
 
 
 def _inverse(rows: Sequence[Array], scale: float) -> Array:
@@ -172,8 +172,8 @@ DPI = 150
 def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint], axes: Any) -> None:
     stretches = [s for f in flights for s in f.stretches]
     CL, CD = (np.concatenate([getattr(s, n) for s in stretches]) for n in ("smooth_CL", "CD"))
-    every = max(1, CL.size // SHOWN)
-    axes[0].plot(CD[::every], CL[::every], ".", color=MEASURED, markersize=1.5, label="samples")
+    decimation = max(1, CL.size // SHOWN)
+    axes[0].plot(CD[::decimation], CL[::decimation], ".", color=MEASURED, markersize=1.5, label="samples")
     lift = np.linspace(*polar.lift, 60)
     drag = polar.values[0] + polar.values[1] * lift**2
     rows = np.column_stack([np.ones(60), lift**2])

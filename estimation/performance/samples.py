@@ -57,20 +57,20 @@ def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
     Raises DataError where thrust is unknown and not off, or a column is missing.
     """
     flight = with_derived(flight, ["rho"])
-    lacking = [n for n in NEEDED if not flight.measured(n)]
-    if lacking:
+    missing_columns = [n for n in NEEDED if not flight.measured(n)]
+    if missing_columns:
         way = (
             "; 'sideslip reconstruct' makes angle of attack and airspeed from the others"
-            if {"V", "alpha"} & set(lacking)
+            if {"V", "alpha"} & set(missing_columns)
             else ""
         )
-        raise DataError(f"{flight.name}: lift and drag need {', '.join(lacking)}, which it has not{way}")
+        raise DataError(f"{flight.name}: lift and drag need {', '.join(missing_columns)}, which it has not{way}")
     thrust, words = _thrust(flight, throttle_off)
-    told = np.isfinite(thrust)
+    thrust_known = np.isfinite(thrust)
     for name in NEEDED:
-        told &= np.isfinite(flight[name])
-    told &= np.nan_to_num(flight["V"]) > 0.0
-    pieces = [piece for s in flight.segments for piece in _runs(told, s.start, s.stop)]
+        thrust_known &= np.isfinite(flight[name])
+    thrust_known &= np.nan_to_num(flight["V"]) > 0.0
+    pieces = [piece for s in flight.segments for piece in _runs(thrust_known, s.start, s.stop)]
     if not pieces:
         raise DataError(
             f"{flight.name}: no {LEAST} samples in a row have {words} and {', '.join(NEEDED)}; fly longer glides with the"

@@ -53,8 +53,8 @@ def published_lines() -> Iterator[str]:
     yield "published (bounds of output error, without the noise of the inertial sensors)"
     yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)
     for factor in STANDARD_FACTORS:
-        said = [published.compatibility_factor(flight, factor) for flight in flights]
-        yield f"{factor:<17}" + "".join(f"{_published(s):>21}" for s in said)
+        published_factors = [published.compatibility_factor(flight, factor) for flight in flights]
+        yield f"{factor:<17}" + "".join(f"{_published(s):>21}" for s in published_factors)
 
 
 def _published(said: tuple[float, float] | None) -> str:
@@ -73,10 +73,10 @@ def fit_of(flight: ReconstructedFlight) -> Mapping[str, Mapping[str, float]]:
     """Per output: rms of measured less reconstructed, coefficient of determination, whiteness."""
     table = {}
     for j, name in enumerate(flight.outputs):
-        both = np.isfinite(flight.measured[:, j]) & np.isfinite(flight.reconstructed[:, j])
-        if not both.any():
+        both_known = np.isfinite(flight.measured[:, j]) & np.isfinite(flight.reconstructed[:, j])
+        if not both_known.any():
             continue
-        z, residual = flight.measured[both, j], (flight.measured - flight.reconstructed)[both, j]
+        z, residual = flight.measured[both_known, j], (flight.measured - flight.reconstructed)[both_known, j]
         spread = float(np.sum((z - z.mean()) ** 2))
         r2 = 1.0 - float(np.sum(residual**2)) / spread if spread > 0 else 0.0
         rms = float(np.sqrt(np.mean(residual**2)))
@@ -102,8 +102,8 @@ def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
                 (flight.measured[:, row], "0.45", 0.7, "measured"),
                 (flight.reconstructed[:, row], "#0072B2", 1.2, "reconstructed"),
             ):
-                shown = np.where(gaps, np.nan, scale * values)
-                axis.plot(flight.time, shown, color=colour, linewidth=width, label=label)
+                unbroken_values = np.where(gaps, np.nan, scale * values)
+                axis.plot(flight.time, unbroken_values, color=colour, linewidth=width, label=label)
             axis.set_ylabel(_TITLES[name])
             axis.grid(alpha=0.25)
         axes[0][column].set_title(literal(flight.name))
@@ -175,12 +175,12 @@ def _findings(flights: Sequence["Flight"], quality: Sequence[Sequence["Finding"]
 
 def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None:
     """What these flights cannot tell of the factors, each reason once."""
-    found = collected(
+    flights_by_reason = collected(
         (f"{f.name}: {f.why}", flight) for flight, r in results for f in r.factors.values() if not f.identifiable
     )
-    if not found:
+    if not flights_by_reason:
         return None
-    rows = tuple((*what.split(": ", 1), ", ".join(flights)) for what, flights in found.items())
+    rows = tuple((*reason.split(": ", 1), ", ".join(flights)) for reason, flights in flights_by_reason.items())
     return ReportTable(
         "unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2), filed=False
     )
@@ -189,24 +189,28 @@ def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None
 def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> ReportTable:
     """Table 2: factor, estimate and bound a flight; the published columns where all flights are of the CDFP."""
     ours = all(published.is_of(f.provenance.aircraft) for f in flights)
-    others = published.published_flights() if ours else ()
+    published_flights = published.published_flights() if ours else ()
     rows = []
     for name, first in results[0][1].factors.items():
         row = [name, first.unit]
         for _, r in results:
             factor = r.factors[name]
             row.append(_with_bound(factor.estimate, factor.std_coloured) if factor.identifiable else CANNOT_TELL)
-        for flight in others:
-            said = published.compatibility_factor(flight, name)
-            row.append("" if said is None else f"{number(said[0])} ({significant(said[1], 2)})")
+        for flight in published_flights:
+            published_factor = published.compatibility_factor(flight, name)
+            row.append(
+                ""
+                if published_factor is None
+                else f"{number(published_factor[0])} ({significant(published_factor[1], 2)})"
+            )
         rows.append(tuple(row))
     groups = [("", 2), ("estimate (bound)", len(results))] + (
-        [("published, estimate (bound)", len(others))] if others else []
+        [("published, estimate (bound)", len(published_flights))] if published_flights else []
     )
     return ReportTable(
         "table2_compatibility",
         "Instrument factors found by flight-path reconstruction, with one-sigma bounds",
-        ("factor", "unit", *(n for n, _ in results), *others),
+        ("factor", "unit", *(n for n, _ in results), *published_flights),
         tuple(rows),
         tuple(groups),
         note="Conventions: measured = true + bias for accelerations and rates, measured = K true + bias for β (and α, V). "
@@ -216,8 +220,8 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
 
 
 def _with_bound(value: float, bound: float) -> str:
-    shown, said = rounded(value, bound)
-    return f"{shown} ({said})" if said else shown
+    value_text, bound_text = rounded(value, bound)
+    return f"{value_text} ({bound_text})" if bound_text else value_text
 
 
 def _fit_table(flights: Sequence[ReconstructedFlight]) -> ReportTable:
@@ -263,8 +267,8 @@ def motion_figure(shown: Sequence[ReconstructedFlight], number: int) -> Picture:
                 if np.isfinite(flight.measured[:, row]).any():
                     measured = broken_at_gaps(flight.time, factor * flight.measured[:, row])
                     axis.plot(flight.time, measured, color=MEASURED, lw=1.6, label="measured")
-                again = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
-                axis.plot(flight.time, again, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
+                reconstructed = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
+                axis.plot(flight.time, reconstructed, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
                 axis.set_ylabel(f"${tex(name)}$ [{unit}]")
             axes[0][column].set_title(literal(flight.name), loc="left")
             axes[-1][column].set_xlabel("time [s]")

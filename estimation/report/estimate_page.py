@@ -55,53 +55,56 @@ UNNAMED = "not stated"  # aircraft of a model of one's own on a flight that does
 def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
     """Write folder/index.html with everything inside, and its tables as CSV and LaTeX in folder/tables; returns the page."""
     flights = [f.flight for f in session.flights]
-    used = [f for f in session.flights if f.results]
+    estimated_flights = [f for f in session.flights if f.results]
     proofs = cache(partial(_proofs, session))
     figures = {
-        section: [p for draw in drawn.values() if (p := draw()) is not None]
-        for section, drawn in _figures(session, proofs).items()
+        section: [p for draw in section_figures.values() if (p := draw()) is not None]
+        for section, section_figures in _figures(session, proofs).items()
     }
-    each = [estimate_table(session, f) for f in used]
-    each = [*(replace(t, note="") for t in each[:-1]), *each[-1:]]  # one note on what the columns mean is enough
+    flight_tables = [estimate_table(session, f) for f in estimated_flights]
+    flight_tables = [
+        *(replace(t, note="") for t in flight_tables[:-1]),
+        *flight_tables[-1:],
+    ]  # one note on what the columns mean is enough
     rerun = [path.relative_to(folder).as_posix() for path in write_flights(session, folder / "flights", SHOWN)]
-    named = session.aircraft if session.aircraft.name != UNNAMED else None
+    named_aircraft = session.aircraft if session.aircraft.name != UNNAMED else None
     joint, mean, proof = joint_table(session), mean_table(session), _proof_table(session, proofs())
     modes = _modes(session) or paragraph("No usable estimate to linearise about.")
-    best, _ = _shown_as_map(session)
+    mapped_result, _ = _shown_as_map(session)
     sections = [
         Section("", "", [_status_box(session, flights)]),
         Section("verdict", "Whom to believe", [_verdict_table(session)], "Whom to believe"),
-        Section("card", "Flight card", [flight_card(flights, named)], "Flight card"),
+        Section("card", "Flight card", [flight_card(flights, named_aircraft)], "Flight card"),
         Section("scatter", "Each derivative over flights and methods", [*figures["scatter"], _comparison(session)])
-        if used
+        if estimated_flights
         else None,
         Section("joint", "All flights together", [joint], "Joint") if joint else None,
         Section("mean", "Mean and scatter", [mean], "Means") if mean else None,
-        Section("flights", "Flight by flight", each, "Flights"),
+        Section("flights", "Flight by flight", flight_tables, "Flights"),
         Section("untold", "What could not be told, and what would tell it", _untold_parts(session), "Not told"),
         Section(
             "histories",
             "Measured and estimated motion",
-            [_rerun_note(rerun), *figures["histories"], _left_out(len(used) - SHOWN), fit_table(session)],
+            [_rerun_note(rerun), *figures["histories"], _left_out(len(estimated_flights) - SHOWN), fit_table(session)],
             "Histories",
         ),
         Section("residuals", "Residuals", figures["residuals"], "Residuals"),
         Section("proof", "Proof of match", [*figures["proof"], proof], "Proof of match") if proof else None,
         Section("modes", "Modes", [modes], "Modes"),
-        Section("correlation", "Correlations", [*figures["correlation"], _collinear(best)], "Correlations"),
-        Section("runs", "How each fit ended", [_runs(session), _notes(used)]),
+        Section("correlation", "Correlations", [*figures["correlation"], _collinear(mapped_result)], "Correlations"),
+        Section("runs", "How each fit ended", [_runs(session), _notes(estimated_flights)]),
         Section("conventions", "Conventions", [conventions_table(session)], "Conventions"),
         Section("provenance", "Provenance", [provenance_table(flights), _equations(session.model)], "Provenance"),
     ]
-    title = "Derivatives" if named is None else f"Aerodynamic derivatives of {named.name}"
+    title = "Derivatives" if named_aircraft is None else f"Aerodynamic derivatives of {named_aircraft.name}"
     page = Page(title, _lead(session), sections, beside=[_untold(session)])
     return page.write(folder / "index.html", folder / "tables")
 
 
 def estimate_figures(session: "EstimationSession") -> dict[str, Callable[[], Picture | None]]:
     """What draws each figure of the page, by the figure's name, in the order of the page."""
-    drawn = _figures(session, cache(partial(_proofs, session)))
-    return {name: draw for section in drawn.values() for name, draw in section.items()}
+    figures_by_section = _figures(session, cache(partial(_proofs, session)))
+    return {name: draw for section in figures_by_section.values() for name, draw in section.items()}
 
 
 def _figures(
@@ -110,13 +113,13 @@ def _figures(
     """Section of the page -> name of a figure -> what draws it: a figure more is a line here and what draws it."""
     sections: dict[str, dict[str, Callable[[], Picture | None]]]
     sections = {n: {} for n in ("scatter", "histories", "residuals", "proof", "correlation")}
-    used = [f for f in session.flights if f.results][:SHOWN]
-    best, whose = _shown_as_map(session)
-    if best is None:
+    estimated_flights = [f for f in session.flights if f.results][:SHOWN]
+    mapped_result, mapped_label = _shown_as_map(session)
+    if mapped_result is None:
         return sections
     published_too = is_published(session)
     sections["scatter"]["figure8"] = partial(scatter_figure, session)
-    for f in used:
+    for f in estimated_flights:
         first, name = next(iter(f.results.values())), f.flight.name
         sections["histories"][f"figure9_{name}"] = partial(history_figure, f, published_too)
         sections["residuals"][f"residuals_{name}"] = partial(residual_figure, first.model, first)
@@ -124,10 +127,10 @@ def _figures(
             sections["residuals"][f"against_{name}"] = partial(against_figure, first.model, first, f.flight)
     if _can_be_proved(session):
         sections["proof"]["figure10"] = lambda: proof_figure(proofs()[:2], refitted(session), published_too)
-    if best.names:
-        sections["correlation"]["correlations"] = partial(correlation_figure, best, whose)
-    if most_correlated(best):
-        sections["correlation"]["ellipses"] = partial(_ellipses, session, used[:1], whose)
+    if mapped_result.names:
+        sections["correlation"]["correlations"] = partial(correlation_figure, mapped_result, mapped_label)
+    if most_correlated(mapped_result):
+        sections["correlation"]["ellipses"] = partial(_ellipses, session, estimated_flights[:1], mapped_label)
     return sections
 
 
@@ -207,9 +210,9 @@ def _untold_parts(session: "EstimationSession") -> list[Markup]:
 
 def _shown_as_map(session: "EstimationSession") -> "tuple[Result | None, str]":
     """Whose correlations are drawn: the joint estimate's, else the first flight's; and whose that is in words."""
-    best = session.leading
-    if best is not None:
-        return best, f"joint, {best.method}"
+    leading = session.leading
+    if leading is not None:
+        return leading, f"joint, {leading.method}"
     for f in session.flights:
         for result in f.results.values():
             return result, f"{f.flight.name}, {result.method}"
@@ -218,8 +221,8 @@ def _shown_as_map(session: "EstimationSession") -> "tuple[Result | None, str]":
 
 def _verdicts(session: "EstimationSession") -> list[tuple[str, "Verdict"]]:
     """Whose verdict, and the verdict: joint first."""
-    found = [("all together", session.verdict), *((f.flight.name, f.verdict) for f in session.flights)]
-    return [(who, v) for who, v in found if v is not None]
+    verdicts = [("all together", session.verdict), *((f.flight.name, f.verdict) for f in session.flights)]
+    return [(subject, v) for subject, v in verdicts if v is not None]
 
 
 def _lead(session: "EstimationSession") -> str:
@@ -245,10 +248,10 @@ def _proofs(session: "EstimationSession") -> list[tuple[str, "ProofOfMatch"]]:
         usable = [(f, r) for f in session.flights for m, r in f.results.items() if m == method and r.converged]
         if len(usable) < 2:
             continue
-        by = f", {method}" if len(session.methods) > 1 else ""
+        method_note = f", {method}" if len(session.methods) > 1 else ""
         pairs = zip(usable, [usable[-1], *usable[:-1]], strict=True)
         proofs += [
-            (donor[0].flight.name + by, predict(donor[1].fitted_model, f.flight, free=trims))
+            (donor[0].flight.name + method_note, predict(donor[1].fitted_model, f.flight, free=trims))
             for (f, _), donor in list(pairs)[:SHOWN]
         ]
     return proofs
@@ -267,8 +270,8 @@ def _verdict_table(session: "EstimationSession") -> ReportTable:
     """Which estimate is recommended, for each flight and all together, why, and what is doubtful about it."""
     verdicts = _verdicts(session)
     rows = tuple(
-        (who, v.recommended.method, v.recommended.why, "; ".join(f"{d.kind.value}: {d.text}" for d in v.doubts))
-        for who, v in verdicts
+        (subject, v.recommended.method, v.recommended.why, "; ".join(f"{d.kind.value}: {d.text}" for d in v.doubts))
+        for subject, v in verdicts
     )
     failed = frozenset((i, 1) for i, (_, v) in enumerate(verdicts) if v.recommended.method == "none")
     head = ("estimate", "recommended", "why", "doubts")
@@ -285,17 +288,17 @@ def _verdict_table(session: "EstimationSession") -> ReportTable:
 
 def _runs(session: "EstimationSession") -> ReportTable:
     """How each fit ended, failures among them."""
-    ended = [
+    run_entries = [
         (f.flight.name, m, r.text, r.iterations, r.converged) for f in session.flights for m, r in f.results.items()
     ]
-    ended += [(f.flight.name, m, why, 0, False) for f in session.flights for m, why in f.failures.items()]
-    ended += [("joint", m, r.text, r.iterations, r.converged) for m, r in session.joint.items()]
-    ended += [("joint", m, why, 0, False) for m, why in session.joint_failures.items()]
-    rows = tuple((who, m, text, str(n)) for who, m, text, n, _ in ended)
-    failed = frozenset((i, 2) for i, (*_, good) in enumerate(ended) if not good)
+    run_entries += [(f.flight.name, m, reason, 0, False) for f in session.flights for m, reason in f.failures.items()]
+    run_entries += [("joint", m, r.text, r.iterations, r.converged) for m, r in session.joint.items()]
+    run_entries += [("joint", m, reason, 0, False) for m, reason in session.joint_failures.items()]
+    rows = tuple((subject, m, text, str(n)) for subject, m, text, n, _ in run_entries)
+    failed = frozenset((i, 2) for i, (*_, succeeded) in enumerate(run_entries) if not succeeded)
     head = ("flight", "method", "end", "iterations")
-    what = "Each flight and method, and all flights together"
-    return ReportTable("runs", what, head, rows, symbols=False, texts=(1, 2), failed=failed)
+    caption = "Each flight and method, and all flights together"
+    return ReportTable("runs", caption, head, rows, symbols=False, texts=(1, 2), failed=failed)
 
 
 def _untold(session: "EstimationSession") -> ReportTable:
@@ -328,7 +331,7 @@ def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfM
         "Proof of match over flights",
         ("flight", "predicted by"),
         outputs,
-        zip([(p.name, whose) for whose, p in proofs], pairs, strict=True),
+        zip([(p.name, donor) for donor, p in proofs], pairs, strict=True),
         THEIL_LIMIT,
         f" Derivatives frozen, {refitted(session)} refitted. A flight that could not tell a derivative predicts with what was"
         " believed before flying, or with a poor number: its predictions of flights that use that control show it.",

@@ -45,10 +45,10 @@ def _parameter_table(
 ) -> ReportTable:
     """Parameters by methods, with what was believed before. methods: what fills the `columns` of each; beside: groups of columns
     after those, as (label, heads, what fills them)."""
-    before = _believed(session)
+    has_beliefs = _believed(session)
     groups = [*methods.items(), *((label, cells) for label, _, cells in beside)]
     rows = tuple(
-        (n, *(_before(session, n) if before else ()), *(cell for _, cells in groups for cell in cells(n)))
+        (n, *(_before(session, n) if has_beliefs else ()), *(cell for _, cells in groups for cell in cells(n)))
         for n in parameters
     )
     heads = [*(columns for _ in methods), *(head for _, head, _ in beside)]
@@ -56,9 +56,9 @@ def _parameter_table(
     return ReportTable(
         name,
         caption,
-        ("", *(("value", "source") if before else ()), *(h for head in heads for h in head)),
+        ("", *(("value", "source") if has_beliefs else ()), *(h for head in heads for h in head)),
         rows,
-        (("", 1), *([("before flying", 2)] if before else []), *spans),
+        (("", 1), *([("before flying", 2)] if has_beliefs else []), *spans),
         note=note,
     )
 
@@ -85,7 +85,7 @@ def _truth(session: "EstimationSession") -> list[tuple[str, tuple[str, ...], Cel
 def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> ReportTable:
     """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
     twin = published.counterpart(flight.flight.name) if is_published(session) else None
-    beside = [] if twin is None else [
+    published_groups = [] if twin is None else [
         (f"{twin}, {m} (published)", ("estimate", "bound"), _published(partial(published.estimate, twin, m)))
         for m in ("ml", "ngn")
     ]  # fmt: skip
@@ -96,7 +96,7 @@ def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> R
         next(iter(flight.results.values())).parameters,
         {method: _fitted(result) for method, result in flight.results.items()},
         ("estimate", "bound", "corrected"),
-        beside,
+        published_groups,
         _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if twin else ""),
     )
 
@@ -167,11 +167,14 @@ def match_table(
     rows: list[tuple[str, ...]] = []
     failed: set[tuple[int, int]] = set()
     for first, fits in proofs:
-        beyond = [k for k, (_, theil) in enumerate(fits) if theil is not None and not theil <= limit]
-        columns = [*(len(head) + 1 + 2 * k for k in beyond), *([len(head) + 2 * len(outputs)] if beyond else [])]
+        failed_outputs = [k for k, (_, theil) in enumerate(fits) if theil is not None and not theil <= limit]
+        columns = [
+            *(len(head) + 1 + 2 * k for k in failed_outputs),
+            *([len(head) + 2 * len(outputs)] if failed_outputs else []),
+        ]
         failed |= {(len(rows), column) for column in columns}
         cells = [number(value, 3) for fit in fits for value in fit]
-        rows.append((*first, *cells, "FAIL" if beyond else "pass"))
+        rows.append((*first, *cells, "FAIL" if failed_outputs else "pass"))
     return ReportTable(
         name,
         caption,
@@ -227,14 +230,14 @@ def _before(session: "EstimationSession", name: str) -> list[str]:
 def _three(e: "Estimate | None") -> list[str]:
     if e is None:
         return ["", "", ""]
-    said = _to_bound(e.estimate, e.std, e.std_coloured)
-    return said if e.identifiable else [*said[:2], CANNOT_TELL]
+    cells = _to_bound(e.estimate, e.std, e.std_coloured)
+    return cells if e.identifiable else [*cells[:2], CANNOT_TELL]
 
 
 def _to_bound(value: float, other: float, bound: float) -> list[str]:
     """Value, another spread and the bound to be believed: the value to the second figure of that bound."""
-    text, said = rounded(value, bound)
-    return [text, rounded(other, other)[1], said]
+    text, bound_text = rounded(value, bound)
+    return [text, rounded(other, other)[1], bound_text]
 
 
 def _safe(name: str) -> str:

@@ -104,15 +104,19 @@ def _range(flight: "Flight", column: str, factor: float, digits: int) -> str:
 
 
 def _surfaces(flight: "Flight") -> str:
-    moved = [float(np.degrees(_known(flight, s).std())) if flight.measured(s) else None for s in SURFACES]
-    return " / ".join("–" if m is None else f"{m:.1f}" for m in moved) if any(m is not None for m in moved) else ""
+    deflections = [float(np.degrees(_known(flight, s).std())) if flight.measured(s) else None for s in SURFACES]
+    return (
+        " / ".join("–" if m is None else f"{m:.1f}" for m in deflections)
+        if any(m is not None for m in deflections)
+        else ""
+    )
 
 
 def _wind_text(flight: "Flight") -> str:
-    found = mean_wind(flight)
-    if found is None:
+    wind = mean_wind(flight)
+    if wind is None:
         return ""
-    speed, whence = found
+    speed, whence = wind
     return f"{speed:.1f} from {math.degrees(whence) % 360.0:.0f}°"
 
 
@@ -120,17 +124,17 @@ def mean_wind(flight: "Flight") -> tuple[float, float] | None:
     """(speed [m/s], direction it blows from [rad, clockwise from north]) as the mean of ground velocity less the air
     velocity that V, alpha, beta and the attitude give; None where these or vn, ve are not measured together.
     """
-    needed = ("V", "alpha", "beta", "phi", "theta", "psi", "vn", "ve")
-    if not all(flight.measured(c) for c in needed):
+    columns = ("V", "alpha", "beta", "phi", "theta", "psi", "vn", "ve")
+    if not all(flight.measured(c) for c in columns):
         return None
-    c: Mapping[str, Array] = {n: flight[n] for n in needed}
+    c: Mapping[str, Array] = {n: flight[n] for n in columns}
     north, east = _air_velocity(c)
     with np.errstate(invalid="ignore"):
         wind_north, wind_east = c["vn"] - north, c["ve"] - east
-    known = np.isfinite(wind_north) & np.isfinite(wind_east)
-    if not known.any():
+    finite = np.isfinite(wind_north) & np.isfinite(wind_east)
+    if not finite.any():
         return None
-    n, e = float(wind_north[known].mean()), float(wind_east[known].mean())
+    n, e = float(wind_north[finite].mean()), float(wind_east[finite].mean())
     return math.hypot(n, e), math.atan2(-e, -n)
 
 
@@ -141,10 +145,10 @@ def _air_velocity(c: Mapping[str, Array]) -> tuple[Array, Array]:
     w = c["V"] * np.sin(c["alpha"]) * np.cos(c["beta"])
     sf, cf = np.sin(c["phi"]), np.cos(c["phi"])
     st, ct = np.sin(c["theta"]), np.cos(c["theta"])
-    ahead = u * ct + (v * sf + w * cf) * st  # along the heading, level
-    aside = v * cf - w * sf
+    forward_speed = u * ct + (v * sf + w * cf) * st  # along the heading, level
+    sideways_speed = v * cf - w * sf
     sp, cp = np.sin(c["psi"]), np.cos(c["psi"])
-    return ahead * cp - aside * sp, ahead * sp + aside * cp
+    return forward_speed * cp - sideways_speed * sp, forward_speed * sp + sideways_speed * cp
 
 
 def provenance_table(flights: Sequence["Flight"]) -> ReportTable:
@@ -179,10 +183,10 @@ def simulated(flights: Sequence["Flight"]) -> bool:
 
 def notes_table(notes: Iterable[tuple[str, str]], *, filed: bool = False) -> ReportTable | None:
     """Notes as (flight, sentence) as a table of sentences; None where there are none. filed: whether it is written as a file."""
-    by = collected((text, flight) for flight, text in notes)
-    if not by:
+    flights_by_note = collected((text, flight) for flight, text in notes)
+    if not flights_by_note:
         return None
-    rows = tuple((text, ", ".join(flights)) for text, flights in by.items())
+    rows = tuple((text, ", ".join(flights)) for text, flights in flights_by_note.items())
     return ReportTable(
         "notes", "Notes on the flights", ("note", "flights"), rows, symbols=False, texts=(0, 1), filed=filed
     )
@@ -190,7 +194,7 @@ def notes_table(notes: Iterable[tuple[str, str]], *, filed: bool = False) -> Rep
 
 def collected(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     """Second members by the first, each once, in their order."""
-    by: dict[str, dict[str, None]] = {}
+    values_by_key: dict[str, dict[str, None]] = {}
     for key, value in pairs:
-        by.setdefault(key, {})[value] = None
-    return {key: list(values) for key, values in by.items()}
+        values_by_key.setdefault(key, {})[value] = None
+    return {key: list(values) for key, values in values_by_key.items()}

@@ -47,37 +47,37 @@ def write_front_page(folder: Path) -> Path:
     truth.json, of simulated flights: {"derivatives": {name: value},
     "hidden": {"name": effect, "parameters": {name: [value, unit]}}}.
     """
-    found = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
-    links = [(n, title, about) for n, title, about in PAGES if (folder / n / "index.html").is_file()]
-    files = [f"{name}.json" for name, data in found.items() if data is not None]
+    contents = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
+    links = [(n, title, description) for n, title, description in PAGES if (folder / n / "index.html").is_file()]
+    files = [f"{name}.json" for name, data in contents.items() if data is not None]
     sections = [
-        Section("", "", [_key_numbers(found), _contents(links)]),
-        *_gap_section(found["gap"], (found["truth"] or {}).get("hidden")),
+        Section("", "", [_key_numbers(contents), _contents(links)]),
+        *_gap_section(contents["gap"], (contents["truth"] or {}).get("hidden")),
     ]
-    derivatives = _derivatives(found["estimate"], (found["truth"] or {}).get("derivatives", {}))
+    derivatives = _derivatives(contents["estimate"], (contents["truth"] or {}).get("derivatives", {}))
     if derivatives is not None:
         sections.append(Section("aerodynamic", "Aerodynamic derivatives", [derivatives]))
-    match = _match(found["match"])
+    match = _match(contents["match"])
     if match is not None:
         sections.append(Section("proof", "Proof of match", [match, _match_figure(folder)]))
     if files:
         sections.append(Section("files", "Files", [_file_links(files)]))
-    lead = _lead(found["estimate"], found["check"])
+    lead = _lead(contents["estimate"], contents["check"])
     navigation = [(f"{name}/index.html", title) for name, title, _ in links]
     page = Page("Flight-test report", lead, sections, navigation, back="", mark=MARK)
-    written = page.write(folder / "index.html")
+    page_path = page.write(folder / "index.html")
     for name, *_ in links:
         link_back(folder / name / "index.html")
-    return written
+    return page_path
 
 
 def _key_numbers(found: dict[str, dict[str, Any] | None]) -> Markup | None:
     """Numbers in large letters, red where they are beyond their limit."""
     keys = [
         Markup('<div class="key"><b{}>{}</b><span>{}</span></div>').format(
-            Markup(' class="fail"') if failed else "", value, what
+            Markup(' class="fail"') if failed else "", value, label
         )
-        for value, what, failed in _keys(found)
+        for value, label, failed in _keys(found)
     ]
     return Markup('<div class="figures">{}</div>').format(Markup().join(keys)) if keys else None
 
@@ -106,10 +106,10 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _lead(estimate: dict[str, Any] | None, check: dict[str, Any] | None) -> str:
-    some = estimate or check
-    if some is None:
+    source = estimate or check
+    if source is None:
         return "No results in this folder yet."
-    names = ", ".join(f["name"] for f in some["flights"])
+    names = ", ".join(f["name"] for f in source["flights"])
     craft = f"Aircraft {estimate['aircraft']}, model {estimate['model']}. " if estimate else ""
     return f"{craft}Flights: {names}."
 
@@ -124,9 +124,13 @@ def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]
     keys = []
     if (check := found["check"]) is not None:
         verdicts = [q["verdict"] for f in check["flights"] for q in f["quality"]]
-        bad = f"{verdicts.count('fail')} failed, {verdicts.count('warn')} warned"
+        failed_counts = f"{verdicts.count('fail')} failed, {verdicts.count('warn')} warned"
         keys.append(
-            (f"{verdicts.count('ok')} of {len(verdicts)}", f"data quality checks passed ({bad})", "fail" in verdicts)
+            (
+                f"{verdicts.count('ok')} of {len(verdicts)}",
+                f"data quality checks passed ({failed_counts})",
+                "fail" in verdicts,
+            )
         )
     if (match := found["match"]) is not None:
         theil = [c["theil"] for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
@@ -142,9 +146,9 @@ def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]
         keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow", False))
         for step in gap["steps"][:2]:
             closed = (step["holdout"] or step["gap"])["closed"]
-            where = "on the held-out flight" if step["holdout"] else "on the training flights"
+            flights_text = "on the held-out flight" if step["holdout"] else "on the training flights"
             if closed is not None:
-                keys.append((f"{closed:.0%}", f"of the gap closed by {step['effect']} {where}", False))
+                keys.append((f"{closed:.0%}", f"of the gap closed by {step['effect']} {flights_text}", False))
     return keys
 
 
@@ -169,23 +173,23 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
         if truth:
             row += [number(truth.get(name)), _off(source, methods, name, truth.get(name))]
         if ours:
-            said = published.mean("ml", name)
+            published_mean = published.mean("ml", name)
             row += [
                 number(published.wind_tunnel(name)),
-                number(said[0] if said else None),
-                significant(said[1] if said else None, 2),
+                number(published_mean[0] if published_mean else None),
+                significant(published_mean[1] if published_mean else None, 2),
             ]
         rows.append(tuple(row))
     spread = "bound" if source else "scatter"
-    best = data.get("recommended", {}).get("method") if source else None
-    told = ("truth", "error [bounds]") if truth else ()
+    recommended = data.get("recommended", {}).get("method") if source else None
+    truth_heads = ("truth", "error [bounds]") if truth else ()
     head = [
         "",
         *(h for _ in methods for h in ("estimate", spread)),
-        *told,
+        *truth_heads,
         *(("value", "mean", "scatter") if ours else ()),
     ]
-    titles = [f"{m} (recommended)" if m == best else m for m in methods]
+    titles = [f"{m} (recommended)" if m == recommended else m for m in methods]
     groups = [
         ("", 1),
         *((t, 2) for t in titles),
@@ -194,12 +198,14 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
     ]
     notes = [ERROR.format(methods[0])] if truth and methods else []
     notes += [published.COMPARISON] if ours else []
-    what = (
+    caption = (
         "Joint estimates over all flights, bounds corrected for coloured residuals"
         if source
         else "Means over the flights"
     )
-    return ReportTable("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes))
+    return ReportTable(
+        "derivatives", f"{caption} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes)
+    )
 
 
 def _off(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
@@ -239,9 +245,9 @@ def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
         return None
     rows = []
     for step in data["steps"]:
-        held = step["holdout"] or {}
+        holdout_gap = step["holdout"] or {}
         cells = [number(step["gap"][k], 2) for k in ("before", "after", "floor")]
-        cells += [number(held.get(k), 2) for k in ("before", "after")]
+        cells += [number(holdout_gap.get(k), 2) for k in ("before", "after")]
         size = "; ".join(_size(name, e) for name, e in step["parameters"].items())
         rows.append((step["effect"], step["title"], size, number(step["confidence"], 2), *cells))
     return ReportTable(
@@ -267,15 +273,17 @@ def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Report
     if not gap or not hidden:
         return None
     step = next((s for s in gap["steps"] if hidden["name"] in (s["effect"], *(m["effect"] for m in s["set"]))), None)
-    found = {} if step is None else step["parameters"]
+    parameters = {} if step is None else step["parameters"]
     if step is None:
-        said = "not found"
+        verdict = "not found"
     else:
-        said = "named" if step["effect"] == hidden["name"] else f"among those that {step['effect']} stands for"
+        verdict = "named" if step["effect"] == hidden["name"] else f"among those that {step['effect']} stands for"
     rows = []
     for name, (value, unit) in hidden["parameters"].items():
-        estimate, bound = pair(*((found[name]["estimate"], found[name]["std"]) if name in found else (None, None)))
-        rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", said))
+        estimate, bound = pair(
+            *((parameters[name]["estimate"], parameters[name]["std"]) if name in parameters else (None, None))
+        )
+        rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", verdict))
     return ReportTable(
         "hidden",
         "The hidden effect",

@@ -61,8 +61,8 @@ class Page:
 
     def tables(self) -> list[ReportTable]:
         """Every table of the page, in order, and those beside it."""
-        shown = [part for section in self.shown() for part in section.parts if isinstance(part, ReportTable)]
-        return [*shown, *self.beside]
+        shown_tables = [part for section in self.shown() for part in section.parts if isinstance(part, ReportTable)]
+        return [*shown_tables, *self.beside]
 
     def html(self, back: str = "") -> str:
         """The whole file. back: HTML of the way to another page."""
@@ -93,10 +93,10 @@ class Page:
             for table in self.tables():
                 if table.filed:
                     table.write(tables)
-        back = self.back
-        if back is None:
-            back = back_link() if is_front_page(path.parent.parent / FRONT) else BACK
-        text = self.html(back)
+        back_html = self.back
+        if back_html is None:
+            back_html = back_link() if is_front_page(path.parent.parent / FRONT) else BACK
+        text = self.html(back_html)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
         return path
@@ -151,21 +151,21 @@ def free_table(
     labels: what a cell is called where its head is not in sight, the words of the head by default, None for no label."""
     names: Sequence[str | None] = [text for _, text in head] if labels is None else labels
     lines = [_row(row, "td", names) for row in rows]
-    above = Markup("<caption>{}</caption>").format(caption) if caption else ""
+    caption_html = Markup("<caption>{}</caption>").format(caption) if caption else ""
     return Markup(
         '<div class="scroll"><table class="fold{}">{}<thead>{}</thead><tbody>{}</tbody></table></div>'
-    ).format(f" {kind}" if kind else "", above, _row(head, "th", [None] * len(head)), Markup("\n").join(lines))
+    ).format(f" {kind}" if kind else "", caption_html, _row(head, "th", [None] * len(head)), Markup("\n").join(lines))
 
 
 def _row(cells: Sequence[tuple[str, str]], tag: str, labels: Sequence[str | None]) -> Markup:
     """One row; a cell of an empty class has none, and so has one of no label."""
-    shown = []
+    cell_htmls = []
     for (kind, text), name in zip(cells, labels, strict=True):
         attributes = Markup(' class="{}"').format(kind) if kind else Markup()
         if name is not None:
             attributes += Markup(' data-label="{}"').format(name)
-        shown.append(Markup(f"<{tag}{{}}>{{}}</{tag}>").format(attributes, text))
-    return Markup("<tr>{}</tr>").format(Markup().join(shown))
+        cell_htmls.append(Markup(f"<{tag}{{}}>{{}}</{tag}>").format(attributes, text))
+    return Markup("<tr>{}</tr>").format(Markup().join(cell_htmls))
 
 
 def back_link() -> str:

@@ -41,8 +41,8 @@ class ReportTable:
         write_text(folder / f"{self.name}.tex", self.latex())
 
     def _flat_head(self) -> list[str]:
-        above = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)
-        return [f"{a} {h}".strip() for a, h in zip(above, self.head, strict=True)]
+        group_labels = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)
+        return [f"{a} {h}".strip() for a, h in zip(group_labels, self.head, strict=True)]
 
     def latex(self) -> str:
         """A booktabs tabular with its caption."""
@@ -60,15 +60,15 @@ class ReportTable:
         """Cells after the first. A group of columns that ends in `cannot tell` says only that: a number printed in a thesis is
         believed, whatever stands beside it."""
         cells: list[str] = []
-        at = 1
+        position = 1
         for _, span in self.groups[1:] or [("", 1)] * (len(row) - 1):
-            group = row[at : at + span]
-            at += span
+            group = row[position : position + span]
+            position += span
             if span > 1 and group and group[-1] == CANNOT_TELL:
                 cells.append(rf"\multicolumn{{{span}}}{{c}}{{{CANNOT_TELL}}}")
             else:
                 cells += [_plain(c) for c in group]
-        return [*cells, *(_plain(c) for c in row[at:])]
+        return [*cells, *(_plain(c) for c in row[position:])]
 
 
 def _no_formula(cell: str) -> str:
@@ -169,30 +169,30 @@ def pieces(table: ReportTable) -> list[TableSlice]:
     if width(table, columns) <= SHEET or len(groups) < 3:
         return [_piece(table, groups)]
     first, rest = groups[0], groups[1:]
-    found: list[list[tuple[str, tuple[int, ...]]]] = [[]]
+    parts: list[list[tuple[str, tuple[int, ...]]]] = [[]]
     for group in rest:
-        together = [c for _, span in (first, *found[-1], group) for c in span]
-        if found[-1] and width(table, together, small=True) > SHEET:
-            found.append([])
-        found[-1].append(group)
-    return [_piece(table, [first, *part]) for part in found]
+        columns_together = [c for _, span in (first, *parts[-1], group) for c in span]
+        if parts[-1] and width(table, columns_together, small=True) > SHEET:
+            parts.append([])
+        parts[-1].append(group)
+    return [_piece(table, [first, *part]) for part in parts]
 
 
 def _spans(table: ReportTable) -> list[tuple[str, tuple[int, ...]]]:
     """Groups with the columns that they span; all in one without groups."""
     if not table.groups:
         return [("", tuple(range(len(table.head))))]
-    found, at = [], 0
+    spans, position = [], 0
     for label, count in table.groups:
-        found.append((label, tuple(range(at, at + count))))
-        at += count
-    return found
+        spans.append((label, tuple(range(position, position + count))))
+        position += count
+    return spans
 
 
 def _piece(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) -> TableSlice:
     columns = tuple(c for _, span in groups for c in span)
-    named = tuple((label, len(span)) for label, span in groups) if table.groups else ()
-    return TableSlice(columns, named, width(table, columns) > SHEET, len(table.rows) <= SHORT)
+    named_groups = tuple((label, len(span)) for label, span in groups) if table.groups else ()
+    return TableSlice(columns, named_groups, width(table, columns) > SHEET, len(table.rows) <= SHORT)
 
 
 def words(table: ReportTable) -> frozenset[int]:
@@ -211,8 +211,8 @@ def _without_words(table: ReportTable) -> frozenset[int]:
 
 def label(table: ReportTable, column: int) -> str:
     """What a cell is called where the head of its table is not in sight: group and head."""
-    above = next((g for g, span in _spans(table) if column in span), "")
-    return f"{above} {table.head[column]}".strip()
+    group_label = next((g for g, span in _spans(table) if column in span), "")
+    return f"{group_label} {table.head[column]}".strip()
 
 
 def needs_width(tables: Iterable[ReportTable]) -> bool:

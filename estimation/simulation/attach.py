@@ -85,12 +85,14 @@ def attach(
     if simulation.referred is not None:
         simulation = replace(simulation, oracle=simulation.referred(craft))
     if which in BUILDERS:
-        told = along(simulation, load_model(which, craft), flights)
-        model = base_model(simulation, which, craft, told, free)
+        along_flights = along(simulation, load_model(which, craft), flights)
+        model = base_model(simulation, which, craft, along_flights, free)
     else:
         model = _standing_on(which)
-        told = along(simulation, without_simulation(model), flights, names=computed(model))
-    return Attached(simulation, craft, model, carrying(flights, told), (*simulation.notes, *_unmeasured(told)))
+        along_flights = along(simulation, without_simulation(model), flights, names=computed(model))
+    return Attached(
+        simulation, craft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
+    )
 
 
 def renewed(attached: Attached, fitted: Model | None = None) -> Attached:
@@ -100,23 +102,23 @@ def renewed(attached: Attached, fitted: Model | None = None) -> Attached:
     A model that predicts a flight leaves the measured motion by degrees, where slopes taken there no longer hold. Where only the
     initial states are fitted and that does not converge, the measured motion stays. The means that derivatives begin at stay too.
     """
-    moving = fitted or attached.model
-    told = along(
+    motion_model = fitted or attached.model
+    along_flights = along(
         attached.simulation, without_simulation(attached.model), attached.flights,
-        [_motion_of(moving, flight) for flight in attached.flights], names=computed(attached.model),
+        [_motion_of(motion_model, flight) for flight in attached.flights], names=computed(attached.model),
     )  # fmt: skip
-    return replace(attached, flights=carrying(attached.flights, told))
+    return replace(attached, flights=carrying(attached.flights, along_flights))
 
 
 def settled(attached: Attached) -> Attached:
     """The same with the simulation at the motion that the model predicts with it, renewed until that motion stays where it is."""
-    before = [_motion_of(attached.model, flight) for flight in attached.flights]
+    old_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
     for _ in range(MOST):
         attached = renewed(attached)
-        after = [_motion_of(attached.model, flight) for flight in attached.flights]
-        if all(_same(one, two) for one, two in zip(before, after, strict=True)):
+        new_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
+        if all(_same(old_motion, two) for old_motion, two in zip(old_motions, new_motions, strict=True)):
             break
-        before = after
+        old_motions = new_motions
     return attached
 
 
@@ -133,23 +135,27 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
 def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
     """Mass and inertia of the aircraft that is asked for, or that the flights name, else of the simulation; area, span and chord
     of the simulation where it has them, for its coefficients are referred to these, unless it refers them to any aircraft."""
-    own = simulation.aircraft
-    if given is None and own is not None and not any(f.provenance.aircraft for f in flights):
-        return own
+    simulation_aircraft = simulation.aircraft
+    if given is None and simulation_aircraft is not None and not any(f.provenance.aircraft for f in flights):
+        return simulation_aircraft
     craft = aircraft_of(flights, given)
     if simulation.referred is not None:
         return craft
-    if own is None or any(np.isnan(v) for v in (own.area, own.span, own.chord)):
+    if simulation_aircraft is None or any(
+        np.isnan(v) for v in (simulation_aircraft.area, simulation_aircraft.span, simulation_aircraft.chord)
+    ):
         return craft
-    return craft.with_values(area=own.area, span=own.span, chord=own.chord)
+    return craft.with_values(
+        area=simulation_aircraft.area, span=simulation_aircraft.span, chord=simulation_aircraft.chord
+    )
 
 
 def without_simulation(model: Model) -> Model:
     """A model with nothing for coefficients: it decides which variables are known and which columns a flight must have."""
     inputs = tuple(s for s in model.inputs if not s.computed)
-    nothing = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _lines(model) else f"{n} = {text}"
+    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _lines(model) else f"{n} = {text}"
                for n, text in model.definitions.items()]  # fmt: skip
-    return replace(model, inputs=inputs, equations=tuple(nothing))
+    return replace(model, inputs=inputs, equations=tuple(zero_lines))
 
 
 def _lines(model: Model) -> tuple[str, ...]:
@@ -191,8 +197,8 @@ def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
     result = output_error(frozen, flight, options=OutputErrorOptions(improve_start=False))
     if not result.converged:
         return {}
-    shown = dict(zip(result.model.output_names, result.flights[0].outputs.T, strict=True))
-    return {n: shown[n] for n in model.state_names if n in VARIABLES and n in shown}
+    model_outputs = dict(zip(result.model.output_names, result.flights[0].outputs.T, strict=True))
+    return {n: model_outputs[n] for n in model.state_names if n in VARIABLES and n in model_outputs}
 
 
 def _same(before: Mapping[str, Array], after: Mapping[str, Array]) -> bool:

@@ -38,20 +38,20 @@ class Free(StrEnum):
 
 def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Along, free: Free) -> Model:
     """The built-in model `which` with the coefficients of a simulation as it was evaluated along the flights."""
-    plain = load_model(which, aircraft)
-    wanted = coefficients_in(plain)
-    variables = variables_of(plain)
-    lines, parameters, constants = dict(plain.definitions), [], dict(plain.constants)
-    for c in wanted:
+    built_in = load_model(which, aircraft)
+    coefficients = coefficients_in(built_in)
+    variables = variables_of(built_in)
+    lines, parameters, constants = dict(built_in.definitions), [], dict(built_in.constants)
+    for c in coefficients:
         zero = f"{c}_0"
-        derivatives = [p.name for p in plain.parameters if p.name.startswith(f"{c}_") and p.name != zero]
-        mine = [d for d in derivatives if d.removeprefix(f"{c}_") in REGRESSORS]
+        derivatives = [p.name for p in built_in.parameters if p.name.startswith(f"{c}_") and p.name != zero]
+        own_derivatives = [d for d in derivatives if d.removeprefix(f"{c}_") in REGRESSORS]
         terms = [f"k_{c}*{c}_sim", zero]
         parameters.append(Parameter(f"k_{c}", "1", 1.0, reference=1.0, fixed=free is not Free.FACTORS,
                                     description=f"factor on the simulation's {c}"))  # fmt: skip
         parameters.append(Parameter(zero, "1", fixed=free is Free.NOTHING, role=usual_role(zero), reference=0.0,
                                     description=f"increment to the simulation's {c}"))  # fmt: skip
-        for name in mine:
+        for name in own_derivatives:
             regressor, variable = REGRESSORS[name.removeprefix(f"{c}_")]
             mean = _derivative(told, c, variable, aircraft)
             constants[f"mean_{name}"] = mean
@@ -63,11 +63,11 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Alo
         lines[f"{c}_sim"] = " + ".join([*offset, *slopes]) or "0"
         lines[c] = " + ".join(terms)
     return replace(
-        plain,
-        name=f"{plain.name}-{simulation.name}",
-        title=f"{plain.title}; coefficients of the simulation {simulation.name}",
+        built_in,
+        name=f"{built_in.name}-{simulation.name}",
+        title=f"{built_in.title}; coefficients of the simulation {simulation.name}",
         description=DESCRIPTION.format(simulation.spec),
-        inputs=(*plain.inputs, *(Signal(n, description="of the simulation", computed=True) for n in told.names)),
+        inputs=(*built_in.inputs, *(Signal(n, description="of the simulation", computed=True) for n in told.names)),
         parameters=tuple(parameters),
         constants=constants,
         equations=tuple(f"{name} = {text}" for name, text in lines.items()),

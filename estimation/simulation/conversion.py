@@ -47,22 +47,22 @@ class ProvedExport:
             return (
                 "proof: flown by JSBSim, the aircraft stays within a tenth of sensor noise of the model in every output"
             )
-        worst = _worst(self.proof, self.proof.rms, self.proof.failed)
+        output = _worst(self.proof, self.proof.rms, self.proof.failed)
         return (
-            f"proof failed: flown by JSBSim, {worst} differs from the model by {self.proof.rms[worst]:.3g} rms, allowed are"
-            f" {self.proof.allowed[worst]:.3g}; do not use the aircraft, and look at what the model has that no aircraft can"
+            f"proof failed: flown by JSBSim, {output} differs from the model by {self.proof.rms[output]:.3g} rms, allowed are"
+            f" {self.proof.allowed[output]:.3g}; do not use the aircraft, and look at what the model has that no aircraft can"
         )
 
     def of_the_steps(self) -> str:
         """What JSBSim's steps alone do at the rate, in one sentence."""
         proof = self.proof
-        worst = _worst(proof, proof.steps, tuple(proof.steps))
-        off = f"its steps alone put {worst} off by {proof.steps[worst]:.2g} rms in the same flight"
-        if proof.steps[worst] <= proof.allowed[worst]:
-            return f"at {self.rate:g} Hz {off}, within what is allowed"
+        output = _worst(proof, proof.steps, tuple(proof.steps))
+        step_note = f"its steps alone put {output} off by {proof.steps[output]:.2g} rms in the same flight"
+        if proof.steps[output] <= proof.allowed[output]:
+            return f"at {self.rate:g} Hz {step_note}, within what is allowed"
         return (
-            f"at {self.rate:g} Hz {off}, {proof.steps[worst] / proof.allowed[worst]:.1f} times what is allowed of aerodynamics:"
-            " fly it at a higher rate where edges of surfaces matter"
+            f"at {self.rate:g} Hz {step_note}, {proof.steps[output] / proof.allowed[output]:.1f} times what is allowed of"
+            " aerodynamics: fly it at a higher rate where edges of surfaces matter"
         )
 
 
@@ -79,14 +79,16 @@ def export_to_jsbsim(path: Path, aircraft_from: str | None, out: Path, rate: flo
     model = read_model(path)
     spec = aircraft_from or simulation_named(model)
     if not spec.startswith(PREFIX):
-        told = f"was found on {spec!r}" if spec else "does not say on which simulation it was found"
-        raise SimulationError(f"{path}: {told}; say which aircraft to write it into with --aircraft-from jsbsim:NAME")
+        origin = f"was found on {spec!r}" if spec else "does not say on which simulation it was found"
+        raise SimulationError(f"{path}: {origin}; say which aircraft to write it into with --aircraft-from jsbsim:NAME")
     if not 20.0 <= rate <= FASTEST:
         raise SimulationError(f"--rate {rate:g}: give steps per second from 20 to {FASTEST:g}")
     source = aircraft_file(spec.removeprefix(PREFIX))
     record = lineage_of(model, path, spec, rate)
-    exported, written, found = export_aircraft(model, source, out, json.dumps(record, sort_keys=True), rate)
-    proof = proof_of(source, jsbsim_simulation(spec.removeprefix(PREFIX)), written, found, rate)
+    exported, written_aircraft, increments = export_aircraft(
+        model, source, out, json.dumps(record, sort_keys=True), rate
+    )
+    proof = proof_of(source, jsbsim_simulation(spec.removeprefix(PREFIX)), written_aircraft, increments, rate)
     record |= {
         "terms": list(exported.terms),
         "left_out": list(exported.left_out),
@@ -102,14 +104,18 @@ def lineage_of(model: Model, path: Path, spec: str, rate: float) -> dict[str, An
     record: dict[str, Any] = {
         "model": path.name, "digest": model.digest, "simulation": spec, "rate_hz": rate, "software": _software(),
     }  # fmt: skip
-    beside = path.with_name(f"{path.stem}.lineage.json")
-    if beside.is_file():
+    lineage_path = path.with_name(f"{path.stem}.lineage.json")
+    if lineage_path.is_file():
         try:
-            found = read_json(beside, "lineage", SimulationError)
-            record["added"] = [{k: step[k] for k in ("effect", "confidence", "parameters")} for step in found["added"]]
-            record["flights"] = found["flights"]
+            lineage = read_json(lineage_path, "lineage", SimulationError)
+            record["added"] = [
+                {k: step[k] for k in ("effect", "confidence", "parameters")} for step in lineage["added"]
+            ]
+            record["flights"] = lineage["flights"]
         except (ValueError, KeyError, TypeError) as error:
-            raise SimulationError(f"{beside}: not what 'sideslip gap' writes beside a model; move it away") from error
+            raise SimulationError(
+                f"{lineage_path}: not what 'sideslip gap' writes beside a model; move it away"
+            ) from error
     return record
 
 
@@ -158,9 +164,9 @@ def import_from_jsbsim(spec: str, path: Path) -> ProvedImport:
 
     Raises SimulationError, before anything is written, where a function has no exact form in our text or the proof fails.
     """
-    done = imported_exactly(spec)
-    write_model(done.imported.model, path)
-    return done
+    proved_import = imported_exactly(spec)
+    write_model(proved_import.imported.model, path)
+    return proved_import
 
 
 def imported_exactly(spec: str) -> ProvedImport:
@@ -175,15 +181,15 @@ def imported_exactly(spec: str) -> ProvedImport:
         simulation.name, simulation.spec, craft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
         oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _asking(oracle, states),
     )  # fmt: skip
-    found = imported(source)
-    text, own = compared(oracle, TextOracle(found.model), states)
-    size = np.maximum(np.abs(own).max(axis=0), 1e-300)
-    off = dict(zip(COEFFICIENTS, (np.abs(text - own).max(axis=0) / size).tolist(), strict=True))
-    proved = ProvedImport(found, off, tuple(n for n in simulation.notes if not n.endswith(HELD)))
-    if not off[proved.worst] <= SAME:
+    imported_model = imported(source)
+    text, jsbsim_values = compared(oracle, TextOracle(imported_model.model), states)
+    size = np.maximum(np.abs(jsbsim_values).max(axis=0), 1e-300)
+    deviation = dict(zip(COEFFICIENTS, (np.abs(text - jsbsim_values).max(axis=0) / size).tolist(), strict=True))
+    proved = ProvedImport(imported_model, deviation, tuple(n for n in simulation.notes if not n.endswith(HELD)))
+    if not deviation[proved.worst] <= SAME:
         raise SimulationError(
-            f"{spec}: its text has another {proved.worst} than JSBSim, by {off[proved.worst]:.2g} of its largest value, so it"
-            f" is not written; run it as it is with --simulation {spec}"
+            f"{spec}: its text has another {proved.worst} than JSBSim, by {deviation[proved.worst]:.2g} of its largest value, so"
+            f" it is not written; run it as it is with --simulation {spec}"
         )
     return proved
 
@@ -191,18 +197,18 @@ def imported_exactly(spec: str) -> ProvedImport:
 def compared(oracle: JsbsimOracle, text: TextOracle, states: States) -> tuple[Array, Array]:
     """(N, 6) coefficients of a text and of JSBSim, each at the state that JSBSim has after it was set: density is given by
     height, and rounded; the rate of alpha is its own, at two attitudes in turn."""
-    fdm, own, rows = oracle.fdm, [], []
+    fdm, jsbsim_values, rows = oracle.fdm, [], []
     for i in range(len(states)):
         state = {n: float(v[i]) for n, v in states.values.items()}
         coefficients, rate = oracle.at_its_own_rate(state, float(states.rho[i]), ATTITUDES[i % 2])
-        own.append(coefficients)
+        jsbsim_values.append(coefficients)
         rows.append({
             "V": fdm["velocities/vt-fps"] * FOOT, "alpha": fdm["aero/alpha-rad"], "beta": fdm["aero/beta-rad"],
             "rho": fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3, "alpha_dot": rate,
         })  # fmt: skip
     table = {n: np.array([row[n] for row in rows]) for n in rows[0]}
     exact = States({**states.values, **{n: table[n] for n in ("V", "alpha", "beta")}}, table["rho"], table["alpha_dot"])
-    return text.coefficients(exact), np.array(own)
+    return text.coefficients(exact), np.array(jsbsim_values)
 
 
 def random_states(simulation: Simulation, count: int = STATES) -> States:
@@ -233,14 +239,16 @@ def _asking(oracle: JsbsimOracle, states: States) -> Callable[[str], list[float]
 
 def _air(oracle: JsbsimOracle, states: States) -> StandardTroposphere:
     """The air that JSBSim has, by two states far apart in height: temperature and density are powers of one another."""
-    fdm, seen = oracle.fdm, []
+    fdm, air_samples = oracle.fdm, []
     order = np.argsort(states.rho)
     for i in (int(order[0]), int(order[-1])):
         oracle.coefficients(states.part(slice(i, i + 1)))
-        seen.append((fdm["atmosphere/a-fps"] * FOOT, fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3))
-    (other, thin), (sound, rho) = seen
+        air_samples.append((fdm["atmosphere/a-fps"] * FOOT, fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3))
+    (other_sound, thin), (sound_speed, rho) = air_samples
     kelvin = fdm["atmosphere/T-R"] / 1.8
     speed, chord = fdm["velocities/vt-fps"] * FOOT, fdm["metrics/cbarw-ft"] * FOOT
     reynolds = fdm["aero/Re"] or 1.0
     viscosity = rho * speed * chord / reynolds * (kelvin + SUTHERLAND) / kelvin**1.5
-    return StandardTroposphere(sound, kelvin, rho, math.log(other / sound) / math.log(thin / rho), viscosity)
+    return StandardTroposphere(
+        sound_speed, kelvin, rho, math.log(other_sound / sound_speed) / math.log(thin / rho), viscosity
+    )

@@ -49,8 +49,8 @@ class TextOracle:
                     " airspeed, flow angles, body rates, surfaces, thrust and density"
                 )
             text = self.model.definitions[name]
-            for needed in sorted(names_in(text)):
-                self._value(needed, symbols, wanted)
+            for symbol in sorted(names_in(text)):
+                self._value(symbol, symbols, wanted)
             symbols[name] = evaluate(text, symbols, FUNCTIONS)
         return symbols[name]
 
@@ -62,13 +62,13 @@ def text_simulation(spec: str) -> Simulation:
         raise SimulationError(
             f"{spec}: has none of the lines {', '.join(COEFFICIENTS)}; it cannot serve as a simulation"
         )
-    known = {n: float(model.constants.get(n, math.nan)) for n in ("m", "S", "b", "c", "Ixx", "Iyy", "Izz", "Ixz")}
+    body_values = {n: float(model.constants.get(n, math.nan)) for n in ("m", "S", "b", "c", "Ixx", "Iyy", "Izz", "Ixz")}
     aircraft = Aircraft(
-        model.name, span=known["b"], area=known["S"], chord=known["c"], mass=known["m"],
-        Ixx=known["Ixx"], Iyy=known["Iyy"], Izz=known["Izz"], Ixz=known["Ixz"], title=model.title,
+        model.name, span=body_values["b"], area=body_values["S"], chord=body_values["c"], mass=body_values["m"],
+        Ixx=body_values["Ixx"], Iyy=body_values["Iyy"], Izz=body_values["Izz"], Ixz=body_values["Ixz"], title=model.title,
     )  # fmt: skip
-    told = None if all(math.isnan(v) for v in known.values()) else aircraft
-    return Simulation(spec, model.name, TextOracle(model), told)
+    stated_aircraft = None if all(math.isnan(v) for v in body_values.values()) else aircraft
+    return Simulation(spec, model.name, TextOracle(model), stated_aircraft)
 
 
 # A simulation as a Python function: `base(V, alpha, beta, p, q, r, surfaces, thrust, rho) -> (CX, CY, CZ, Cl, Cm, Cn)`.
@@ -92,15 +92,15 @@ class FunctionOracle:
     takes_rate: bool = False
 
     def coefficients(self, states: States) -> Array:
-        alone = self._asked(states.part(slice(0, 1)))
+        first_answer = self._asked(states.part(slice(0, 1)))
         if len(states) == 1:
-            return alone
+            return first_answer
         try:
-            together = self._columns(self._called(states, arrays=True), len(states))
+            all_answers = self._columns(self._called(states, arrays=True), len(states))
         except (*MISTAKES, ValueError):
-            together = None
-        if together is not None and np.allclose(together[:1], alone, rtol=SAME, atol=SAME, equal_nan=True):
-            return together
+            all_answers = None
+        if all_answers is not None and np.allclose(all_answers[:1], first_answer, rtol=SAME, atol=SAME, equal_nan=True):
+            return all_answers
         return np.concatenate([self._asked(states.part(slice(i, i + 1))) for i in range(len(states))])
 
     def _asked(self, state: States) -> Array:
@@ -114,8 +114,10 @@ class FunctionOracle:
         values = {n: v if arrays else float(v[0]) for n, v in {**states.values, "rho": states.rho}.items()}
         motion = [values[n] for n in ("V", "alpha", "beta", "p", "q", "r")]
         rate = states.alpha_dot if arrays else float(states.alpha_dot[0])
-        more = {ALPHA_RATE: rate} if self.takes_rate else {}
-        return self.function(*motion, {n: values[n] for n in SURFACES}, values["thrust"], values["rho"], **more)
+        rate_argument = {ALPHA_RATE: rate} if self.takes_rate else {}
+        return self.function(
+            *motion, {n: values[n] for n in SURFACES}, values["thrust"], values["rho"], **rate_argument
+        )
 
     def _columns(self, answer: Any, count: int) -> Array:
         if not hasattr(answer, "__len__") or len(answer) != len(COEFFICIENTS):
@@ -137,15 +139,17 @@ def function_simulation(spec: str) -> Simulation:
     if not callable(function):
         raise SimulationError(f"simulation {spec!r}: that is {type(function).__name__}, not a function")
     module = sys.modules[spec.partition(":")[0]]
-    told = getattr(module, "AIRCRAFT", None)
-    if isinstance(told, str | Path):
-        beside = Path(module.__file__ or "").parent / told
-        told = load_aircraft(beside if beside.is_file() else str(told))
-    if told is not None and not isinstance(told, Aircraft):
+    stated_aircraft = getattr(module, "AIRCRAFT", None)
+    if isinstance(stated_aircraft, str | Path):
+        aircraft_path = Path(module.__file__ or "").parent / stated_aircraft
+        stated_aircraft = load_aircraft(aircraft_path if aircraft_path.is_file() else str(stated_aircraft))
+    if stated_aircraft is not None and not isinstance(stated_aircraft, Aircraft):
         raise SimulationError(
-            f"simulation {spec!r}: AIRCRAFT is {type(told).__name__}; make it an Aircraft or the path of its file"
+            f"simulation {spec!r}: AIRCRAFT is {type(stated_aircraft).__name__}; make it an Aircraft or the path of its file"
         )
-    return Simulation(spec, spec.rpartition(":")[2], FunctionOracle(spec, function, _takes_rate(function)), told)
+    return Simulation(
+        spec, spec.rpartition(":")[2], FunctionOracle(spec, function, _takes_rate(function)), stated_aircraft
+    )
 
 
 def _takes_rate(function: Callable[..., Any]) -> bool:

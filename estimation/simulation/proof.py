@@ -39,13 +39,13 @@ def stepped(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...])
     """
     simulator = Simulator.build(model, (), substeps=1)
     values = model.starts()
-    shown = np.full((data.samples, len(model.outputs)), np.nan)
+    outputs = np.full((data.samples, len(model.outputs)), np.nan)
     p = simulator.vector(values)
     filtered = [model.state_names.index(n) for n in filters]
     for segment in data.segments:
         u = simulator.drive(segment, values, False).u
-        shown[segment.first : segment.first + len(segment)] = _moved(model, segment, u, p, x0, filtered)
-    return shown
+        outputs[segment.first : segment.first + len(segment)] = _moved(model, segment, u, p, x0, filtered)
+    return outputs
 
 
 def _moved(model: Model, segment: Segment, u: Array, p: Array, x0: Array, filtered: list[int]) -> Array:
@@ -56,23 +56,23 @@ def _moved(model: Model, segment: Segment, u: Array, p: Array, x0: Array, filter
         return np.asarray(functions.rates(x, u[k], p), float).ravel()
 
     x, h = x0.astype(float), np.diff(segment.time)
-    f = before = rates(x, 0)
-    shown = [np.asarray(functions.outputs(x, u[0], p), float).ravel()]
+    f = last_rates = rates(x, 0)
+    output_rows = [np.asarray(functions.outputs(x, u[0], p), float).ravel()]
     for k in range(len(segment) - 1):
-        after = x + 0.5 * h[k] * (3.0 * f - before)
-        after[filtered] = x[filtered]
+        next_state = x + 0.5 * h[k] * (3.0 * f - last_rates)
+        next_state[filtered] = x[filtered]
         for i in filtered:  # in the order in which JSBSim has them: one may read another
-            drive = rates(after, k + 1)[i]
-            raised = after.copy()
-            raised[i] += UNIT
-            slope = rates(raised, k + 1)[i] - drive
-            after[i] += 0.5 * h[k] * (f[i] + drive) / (1.0 - 0.5 * h[k] * slope)
-        x, before, f = after, f, rates(after, k + 1)
-        shown.append(np.asarray(functions.outputs(x, u[k + 1], p), float).ravel())
+            drive = rates(next_state, k + 1)[i]
+            filtered_state = next_state.copy()
+            filtered_state[i] += UNIT
+            slope = rates(filtered_state, k + 1)[i] - drive
+            next_state[i] += 0.5 * h[k] * (f[i] + drive) / (1.0 - 0.5 * h[k] * slope)
+        x, last_rates, f = next_state, f, rates(next_state, k + 1)
+        output_rows.append(np.asarray(functions.outputs(x, u[k + 1], p), float).ravel())
         if not np.isfinite(x).all():
-            shown += [np.full(len(model.outputs), np.nan)] * (len(segment) - len(shown))
+            output_rows += [np.full(len(model.outputs), np.nan)] * (len(segment) - len(output_rows))
             break
-    return np.array(shown)
+    return np.array(output_rows)
 
 
 # Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
@@ -112,11 +112,11 @@ def proof_of(source: Path, simulation: Simulation, made: Written, found: Increme
     values = found.physical.starts()
     plays = {t.input: abs(values[t.parameters[0]]) for t in found.transforms if t.kind == "backlash"}
     flight = flown(source, made.root, any(t.startswith("fcs/") for t in made.terms), rate, plays)
-    both = moved(simulation, found.physical, flight, found.states)
+    model_motions = moved(simulation, found.physical, flight, found.states)
     names = [n for n in found.physical.output_names if n in NOISE]
     column = {n: found.physical.output_names.index(n) for n in names}
-    rms = {n: _rms(both.stepped[:, c] - flight[n]) for n, c in column.items()}
-    steps = {n: _rms(both.stepped[:, c] - both.exact[:, c]) for n, c in column.items()}
+    rms = {n: _rms(model_motions.stepped[:, c] - flight[n]) for n, c in column.items()}
+    steps = {n: _rms(model_motions.stepped[:, c] - model_motions.exact[:, c]) for n, c in column.items()}
     return ExportProof(rms, {n: SHARE * NOISE[n] for n in names}, steps, flight)
 
 
@@ -131,11 +131,11 @@ class SteppedMotion:
 def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
     """A model on a simulation over a flight without noise, from its first state on. filters: its states that are lag filters in
     JSBSim."""
-    told = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
-    (carried,) = carrying([flight], told)
+    along_flight = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
+    (carrying_flight,) = carrying([flight], along_flight)
     x0 = _start(model, flight)
-    as_read = prepare(model, _with_the_rate_told(carried), AS_IT_IS)
-    exact = simulate(model, prepare(model, carried, AS_IT_IS), x0=x0, substeps=1)
+    as_read = prepare(model, _with_the_rate_told(carrying_flight), AS_IT_IS)
+    exact = simulate(model, prepare(model, carrying_flight, AS_IT_IS), x0=x0, substeps=1)
     return SteppedMotion(stepped(model, as_read, x0, filters), exact)
 
 

@@ -46,19 +46,19 @@ def check(file: str, json_path: Path | None) -> int:
     from estimation.aircraft import load_aircraft
     from estimation.session.aircraft_review import review
 
-    found = load_aircraft(file)
-    notes = review(found)
-    click.echo(f"aircraft {found.name}{': ' + found.title if found.title else ''}")
+    loaded_aircraft = load_aircraft(file)
+    notes = review(loaded_aircraft)
+    click.echo(f"aircraft {loaded_aircraft.name}{': ' + loaded_aircraft.title if loaded_aircraft.title else ''}")
     for note in notes:
         click.echo(f"  {note.verdict:<5}{note.check}: {note.text}")
     impossible = any(n.verdict == "fail" and not n.check.startswith("model ") for n in notes)
-    enough = any(n.verdict != "fail" for n in notes if n.check.startswith("model "))
+    usable = any(n.verdict != "fail" for n in notes if n.check.startswith("model "))
     if json_path is not None:
         data = {
             "version": 1,
-            "aircraft": found.name,
-            "ok": enough and not impossible,
+            "aircraft": loaded_aircraft.name,
+            "ok": usable and not impossible,
             "notes": [n.to_json() for n in notes],
         }
         write_json(data, json_path)
-    return 0 if enough and not impossible else 1
+    return 0 if usable and not impossible else 1

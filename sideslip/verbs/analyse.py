@@ -36,8 +36,9 @@ def analyse(
         click.echo(line)
     if json_path is not None:
         write_json(answer.to_json(), json_path)
-    done = ", ".join(answer.repeated)
+    repeated_stages = ", ".join(answer.repeated)
     click.echo(
-        f"page: {output / 'index.html'}" + (f" (done in this run: {done})" if done else " (nothing had changed)")
+        f"page: {output / 'index.html'}"
+        + (f" (done in this run: {repeated_stages})" if repeated_stages else " (nothing had changed)")
     )
     return 0 if answer.passed else 1

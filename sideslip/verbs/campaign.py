@@ -102,13 +102,13 @@ def _plan(flights: tuple[str, ...], options: dict[str, Any], trust_code: bool) -
         data = read_plan(path, trust_code=trust_code).model_dump(exclude_unset=True)
         for program in named_programs(data):
             click.echo(f"{path} names {program}: a program, which runs because of --trust-code", err=True)
-        here = Path.cwd()
+        working_folder = Path.cwd()
         for key in (
             "model",
             "aircraft",
         ):  # a file named on the command line is where the person is, not beside the plan
             if str(options.get(key, "")).endswith(".toml"):
-                options[key] = str(here / options[key])
+                options[key] = str(working_folder / options[key])
         return plan_from({**data, **options}, str(path)), path.parent
     return plan_from({"flights": flights, **options}, "of the command line"), Path()
 
@@ -145,10 +145,10 @@ def _say(outcome: "CampaignOutcome", out: Path, page: Path | None, wall_s: float
         f"{outcome.flights} flights: {outcome.done} estimated, {len(outcome.failed)} not"
         f" ({outcome.skipped} were done before, {outcome.fitted} pieces of work now, {wall_s:.1f} s)"
     )
-    for flight, why in list(outcome.failed.items())[:SHOWN]:
-        click.echo(f"  failed: {flight}: {why}")
-    for flight, same in outcome.duplicates[:SHOWN]:
-        click.echo(f"  left out: {flight}: the same bytes as {same}")
+    for flight, reason in list(outcome.failed.items())[:SHOWN]:
+        click.echo(f"  failed: {flight}: {reason}")
+    for flight, same_flight in outcome.duplicates[:SHOWN]:
+        click.echo(f"  left out: {flight}: the same bytes as {same_flight}")
     for path in outcome.damaged:
         click.echo(f"  set aside: {path}: cannot be read; its flights were done again")
     for row in told(outcome.groups)[:SHOWN]:

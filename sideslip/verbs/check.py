@@ -56,10 +56,10 @@ def check(
 
     with Progress("checking") as progress:
         answer = checks.check(flights, progress=progress, **options)
-    written = []
+    file_lines = []
     if folder is not None:
         for flight in answer.corrected():
             target = folder / f"{flight.name}.mcap"
             write_flight(flight, target)
-            written.append(f"corrected flight: {target}")
-    return deliver(answer, json_path, figure_path, report_folder, written=written)
+            file_lines.append(f"corrected flight: {target}")
+    return deliver(answer, json_path, figure_path, report_folder, written=file_lines)

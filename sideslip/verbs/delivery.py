@@ -33,12 +33,12 @@ def deliver(
     # files first: a reader that closes the pipe early (| head) must not cost a result
     if json_path is not None:
         write_json(answer.to_json(), json_path)
-    done = list(written)
+    file_lines = list(written)
     if figure_path is not None:
-        done.append(f"figure: {answer.save(figure_path)}")
+        file_lines.append(f"figure: {answer.save(figure_path)}")
     if report_folder is not None:
-        done.append(f"report: {answer.report(report_folder)}")
-    for line in (*(answer.lines() if lines is None else lines), *done):
+        file_lines.append(f"report: {answer.report(report_folder)}")
+    for line in (*(answer.lines() if lines is None else lines), *file_lines):
         click.echo(line)
     return 0 if answer.passed else 1
 

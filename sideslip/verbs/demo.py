@@ -22,7 +22,7 @@ def demo(out: Path) -> int:
     import shutil
     import time
 
-    begun = time.monotonic()
+    start_time = time.monotonic()
     if out.exists() and any(out.iterdir()) and not (out / "demo.txt").is_file():
         raise UserError(f"{out} is not empty and not of an earlier demo; give --out another folder")
     shutil.rmtree(out, ignore_errors=True)
@@ -72,7 +72,7 @@ def demo(out: Path) -> int:
     for line in truth_lines(report):
         click.echo(line)
     page = write_front_page(report)
-    click.echo(f"\n{time.monotonic() - begun:.0f} s. Report: {page}")
+    click.echo(f"\n{time.monotonic() - start_time:.0f} s. Report: {page}")
     return 0
 
 
@@ -98,9 +98,9 @@ def truth_lines(report: Path) -> list[str]:
     truth, estimate, gap = (
         json.loads((report / f"{n}.json").read_text(encoding="utf-8")) for n in ("truth", "estimate", "gap")
     )
-    method, found = next(iter(estimate["joint"].items()))
+    method, joint_result = next(iter(estimate["joint"].items()))
     lines = [f"  {'derivative':<12}{'truth':>10}{method:>12}{'bound':>10}"]
-    for name, e in found["parameters"].items():
+    for name, e in joint_result["parameters"].items():
         if not e["identifiable"] or name not in truth["derivatives"] or name.endswith("_0"):
             continue  # constants take up the sensors' offsets
         value, bound = rounded(e["estimate"], e["std_coloured"])
@@ -109,11 +109,11 @@ def truth_lines(report: Path) -> list[str]:
     size, unit = hidden["parameters"][hidden["name"]]
     lines.append(f"  hidden: {hidden['name']} ({hidden['title']}) of {size:.4g} {unit}; answer: {gap['verdict']}")
     for step in gap["steps"]:
-        said = "; ".join(
+        parameter_texts = "; ".join(
             f"{n} = {' ± '.join(t for t in rounded(e['estimate'], e['std']) if t)}"
             for n, e in step["parameters"].items()
         )
-        lines.append(f"  found:  {step['effect']} ({step['title']}){': ' + said if said else ''}")
+        lines.append(f"  found:  {step['effect']} ({step['title']}){': ' + parameter_texts if parameter_texts else ''}")
     return lines
 
 
@@ -134,12 +134,12 @@ def _demo_flight(name: str, out: Path) -> Path:
 
     scenario = load_scenario(name).altered(radio=DEMO_RADIO)
     with Progress(f"flying {name}") as bar:
-        flown = fly_scenario(scenario, out / name, tell=bar)
-    s = flown.summary
-    lost = sum(b - a + 1 for a, b in s["scans_lost"])
-    agree = "air and ground agree" if flown.agreed else "air and ground DO NOT agree"
-    click.echo(f"{name}: {s['scans_received']} scans came down, {lost} lost on the radio; after backfill {agree}")
-    return _named(flown.onboard, out, name)
+        chain_flight = fly_scenario(scenario, out / name, tell=bar)
+    s = chain_flight.summary
+    lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
+    agree = "air and ground agree" if chain_flight.agreed else "air and ground DO NOT agree"
+    click.echo(f"{name}: {s['scans_received']} scans came down, {lost_scans} lost on the radio; after backfill {agree}")
+    return _named(chain_flight.onboard, out, name)
 
 
 def _named(flight: Path, out: Path, name: str) -> Path:
@@ -161,6 +161,6 @@ def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
     paths = []
     for number, (scenario, seed) in enumerate(CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
         with Progress(f"flying hidden_{number}") as bar:
-            flown = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
-        paths.append(_named(flown.onboard, out, f"hidden_{number}"))
+            chain_flight = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
+        paths.append(_named(chain_flight.onboard, out, f"hidden_{number}"))
     return paths[:-1], paths[-1]

@@ -123,9 +123,9 @@ def estimate(
 
     with Progress() as progress:
         answer = estimates.estimate(flights, progress=progress, **options)
-    written = []
+    file_lines = []
     if model_path is not None:
-        written.append(f"model: {answer.save(model_path)}")
+        file_lines.append(f"model: {answer.save(model_path)}")
     if histories_folder is not None:
-        written += beside_lines(answer.write_histories(histories_folder))
-    return deliver(answer, json_path, figure_path, report_folder, lines=answer.lines(brief=brief), written=written)
+        file_lines += beside_lines(answer.write_histories(histories_folder))
+    return deliver(answer, json_path, figure_path, report_folder, lines=answer.lines(brief=brief), written=file_lines)

@@ -41,14 +41,14 @@ def throws_of(words: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def _radians(text: str) -> float | None:
-    found = _ANGLE.match(text)
+    match = _ANGLE.match(text)
     try:
-        value = float(found[1]) if found else math.nan
+        value = float(match[1]) if match else math.nan
     except ValueError:
         return None
-    if not math.isfinite(value) or found is None:
+    if not math.isfinite(value) or match is None:
         return None
-    return math.radians(value) if found[2].lower() == "deg" else value
+    return math.radians(value) if match[2].lower() == "deg" else value
 
 
 def to_simulator(
@@ -78,12 +78,12 @@ def to_simulator(
         "neutral": writing.to_neutral,
     }
     request = writing.Request(Stated(aircraft, throws_of(throws), thrust), stall, force, prove)
-    done = does[target](file, out, request)
-    for line in report_lines(done):
+    exported = does[target](file, out, request)
+    for line in report_lines(exported):
         click.echo(line)
     if json_path is not None:
-        write_json(json_of(target, file, done), json_path)
-    return 1 if done.proof.failed else 0
+        write_json(json_of(target, file, exported), json_path)
+    return 1 if exported.proof.failed else 0
 
 
 def report_lines(done: "ExportedSimulator") -> list[str]:
@@ -201,9 +201,9 @@ def export(
         return 0
     from groundstation.export.run import export_file
 
-    done = export_file(file, output, units_row=units_row, raw=raw, calibration=calibration)
-    click.echo(f"{done.path}: written")
-    for note in done.notes:
+    exported = export_file(file, output, units_row=units_row, raw=raw, calibration=calibration)
+    click.echo(f"{exported.path}: written")
+    for note in exported.notes:
         click.echo(f"  note: {note}")
     return 0
 
@@ -214,17 +214,19 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
 
     if out is None or output is not None:
         raise click.UsageError("--to jsbsim writes a folder: give --out DIR, and no --output")
-    done = export_to_jsbsim(file, aircraft_from, out, rate)
-    click.echo(f"{done.exported.file}: written")
-    click.echo(f"  added: {', '.join(done.exported.terms) or 'nothing'}")
-    for what in done.exported.left_out:
-        click.echo(f"  left out: {what}")
+    proved_export = export_to_jsbsim(file, aircraft_from, out, rate)
+    click.echo(f"{proved_export.exported.file}: written")
+    click.echo(f"  added: {', '.join(proved_export.exported.terms) or 'nothing'}")
+    for term in proved_export.exported.left_out:
+        click.echo(f"  left out: {term}")
     click.echo(f"  {'output':<8}{'rms':>11}{'allowed':>11}{'by steps':>11}")
-    for name, rms in done.proof.rms.items():
-        click.echo(f"  {name:<8}{rms:>11.3g}{done.proof.allowed[name]:>11.3g}{done.proof.steps[name]:>11.3g}")
-    click.echo(done.sentence())
-    click.echo(done.of_the_steps())
-    return 1 if done.proof.failed else 0
+    for name, rms in proved_export.proof.rms.items():
+        click.echo(
+            f"  {name:<8}{rms:>11.3g}{proved_export.proof.allowed[name]:>11.3g}{proved_export.proof.steps[name]:>11.3g}"
+        )
+    click.echo(proved_export.sentence())
+    click.echo(proved_export.of_the_steps())
+    return 1 if proved_export.proof.failed else 0
 
 
 def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> int:
@@ -234,9 +236,9 @@ def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> int:
         raise click.UsageError("--to model takes a JSBSim aircraft: jsbsim:NAME or jsbsim:FOLDER for FILE")
     if out is not None or output is None or output.suffix.lower() != ".toml":
         raise click.UsageError("a JSBSim aircraft becomes one file: give -o MODEL.toml")
-    done = import_from_jsbsim(spec, output)
+    proved_import = import_from_jsbsim(spec, output)
     click.echo(f"{output}: written")
-    for line in (*done.imported.sentences(), *done.notes):
+    for line in (*proved_import.imported.sentences(), *proved_import.notes):
         click.echo(f"  {line}")
-    click.echo(done.sentence())
+    click.echo(proved_import.sentence())
     return 0

@@ -64,23 +64,23 @@ def fly(
         from groundstation.calibration.schema import NOMINAL_DIRECTORY
 
         folder = out or Path("flights") / scenario
-        made = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
+        bench = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
         click.echo(
-            f"bench recording {made.flight.recordings[0].parent}, plan {made.plan}; fit it with 'sideslip bench'"
+            f"bench recording {bench.flight.recordings[0].parent}, plan {bench.plan}; fit it with 'sideslip bench'"
         )
         return 0
-    chosen = load_scenario(scenario)
+    loaded_scenario = load_scenario(scenario)
     if manoeuvre is not None:
-        chosen = _with_manoeuvre(chosen, manoeuvre)
-    folder = out or Path("flights") / chosen.name
+        loaded_scenario = _with_manoeuvre(loaded_scenario, manoeuvre)
+    folder = out or Path("flights") / loaded_scenario.name
     pace = _pace(speed, live or port is not None)
     if port is not None:
-        return _fly_over_port(chosen, folder, port, seed, pace)
+        return _fly_over_port(loaded_scenario, folder, port, seed, pace)
     view = LiveFactory() if live else None
     try:
-        with Progress(f"flying {chosen.name}") as bar:
-            flown = fly_scenario(
-                chosen,
+        with Progress(f"flying {loaded_scenario.name}") as bar:
+            chain_flight = fly_scenario(
+                loaded_scenario,
                 folder,
                 seed=seed,
                 speed=pace,
@@ -91,15 +91,17 @@ def fly(
     finally:
         if view is not None:
             view.close()
-    for line in flown.lines:
+    for line in chain_flight.lines:
         click.echo(line)
-    for time_s, words in flown.sequencer:
+    for time_s, words in chain_flight.sequencer:
         click.echo(f"{time_s:8.2f} s  {words}")
-    s = flown.summary
-    lost = sum(b - a + 1 for a, b in s["scans_lost"])
-    click.echo(f"radio: {s['scans_received']} scans received, {lost} lost, {s['backfilled']} fetched after landing")
-    click.echo(f"air and ground agree: {'yes' if flown.agreed else 'no'}")
-    click.echo(f"onboard flight: {flown.onboard}")
+    s = chain_flight.summary
+    lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
+    click.echo(
+        f"radio: {s['scans_received']} scans received, {lost_scans} lost, {s['backfilled']} fetched after landing"
+    )
+    click.echo(f"air and ground agree: {'yes' if chain_flight.agreed else 'no'}")
+    click.echo(f"onboard flight: {chain_flight.onboard}")
     if json_path is not None:
         write_json(s, json_path)
     return 0
@@ -110,12 +112,12 @@ def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
     from daq.contract.manoeuvre import load_manoeuvre
     from firmware_sim.hardware.cockpit import switch_for
 
-    made = load_manoeuvre(path)
+    loaded_manoeuvre = load_manoeuvre(path)
     ordered = dict(scenario.logger)
     ordered["sequencer"] = {**ordered.get("sequencer", {}), "manoeuvre": str(path.resolve())}
     changes: dict[str, Any] = {"logger": ordered}
     if scenario.sequencer is None:
-        changes["sequencer"] = {"switch": switch_for(scenario, made.duration_s)}
+        changes["sequencer"] = {"switch": switch_for(scenario, loaded_manoeuvre.duration_s)}
         changes["flight"] = {"manoeuvres": "none"}
         changes["manoeuvre"] = ()
     return scenario.altered(**changes)
@@ -151,12 +153,12 @@ def _serve_until_interrupted(flight: "SimulatedFlightRun") -> bool:
 
     By a flag: an exception raised between any two instructions is lost where it meets a finaliser.
     """
-    asked = threading.Event()
-    before = signal.signal(signal.SIGINT, lambda number, frame: asked.set())
+    interrupted = threading.Event()
+    old_handler = signal.signal(signal.SIGINT, lambda number, frame: interrupted.set())
     try:
-        return flight.serve(asked.is_set, limit_s=RADIO_ON_S)
+        return flight.serve(interrupted.is_set, limit_s=RADIO_ON_S)
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, old_handler)
 
 
 def _pace(speed: str, live: bool) -> float | None:

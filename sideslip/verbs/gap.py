@@ -24,19 +24,19 @@ class _ManyHoldouts(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         spread: list[str] = []
-        before = holding = 0
+        flight_count = holding = 0
         for word in args:
             if word == "--holdout":
                 holding = 1
             elif word.startswith("-"):
                 holding = 0
                 spread.append(word)
-            elif holding and (holding == 1 or before):
+            elif holding and (holding == 1 or flight_count):
                 spread += ["--holdout", word]
                 holding = 2
             else:
                 spread.append(word)
-                before += 1
+                flight_count += 1
         return super().parse_args(ctx, spread)
 
 

@@ -53,12 +53,12 @@ def _tlog_info(file: Path) -> dict[str, Any]:
     from groundstation.receiver.tlog import TlogError, info_tlog
 
     try:
-        found = info_tlog(file)
+        summary = info_tlog(file)
     except TlogError as error:
         if not file.is_file() or not file.stat().st_size:
             raise
         return _log_or(error, file)
-    return found if found["scans"] else _log_or(found, file)
+    return summary if summary["scans"] else _log_or(summary, file)
 
 
 def _log_or(other: "dict[str, Any] | Exception", file: Path) -> dict[str, Any]:
@@ -93,8 +93,8 @@ def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
 
 def _log_lines(found: dict[str, Any]) -> Iterator[str]:
     boots = found["boots"]
-    many = f", {len(boots)} boots" if len(boots) > 1 else ""
-    yield f"{found['file']}: {found['kind']} log, {found['duration_s']:.2f} s{many}; 'sideslip import' makes a flight of it"
+    boot_note = f", {len(boots)} boots" if len(boots) > 1 else ""
+    yield f"{found['file']}: {found['kind']} log, {found['duration_s']:.2f} s{boot_note}; 'sideslip import' makes a flight of it"
     yield from (f"  note: {note}" for note in found.get("notes", []))
     yield from (
         f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in found.get("modes", [])[:MOST_SAID]

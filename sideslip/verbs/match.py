@@ -51,5 +51,5 @@ def match(
     from sideslip.verbs.delivery import beside_lines, deliver
 
     answer = matches.match(model, flights, **options)
-    beside = () if histories_folder is None else beside_lines(answer.write_histories(histories_folder))
-    return deliver(answer, json_path, figure_path, written=beside)
+    history_lines = () if histories_folder is None else beside_lines(answer.write_histories(histories_folder))
+    return deliver(answer, json_path, figure_path, written=history_lines)

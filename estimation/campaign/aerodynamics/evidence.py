@@ -60,8 +60,8 @@ def information(wide: Model, data: Sequence[FlightData], result: Result, simulat
     M, g = np.zeros((len(data), len(names), len(names))), np.zeros((len(data), len(names)))
     for i, flight in enumerate(data):
         problem = OutputErrorProblem(wide, [flight], simulator, sigma=sigma)
-        own = {n: e.estimate for n, e in result.flights[i].local.items()}
-        unknowns = problem.pack({**values, **own}, [list(result.flights[i].initial_states)])
+        local_values = {n: e.estimate for n, e in result.flights[i].local.items()}
+        unknowns = problem.pack({**values, **local_values}, [list(result.flights[i].initial_states)])
         blocks = problem.flight_blocks(unknowns, problem.evaluate(unknowns, True), 0)
         split = FlightBlocks.split(blocks.ss, blocks.gs, of_names, of_local)
         M[i], g[i] = split.reduced()
@@ -75,24 +75,28 @@ def grown(found: PooledInformation, active: Sequence[str], tried: Sequence[str],
     """
     M, g = _folds(found)
     place = {n: k for k, n in enumerate(found.names)}
-    inside = [place[n] for n in active]
-    left = [place[n] for n in tried]
-    now = _gains(M, g, inside)
-    taken: list[TermGain] = []
-    while len(taken) < most:
-        gains = {k: _gains(M, g, [*inside, k]) - now for k in left if _tells(M.sum(axis=0), inside, k)}
+    active_columns = [place[n] for n in active]
+    open_columns = [place[n] for n in tried]
+    current_gains = _gains(M, g, active_columns)
+    gains_in_order: list[TermGain] = []
+    while len(gains_in_order) < most:
+        gains = {
+            k: _gains(M, g, [*active_columns, k]) - current_gains
+            for k in open_columns
+            if _tells(M.sum(axis=0), active_columns, k)
+        }
         if not gains:
             break
         largest = gains[max(gains, key=lambda k: float(gains[k].sum()))]
-        best = next(k for k in left if k in gains and not _clear(largest - gains[k], EVEN))
-        total, std = float(gains[best].sum()), float(gains[best].std(ddof=1) * np.sqrt(len(M)))
-        if not _clear(gains[best], ADVANTAGE):
+        chosen_column = next(k for k in open_columns if k in gains and not _clear(largest - gains[k], EVEN))
+        total, std = float(gains[chosen_column].sum()), float(gains[chosen_column].std(ddof=1) * np.sqrt(len(M)))
+        if not _clear(gains[chosen_column], ADVANTAGE):
             break
-        taken.append(TermGain(found.names[best], total, std))
-        now = now + gains[best]
-        inside.append(best)
-        left.remove(best)
-    return taken
+        gains_in_order.append(TermGain(found.names[chosen_column], total, std))
+        current_gains = current_gains + gains[chosen_column]
+        active_columns.append(chosen_column)
+        open_columns.remove(chosen_column)
+    return gains_in_order
 
 
 def superfluous(found: PooledInformation, active: Sequence[str], taken: Mapping[str, float]) -> list[str]:
@@ -100,23 +104,23 @@ def superfluous(found: PooledInformation, active: Sequence[str], taken: Mapping[
     beside them now."""
     M, g = _folds(found)
     place = {n: k for k, n in enumerate(found.names)}
-    inside, out = [place[n] for n in active], []
-    left, away = list(taken), np.zeros(len(found.names))
-    while left:
-        now = _gains(M, g, inside, away)
-        worth = {}
-        for n in left:
-            without = away.copy()
-            without[place[n]] = -taken[n]
-            worth[n] = now - _gains(M, g, [k for k in inside if k != place[n]], without)
-        least = min(left, key=lambda n: float(worth[n].sum()))
-        if _clear(worth[least], ADVANTAGE):
+    active_columns, removed = [place[n] for n in active], []
+    candidates, fixed_changes = list(taken), np.zeros(len(found.names))
+    while candidates:
+        current_gains = _gains(M, g, active_columns, fixed_changes)
+        losses = {}
+        for n in candidates:
+            changes_without = fixed_changes.copy()
+            changes_without[place[n]] = -taken[n]
+            losses[n] = current_gains - _gains(M, g, [k for k in active_columns if k != place[n]], changes_without)
+        weakest = min(candidates, key=lambda n: float(losses[n].sum()))
+        if _clear(losses[weakest], ADVANTAGE):
             break
-        out.append(least)
-        left.remove(least)
-        away[place[least]] = -taken[least]
-        inside.remove(place[least])
-    return out
+        removed.append(weakest)
+        candidates.remove(weakest)
+        fixed_changes[place[weakest]] = -taken[weakest]
+        active_columns.remove(place[weakest])
+    return removed
 
 
 def _clear(gains: Array, errors: float) -> bool:
@@ -140,12 +144,12 @@ def _gains(M: Array, g: Array, inside: Sequence[int], away: Array | None = None)
     away = np.zeros(g.shape[1]) if away is None else away
     fixed = g @ away - 0.5 * np.einsum("i,kij,j->k", away, M, away)
     slope = (g - M @ away)[:, inside]
-    own = M[np.ix_(range(len(M)), inside, inside)]
-    scale = np.sqrt(np.maximum(np.einsum("kii->ki", own).sum(axis=0), 1e-300))
-    others = (own.sum(axis=0) - own) / np.outer(scale, scale)
+    fold_information = M[np.ix_(range(len(M)), inside, inside)]
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", fold_information).sum(axis=0), 1e-300))
+    rest_information = (fold_information.sum(axis=0) - fold_information) / np.outer(scale, scale)
     ridge = 1e-12 * np.eye(len(inside))  # of a diagonal of one: what no flight sees stays where it is
-    d = np.linalg.solve(others + ridge, ((slope.sum(axis=0) - slope) / scale)[:, :, None])[:, :, 0] / scale
-    gains: Array = fixed + np.einsum("ki,ki->k", slope, d) - 0.5 * np.einsum("ki,kij,kj->k", d, own, d)
+    d = np.linalg.solve(rest_information + ridge, ((slope.sum(axis=0) - slope) / scale)[:, :, None])[:, :, 0] / scale
+    gains: Array = fixed + np.einsum("ki,ki->k", slope, d) - 0.5 * np.einsum("ki,kij,kj->k", d, fold_information, d)
     return gains
 
 

@@ -65,8 +65,8 @@ class GlobalModel:
             return self.why
         if not self.gains:
             return "no term over the envelope is asked for: the derivatives are constants on these flights"
-        said = ", ".join(f"{g.name} ({g.gain:.0f} +- {g.std:.0f})" for g in self.gains)
-        return f"terms by what they gain in log likelihood on flights held out: {said}"
+        gain_list = ", ".join(f"{g.name} ({g.gain:.0f} +- {g.std:.0f})" for g in self.gains)
+        return f"terms by what they gain in log likelihood on flights held out: {gain_list}"
 
     def at(self, derivative: str, conditions: Sequence[Mapping[str, float]]) -> tuple[Array, Array]:
         """(points,) a derivative and its corrected bound at values of alpha [rad], V [m/s], beta [rad], delta_e [rad] ..."""
@@ -96,7 +96,7 @@ def curve(
     conditions: Sequence[Mapping[str, float]],
 ) -> tuple[Array, Array]:
     """(points,) a derivative and its bound at conditions. names: in the order of covariance."""
-    rows = np.array([row_of(model, derivative, names, at) for at in conditions])
+    rows = np.array([row_of(model, derivative, names, point) for point in conditions])
     std: Array = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", rows, covariance, rows), 0.0))
     return rows @ np.array([values[n] for n in names]), std
 
@@ -111,20 +111,20 @@ def global_model(
     base = joint_model(model)
     flights = unique_names(flights)
     reference = references(flights)
-    tried = candidates(base, [v for v in POWERS if _in_all(flights, v)])
-    wide = with_terms(base, tried, reference)
-    tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
+    term_candidates = candidates(base, [v for v in POWERS if _in_all(flights, v)])
+    wide = with_terms(base, term_candidates, reference)
+    tell(f"{len(flights)} flights together, {len(term_candidates)} terms to choose from")
     slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
-    fit = _Fit(base, flights, data, slim, Simulator.build(slim), tried, reference)
+    fit = _Fit(base, flights, data, slim, Simulator.build(slim), term_candidates, reference)
     result, gains = output_error(base, flights), tuple[TermGain, ...]()
-    for wave in ([t for t in tried if t.first], tried):
+    for wave in ([t for t in term_candidates if t.first], term_candidates):
         for _ in range(ROUNDS):
-            if why := fit.unusable(result):
-                return GlobalModel(result, gains, flown(result.model, flights), why)
-            more = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
-            if not more:
+            if problem := fit.unusable(result):
+                return GlobalModel(result, gains, flown(result.model, flights), problem)
+            new_gains = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
+            if not new_gains:
                 break
-            gains = (*gains, *more)
+            gains = (*gains, *new_gains)
             tell(f"{len(gains)} terms over the envelope; fitting again")
             result = fit.again(result, gains)
     if not fit.unusable(result):
@@ -148,28 +148,28 @@ class _Fit:
 
     def asked_for(self, result: Result, wave: Sequence[ConditionTerm], most: int) -> list[TermGain]:
         """Terms of `wave` that flights held out want beside those of the result."""
-        known = information(self.wide, self.data, result, self.simulator)
-        active = [n for n in known.names if n in result.parameters]
-        return grown(known, active, [t.name for t in wave if t.name not in active], most)
+        pooled_information = information(self.wide, self.data, result, self.simulator)
+        active = [n for n in pooled_information.names if n in result.parameters]
+        return grown(pooled_information, active, [t.name for t in wave if t.name not in active], most)
 
     def needed(self, result: Result, gains: tuple[TermGain, ...]) -> tuple[TermGain, ...]:
         """Those that are still wanted beside all the others."""
-        known = information(self.wide, self.data, result, self.simulator)
-        active = [n for n in known.names if n in result.parameters]
-        out = superfluous(known, active, {g.name: result.values[g.name] for g in gains})
-        return tuple(g for g in gains if g.name not in out)
+        pooled_information = information(self.wide, self.data, result, self.simulator)
+        active = [n for n in pooled_information.names if n in result.parameters]
+        superfluous_terms = superfluous(pooled_information, active, {g.name: result.values[g.name] for g in gains})
+        return tuple(g for g in gains if g.name not in superfluous_terms)
 
     def again(self, before: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
         """The joint fit with the terms that were taken, from where the last one ended."""
         names = {g.name for g in gains}
-        chosen = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
+        extended_model = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
         start = {n: before.values[n] for n in derivatives_of(self.base)}
-        return output_error(chosen, self.flights, start, options)
+        return output_error(extended_model, self.flights, start, options)
 
     def unusable(self, result: Result) -> str:
         """Why no terms can be looked for from a result, empty where they can."""
-        whole = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
-        return "" if result.converged and whole else f"no further terms were looked for: {result.text}"
+        complete = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
+        return "" if result.converged and complete else f"no further terms were looked for: {result.text}"
 
 
 def references(flights: Sequence[Flight]) -> dict[str, float]:

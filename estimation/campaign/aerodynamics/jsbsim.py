@@ -28,8 +28,8 @@ def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
         if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_of(r))):
             sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
     return {
-        file_name("_".join(which).replace(", ", "_").replace(" ", "_")): _xml(", ".join(which), parameters)
-        for which, parameters in sets.items()
+        file_name("_".join(labels).replace(", ", "_").replace(" ", "_")): _xml(", ".join(labels), parameters)
+        for labels, parameters in sets.items()
     }
 
 
@@ -39,8 +39,8 @@ def _of(r: Row) -> tuple[str, str, str, str]:
 
 def _xml(what: str, parameters: dict[str, list[Row]]) -> str:
     root = ET.Element("aerodynamics")
-    where = "where nobody flew, as at the nearest point flown; after the last step in time"
-    root.append(ET.Comment(f" Sideslip, {what}: derivatives per rad; {where} "))
+    validity = "where nobody flew, as at the nearest point flown; after the last step in time"
+    root.append(ET.Comment(f" Sideslip, {what}: derivatives per rad; {validity} "))
     for name, rows in parameters.items():
         root.append(_function(name, rows))
     ET.indent(root)
@@ -73,8 +73,8 @@ def _filled(rows: Sequence[Row], alphas: Sequence[float], speeds: Sequence[float
     for r in rows:
         if r["flown"]:
             value[alphas.index(r["alpha"]), speeds.index(r["V"])] = r["estimate"]
-    flown = np.argwhere(np.isfinite(value))
+    filled_cells = np.argwhere(np.isfinite(value))
     for i, j in np.argwhere(np.isnan(value)):
-        nearest = flown[np.argmin(np.sum((flown - (i, j)) ** 2, axis=1))]
+        nearest = filled_cells[np.argmin(np.sum((filled_cells - (i, j)) ** 2, axis=1))]
         value[i, j] = value[tuple(nearest)]
     return value

@@ -52,32 +52,32 @@ def with_steps(of: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[
     """The curves of a group with the steps in time that its flights show. of: in order of date."""
     shifts = np.zeros((len(of.flights), 0))
     curves = envelope(of)
-    found: list[tuple[int, tuple[str, str], float]] = []
-    while curves is not None and len(found) < MOST_STEPS:
-        step = _search(curves, [f for f, _, _ in found], np.random.default_rng([seed, len(found)]))
+    located_steps: list[tuple[int, tuple[str, str], float]] = []
+    while curves is not None and len(located_steps) < MOST_STEPS:
+        step = _search(curves, [f for f, _, _ in located_steps], np.random.default_rng([seed, len(located_steps)]))
         if step is None:
             break
         first = of.flights.index(curves.of.flights[step[0]])
-        later = (np.arange(len(of.flights)) >= first).astype(float)
-        again = envelope(of, np.column_stack([shifts, later]))
-        if again is None:
+        after_step = (np.arange(len(of.flights)) >= first).astype(float)
+        shifted_curves = envelope(of, np.column_stack([shifts, after_step]))
+        if shifted_curves is None:
             break
-        shifts, curves = np.column_stack([shifts, later]), again
-        found.append((step[0], step[1], step[2]))
+        shifts, curves = np.column_stack([shifts, after_step]), shifted_curves
+        located_steps.append((step[0], step[1], step[2]))
     if curves is None:
         return None, ()
-    return curves, tuple(_described(curves, number, *step) for number, step in enumerate(found))
+    return curves, tuple(_described(curves, number, *step) for number, step in enumerate(located_steps))
 
 
 def _described(curves: PooledCurves, number: int, first: int, dates: tuple[str, str], probability: float) -> DateStep:
     """Sizes of a step, with all steps that were found and the variances that are left."""
-    told = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, number)) is not None]
-    freedom = int(min((curves.fit.freedom[j] for j, _ in told), default=1))
-    moved = []
-    for j, (change, std) in told:
+    told_shifts = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, number)) is not None]
+    freedom = int(min((curves.fit.freedom[j] for j, _ in told_shifts), default=1))
+    parameter_steps = []
+    for j, (change, std) in told_shifts:
         p = pooling.two_sided(change / std, int(curves.fit.freedom[j]))
-        moved.append(ParameterStep(curves.of.parameters[j], change, std, min(1.0, p * len(told))))
-    return DateStep(first, dates, probability, tuple(moved), freedom)
+        parameter_steps.append(ParameterStep(curves.of.parameters[j], change, std, min(1.0, p * len(told_shifts))))
+    return DateStep(first, dates, probability, tuple(parameter_steps), freedom)
 
 
 def _search(
@@ -87,33 +87,33 @@ def _search(
 
     before: steps that were found already; between two there are as many flights as beside one.
     """
-    known = curves.of.data.known[curves.sound]
+    known_mask = curves.of.data.known[curves.sound]
     dates = [d for d, s in zip(curves.of.dates, curves.sound, strict=True) if s]
     places = _places(dates)
-    sound = np.flatnonzero(curves.sound)
-    places = np.array([k for k in places if all(abs(sound[k] - b) >= FEWEST_BESIDE for b in before)], np.intp)
+    sound_indices = np.flatnonzero(curves.sound)
+    places = np.array([k for k in places if all(abs(sound_indices[k] - b) >= FEWEST_BESIDE for b in before)], np.intp)
     if not places.size:
         return None
-    statistics = _Statistics(curves, known, places)
-    found = statistics.of(np.where(known, curves.fit.residual, 0.0)[None])[0]
+    statistics = _Statistics(curves, known_mask, places)
+    chi2 = statistics.of(np.where(known_mask, curves.fit.residual, 0.0)[None])[0]
     largest = statistics.by_chance(rng)
-    probability = (1.0 + float(np.sum(largest >= found.max()))) / (1.0 + largest.size)
+    probability = (1.0 + float(np.sum(largest >= chi2.max()))) / (1.0 + largest.size)
     if probability > pooling.LEVEL:
         return None
-    near = places[found >= found.max() - DATE_95]
-    between = dates[int(near.min()) - 1], dates[int(near.max())]
-    return int(sound[places[int(np.argmax(found))]]), between, probability
+    likely_places = places[chi2 >= chi2.max() - DATE_95]
+    date_range = dates[int(likely_places.min()) - 1], dates[int(likely_places.max())]
+    return int(sound_indices[places[int(np.argmax(chi2))]]), date_range, probability
 
 
 def _places(dates: Sequence[str]) -> Index:
     """First flights of a later date with enough flights on either side."""
-    some = [
+    eligible = [
         k for k in range(FEWEST_BESIDE, len(dates) - FEWEST_BESIDE + 1) if dates[k - 1] and dates[k] != dates[k - 1]
     ]
-    every = np.array(some, np.intp)
-    if every.size <= MOST_DATES:
-        return every
-    return every[np.linspace(0, every.size - 1, MOST_DATES).astype(np.intp)]
+    eligible_places = np.array(eligible, np.intp)
+    if eligible_places.size <= MOST_DATES:
+        return eligible_places
+    return eligible_places[np.linspace(0, eligible_places.size - 1, MOST_DATES).astype(np.intp)]
 
 
 class _Statistics:
@@ -130,9 +130,9 @@ class _Statistics:
         A = np.einsum("nkp,nkq->pq", design.X, WX, optimize=True)
         A[np.diag_indices(count)] += [0.0 if p < 0 else 1.0 / fit.smooth[p] for p in design.penalty]
         self.to_b = np.linalg.solve(A, WX.reshape(-1, count).T)  # (p, flights k): coefficients from estimates
-        after = _after(self.W, places)
+        later_information = _after(self.W, places)
         cross = _after(WX, places)
-        information = after - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
+        information = later_information - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
         self.inverse = np.array([np.linalg.pinv(i, rcond=1e-9, hermitian=True) for i in information])
 
     def of(self, residual: Array) -> Array:
@@ -182,24 +182,24 @@ class Side:
 
 def moved_by(steps: Sequence[DateStep], parameter: str) -> list[int]:
     """Numbers of the steps that moved a parameter, in order of time."""
-    found = []
+    step_numbers = []
     for number, step in enumerate(steps):
         clearly = [m.parameter for m in step.moved if m.probability <= pooling.LEVEL]
         if parameter in (clearly or [m.parameter for m in step.moved]):
-            found.append(number)
-    return sorted(found, key=lambda n: steps[n].first)
+            step_numbers.append(number)
+    return sorted(step_numbers, key=lambda n: steps[n].first)
 
 
 def sides(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> Iterator[Side]:
     """The stretches of time that have curves of their own, in order."""
-    own = moved_by(steps, parameter)
+    step_numbers = moved_by(steps, parameter)
     count = len(curves.of.flights)
-    edges = [0, *(steps[n].first for n in own), count]
+    edges = [0, *(steps[n].first for n in step_numbers), count]
     place = np.arange(count)
     for first, end in zip(edges, edges[1:], strict=False):
         shifts = np.zeros(curves.shifts.shape[1])
-        shifts[own] = curves.shifts[first, own]
-        dates = (curves.of.dates[first], curves.of.dates[end - 1]) if own else ("", "")
+        shifts[step_numbers] = curves.shifts[first, step_numbers]
+        dates = (curves.of.dates[first], curves.of.dates[end - 1]) if step_numbers else ("", "")
         yield Side(*dates, shifts, (place >= first) & (place < end))
 
 

@@ -53,7 +53,7 @@ def write_flight_pages(
 ) -> list[FlightListEntry]:
     """Pages in folder/flights and the list of all flights, in order of date and name."""
     flights = _by_flight(results)
-    said = _sentences(groups)
+    sentences_by_flight = _sentences(groups)
     pooled = [r for r in groups if r["kind"] == "pooled"]
     pages = folder / FOLDER
     for old in pages.glob("*.html"):
@@ -61,7 +61,7 @@ def write_flight_pages(
     entries = []
     for rows in sorted(flights.values(), key=lambda rows: (rows[0]["date"] or "", rows[0]["flight"])):
         first = next((r for r in rows if r["kind"] == "run" and r["V"] is not None), rows[0])
-        words = said.get(first["flight"], [])
+        words = sentences_by_flight.get(first["flight"], [])
         troubled = bool(words) or any(r["kind"] == "run" and r["status"] != "ok" for r in rows)
         page = _page_name(first) if len(flights) <= MOST_PAGES or troubled else ""
         if page:
@@ -85,19 +85,19 @@ def _by_flight(results: "pa.Table") -> dict[str, list[Row]]:
     import pyarrow.compute as pc
 
     kinds = pa.array(["run", "estimate", "fit", "check", "match"])
-    own = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], kinds)))
+    flight_rows = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], kinds)))
     flights: dict[str, list[Row]] = {}
-    for row in own.drop_columns(["covariance"]).to_pylist():
+    for row in flight_rows.drop_columns(["covariance"]).to_pylist():
         flights.setdefault(f"{row['source']} {row['sha256']}", []).append(row)
     return flights
 
 
 def _sentences(groups: Sequence[Row]) -> dict[str, list[str]]:
-    said: dict[str, list[str]] = {}
+    sentences_by_flight: dict[str, list[str]] = {}
     for r in groups:
         if r.get("flight"):
-            said.setdefault(r["flight"], []).append(r["text"])
-    return said
+            sentences_by_flight.setdefault(r["flight"], []).append(r["text"])
+    return sentences_by_flight
 
 
 def _page_name(row: Row) -> str:
@@ -144,9 +144,11 @@ def _write(
     tables += [_fits(kind, rows) for kind in ("fit", "match") if any(r["kind"] == kind for r in rows)]
     runs = [r for r in rows if r["kind"] == "run"]
     sentences = list(dict.fromkeys([*words, *(r["why"] for r in runs if r["why"])]))
-    sound = all(r["status"] == "ok" for r in runs) and not words
+    unremarkable = all(r["status"] == "ok" for r in runs) and not words
     status = paragraph(", ".join(dict.fromkeys(f"{r['method']}: {r['status']}" for r in runs)))
-    head = box([status, *([bullets(breakable(text) for text in sentences)] if sentences else [])], warn=not sound)
+    head = box(
+        [status, *([bullets(breakable(text) for text in sentences)] if sentences else [])], warn=not unremarkable
+    )
     digest = first["sha256"] or ""
     note = Markup(
         "Histories and residuals: <code>sideslip estimate {} --report DIR</code>."
@@ -179,17 +181,17 @@ def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tup
     for r in rows:
         if r["kind"] not in ("estimate", "check"):
             continue
-        whole = pooled.get((group, method, r["parameter"]), {})
-        told = r["identifiable"] and r["estimate"] is not None and r["std_coloured"]
-        off = (r["estimate"] - whole["estimate"]) / r["std_coloured"] if told and whole else None
+        pooled_row = pooled.get((group, method, r["parameter"]), {})
+        identifiable = r["identifiable"] and r["estimate"] is not None and r["std_coloured"]
+        distance = (r["estimate"] - pooled_row["estimate"]) / r["std_coloured"] if identifiable and pooled_row else None
         cells.append(
             (
                 r["parameter"],
                 number(r["estimate"]),
                 significant(r["std_coloured"], 2),
-                number(whole.get("estimate")),
-                number(off, 1),
-                "" if told else "cannot tell",
+                number(pooled_row.get("estimate")),
+                number(distance, 1),
+                "" if identifiable else "cannot tell",
             )
         )
     head = ("parameter", "estimate", "corrected bound", "pooled", "bounds apart", "")

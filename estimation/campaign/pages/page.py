@@ -27,12 +27,18 @@ def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Pa
     claims = [r["text"] for r in told(outcome.groups)]
     failures = failed_table(outcome.failed)
     flights = write_flight_pages(outcome.results, outcome.groups, plan.groups, folder)
-    points = {m: found for m in plan.methods if (found := points_of(outcome.results, m, plan.groups))}
+    points = {
+        m: estimate_points for m in plan.methods if (estimate_points := points_of(outcome.results, m, plan.groups))
+    }
     envelope = envelope_figure(outcome.results, plan.groups)
     pooled = [pooled_table(outcome.groups, method) for method in plan.methods]
     bounds = [bounds_figure(method, outcome.groups) for method in plan.methods]
-    trends = [f for method, found in points.items() for f in trend_figures(method, found, outcome.database)]
-    scatter = [scatter_figure(method, found, outcome.groups) for method, found in points.items()]
+    trends = [
+        f
+        for method, estimate_points in points.items()
+        for f in trend_figures(method, estimate_points, outcome.database)
+    ]
+    scatter = [scatter_figure(method, estimate_points, outcome.groups) for method, estimate_points in points.items()]
     sections = [
         Section("", "", [_status_box(outcome)]),
         Section("found", "Found", _found(claims, outcome.groups), "Found"),

@@ -50,7 +50,10 @@ def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[Est
     by_name: dict[str, list[Row]] = {}
     for r in rows:
         by_name.setdefault(r["parameter"], []).append(r)
-    return [_points(name, sorted(own, key=lambda r: place[r["key"]]), place, keys) for name, own in by_name.items()]
+    return [
+        _points(name, sorted(parameter_rows, key=lambda r: place[r["key"]]), place, keys)
+        for name, parameter_rows in by_name.items()
+    ]
 
 
 def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequence[str]) -> EstimatePoints:
@@ -68,11 +71,11 @@ def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequ
 
 def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> list[tuple[str, Faired]]:
     """(group, its curve along a condition), one for each side of a step in time, the last side last."""
-    mine: dict[tuple[str, str], list[Row]] = {}
+    rows_by_side: dict[tuple[str, str], list[Row]] = {}
     for r in database:
         if (r["kind"], r["method"], r["parameter"], r["along"]) == (kind, method, parameter, along):
-            mine.setdefault((r["group"], r.get("since") or ""), []).append(r)
-    return [(group, _faired(rows, along)) for (group, _), rows in sorted(mine.items())]
+            rows_by_side.setdefault((r["group"], r.get("since") or ""), []).append(r)
+    return [(group, _faired(rows, along)) for (group, _), rows in sorted(rows_by_side.items())]
 
 
 def _faired(rows: Sequence[Row], along: str) -> Faired:

@@ -23,14 +23,14 @@ def interrupted_after(limit_s: float, what: str) -> Iterator[None]:
     def overdue(number: int, frame: FrameType | None) -> None:
         raise OverdueError(overdue_text(what, limit_s))
 
-    before = signal.signal(signal.SIGALRM, overdue)
-    others = signal.setitimer(signal.ITIMER_REAL, limit_s)
+    old_handler = signal.signal(signal.SIGALRM, overdue)
+    old_timer = signal.setitimer(signal.ITIMER_REAL, limit_s)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
-        signal.setitimer(signal.ITIMER_REAL, *others)  # somebody else's alarm comes later than asked, but comes
+        signal.signal(signal.SIGALRM, old_handler)
+        signal.setitimer(signal.ITIMER_REAL, *old_timer)  # somebody else's alarm comes later than asked, but comes
 
 
 @contextlib.contextmanager
@@ -43,10 +43,10 @@ def ended_after(limit_s: float, tell: Callable[[], Any]) -> Iterator[None]:
     def end() -> None:
         tell()
         threading.Event().wait(GRACE_S)
-        if not done.is_set():
+        if not finished.is_set():
             os._exit(70)
 
-    done = threading.Event()
+    finished = threading.Event()
     timer = threading.Timer(limit_s, end)
     timer.daemon = True
     with open(os.devnull, "w") as nowhere:
@@ -55,7 +55,7 @@ def ended_after(limit_s: float, tell: Callable[[], Any]) -> Iterator[None]:
         try:
             yield
         finally:
-            done.set()
+            finished.set()
             timer.cancel()
             faulthandler.cancel_dump_traceback_later()
 

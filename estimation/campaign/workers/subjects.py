@@ -39,8 +39,8 @@ def measured(flight: Flight) -> Row:
     row: Row = {"samples": len(flight), "duration": float(flight.time[-1] - flight.time[0])}
     for name, (column, statistic) in STATISTICS.items():
         row[name] = statistic(_known(flight[column])) if flight.measured(column) else None
-    known = row["V"] is not None and row["rho"] is not None
-    row["dynamic_pressure"] = 0.5 * float(np.nanmean(flight["rho"] * flight["V"] ** 2)) if known else None
+    pressure_known = row["V"] is not None and row["rho"] is not None
+    row["dynamic_pressure"] = 0.5 * float(np.nanmean(flight["rho"] * flight["V"] ** 2)) if pressure_known else None
     return row
 
 
@@ -81,9 +81,9 @@ def bytes_of(source: FlightSource) -> bytes:
 
 
 def aircraft_of_subject(subject: Subject, flight: Flight, work: Work) -> Aircraft:
-    given = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
-    needed = not subject.model_text or any(find(m).needs_aircraft for m in work.pieces if m != CHECK)
-    craft = which_aircraft([flight], given, needed=needed)
+    stated_aircraft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
+    required = not subject.model_text or any(find(m).needs_aircraft for m in work.pieces if m != CHECK)
+    craft = which_aircraft([flight], stated_aircraft, needed=required)
     return craft if subject.mass is None else craft.with_values(mass=subject.mass)
 
 

@@ -54,21 +54,21 @@ def _refuse_other_software(wanted: Mapping[str, str]) -> None:
 
 
 def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
-    own = versions()
-    about: Row = {
+    software_versions = versions()
+    columns: Row = {
         "kind": "run",
         "method": piece,
         "key": work.pieces[piece],
         "status": status,
         "why": why,
-        "software": json.dumps({k: v for k, v in own.items() if k != "code"}),
-        "code": own["code"],
+        "software": json.dumps({k: v for k, v in software_versions.items() if k != "code"}),
+        "code": software_versions["code"],
     }
     if work.kind in ("joint", "envelope"):
         own_text = {"model_text": "", "flights": len(work.subjects)} if work.kind == "envelope" else {}
-        return {**about, **own_text, "group": work.group, **more}
+        return {**columns, **own_text, "group": work.group, **more}
     source = work.subjects[0].source
-    return {**about, "flight": source.name, "source": source.location, "sha256": source.sha256, **more}
+    return {**columns, "flight": source.name, "source": source.location, "sha256": source.sha256, **more}
 
 
 # ------------------------------------------------------------------------------------------------ one flight
@@ -76,21 +76,21 @@ def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
 
 def _flight(work: Work) -> Iterator[Row]:
     subject = work.subjects[0]
-    whole = read_subject(subject)
-    craft = aircraft_of_subject(subject, whole, work)
-    parts = _parts(whole, work)
+    flight = read_subject(subject)
+    craft = aircraft_of_subject(subject, flight, work)
+    parts = _parts(flight, work)
     for number, part in enumerate(parts, start=1):
-        about: Row = {**measured(part), "aircraft": craft.name}
+        conditions: Row = {**measured(part), "aircraft": craft.name}
         if len(parts) > 1:
-            about["manoeuvre"] = str(number)
-        bad = _bad_quality(part) if work.quality else ""
+            conditions["manoeuvre"] = str(number)
+        quality_problem = _bad_quality(part) if work.quality else ""
         for piece in work.pieces:
-            if bad:
-                yield _run_row(work, piece, FAILED, bad, **about)
+            if quality_problem:
+                yield _run_row(work, piece, FAILED, quality_problem, **conditions)
             elif piece == CHECK:
-                yield from _checked(work, part, about)
+                yield from _checked(work, part, conditions)
             else:
-                yield from _estimated(work, piece, part, craft, about)
+                yield from _estimated(work, piece, part, craft, conditions)
 
 
 def _parts(flight: Flight, work: Work) -> list[Flight]:
@@ -113,21 +113,21 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
 
     begin = time.thread_time()
     try:
-        found = compatibility(flight)
+        check_result = compatibility(flight)
     except UserError as error:
         yield _run_row(work, CHECK, FAILED, str(error), **about)
         return
-    status = OK if found.converged else OPEN
+    status = OK if check_result.converged else OPEN
     yield _run_row(
         work,
         CHECK,
         status,
-        "" if found.converged else found.text,
-        iterations=found.iterations,
+        "" if check_result.converged else check_result.text,
+        iterations=check_result.iterations,
         cpu=time.thread_time() - begin,
         **about,
     )
-    for place, (name, factor) in enumerate(found.factors.items()):
+    for place, (name, factor) in enumerate(check_result.factors.items()):
         numbers = {n: finite(getattr(factor, n)) for n in ("estimate", "std", "std_coloured")}
         row = _run_row(work, CHECK, status, factor.why, **about)
         yield {
@@ -162,8 +162,8 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
     result, doubts = session.flights[0].results[name], session.flights[0].doubts
     grave = [d.text for d in doubts if d.kind is not DoubtKind.UNEXPLAINED]
     status = OPEN if not result.converged else DOUBTFUL if grave else OK
-    why = result.text if not result.converged else "; ".join(grave or [d.text for d in doubts])
-    yield from _result_rows(work, method, result, status, why, "estimate", time.thread_time() - begin, about)
+    reason = result.text if not result.converged else "; ".join(grave or [d.text for d in doubts])
+    yield from _result_rows(work, method, result, status, reason, "estimate", time.thread_time() - begin, about)
 
 
 def _extras(work: Work, method: str) -> Extras:
@@ -233,15 +233,15 @@ def _joint(work: Work) -> Iterator[Row]:
     model = joint_model(model_of(work.subjects[0], craft))
     for method in work.pieces:
         begin = time.thread_time()
-        about: Row = {"aircraft": craft.name, "model": model.name}
+        columns: Row = {"aircraft": craft.name, "model": model.name}
         try:
             result = run_method(method, model, flights, craft, extras=_extras(work, method))
         except UserError as error:
-            yield _run_row(work, method, FAILED, str(error), **about)
+            yield _run_row(work, method, FAILED, str(error), **columns)
             continue
         status = OK if result.converged else OPEN
-        why = "" if result.converged else result.text
-        yield from _result_rows(work, method, result, status, why, "joint", time.thread_time() - begin, about)
+        reason = "" if result.converged else result.text
+        yield from _result_rows(work, method, result, status, reason, "joint", time.thread_time() - begin, columns)
 
 
 def _envelope(work: Work) -> Iterator[Row]:
@@ -253,15 +253,15 @@ def _envelope(work: Work) -> Iterator[Row]:
     craft = aircraft_of_subject(work.subjects[0], flights[0], work)
     begin = time.thread_time()
     (method,) = work.pieces
-    found = global_model(model_of(work.subjects[0], craft), flights)
-    status = OK if found.result.converged else OPEN
-    about: Row = {"aircraft": craft.name, "model": found.model.name}
+    global_fit = global_model(model_of(work.subjects[0], craft), flights)
+    status = OK if global_fit.result.converged else OPEN
+    columns: Row = {"aircraft": craft.name, "model": global_fit.model.name}
     cpu = time.thread_time() - begin
-    rows = list(_result_rows(work, method, found.result, status, found.text, "envelope", cpu, about))
-    yield {**rows[0], "model_text": model_text(found.model) if found.result.converged else ""}
+    rows = list(_result_rows(work, method, global_fit.result, status, global_fit.text, "envelope", cpu, columns))
+    yield {**rows[0], "model_text": model_text(global_fit.model) if global_fit.result.converged else ""}
     yield from rows[1:]
-    for place, gain in enumerate(found.gains):
-        row = _run_row(work, method, status, "", **about)
+    for place, gain in enumerate(global_fit.gains):
+        row = _run_row(work, method, status, "", **columns)
         yield {**row, "kind": "term", "parameter": gain.name, "estimate": gain.gain, "std": gain.std, "place": place}
 
 
@@ -271,16 +271,16 @@ def _match(work: Work) -> Iterator[Row]:
 
     flight = read_subject(work.subjects[0])
     craft = aircraft_of_subject(work.subjects[0], flight, work)
-    own = model_of(work.subjects[0], craft)
+    base_model = model_of(work.subjects[0], craft)
     for piece, values in work.values.items():
-        model = own.with_starts(values)
+        model = base_model.with_starts(values)
         proof = predict(model, flight, free=model.free_of(ParameterRole.CONSTANT))
         status = OK if proof.converged else OPEN
-        about: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
-        yield _run_row(work, piece, status, "" if proof.converged else proof.text, **about)
+        columns: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
+        yield _run_row(work, piece, status, "" if proof.converged else proof.text, **columns)
         for output, fit in proof.fit.items():
             numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
-            row = _run_row(work, piece, status, "", **about)
+            row = _run_row(work, piece, status, "", **columns)
             yield {**row, "kind": "match", "parameter": output, **numbers}
 
 

@@ -62,8 +62,8 @@ class Picture:
         return f"<Picture {self.name}: {self.caption}>"
 
     def _repr_html_(self) -> str:
-        shown = f'<img src="{self.uri}" alt="{escape(self.name)}" style="max-width:100%;height:auto;background:#fff">'
-        return f"<figure>{shown}<figcaption>{escape(self.caption)}</figcaption></figure>"
+        image = f'<img src="{self.uri}" alt="{escape(self.name)}" style="max-width:100%;height:auto;background:#fff">'
+        return f"<figure>{image}<figcaption>{escape(self.caption)}</figcaption></figure>"
 
 
 def look(method: str) -> Look:
@@ -105,10 +105,10 @@ def save_figure(figure: "Figure", path: Path, dpi: int) -> None:
     Raises EstimationError for an ending that matplotlib knows no format of.
     """
     kind = path.suffix.lower().removeprefix(".")
-    known = figure.canvas.get_supported_filetypes()
-    if kind not in known:
+    formats = figure.canvas.get_supported_filetypes()
+    if kind not in formats:
         raise EstimationError(
-            f"{path}: no known format of a figure; end the name in one of {' '.join('.' + k for k in known)}"
+            f"{path}: no known format of a figure; end the name in one of {' '.join('.' + k for k in formats)}"
         )
     make_directories(path.parent)
     with whole(path) as new:
@@ -133,8 +133,8 @@ def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Pictu
 
 def broken_at_gaps(time: Array, values: Array) -> Array:
     """Values with NaN after each gap, so that no line is drawn across it."""
-    known = np.isfinite(time)
-    if known.sum() < 3:
+    finite = np.isfinite(time)
+    if finite.sum() < 3:
         return values
     steps = np.diff(time, prepend=time[:1])
     gaps = steps > 4.5 * np.nanmedian(steps[1:])
@@ -152,6 +152,6 @@ def file_picture(path: Path, name: str, caption: str) -> Picture:
 
 def _svg_size(data: bytes) -> tuple[int, int]:
     """Width and height [CSS pixels] that the head of an SVG file gives in points."""
-    found = [re.search(rb'\b%s="([0-9.]+)pt"' % side, data[:2000]) for side in (b"width", b"height")]
-    width, height = (round(float(f.group(1)) * 96 / 72) if f else 0 for f in found)
+    side_matches = [re.search(rb'\b%s="([0-9.]+)pt"' % side, data[:2000]) for side in (b"width", b"height")]
+    width, height = (round(float(f.group(1)) * 96 / 72) if f else 0 for f in side_matches)
     return width, height

@@ -36,16 +36,16 @@ def write_proof(proofs: Sequence["ProofOfMatch"], path: Path) -> None:
 
 def write_flights(session: "EstimationSession", folder: Path, most: int | None = None) -> list[Path]:
     """Each flight (the first `most`) with the outputs of its first method beside the measured ones; returns the files."""
-    used = [f for f in session.flights if f.results][:most]
-    return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in used]
+    estimated_flights = [f for f in session.flights if f.results][:most]
+    return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in estimated_flights]
 
 
 def write_beside(flight: "Flight", result: "Result", folder: Path) -> Path:
     """folder/<name>.mcap: the flight with a column `<column>_model` for every output of the model."""
     from groundstation.flight import write_flight
 
-    shown = result.flights[0].outputs
-    columns = {f"{signal.source}_model": shown[:, i] for i, signal in enumerate(result.model.outputs)}
+    model_outputs = result.flights[0].outputs
+    columns = {f"{signal.source}_model": model_outputs[:, i] for i, signal in enumerate(result.model.outputs)}
     path = folder / f"{flight.name}.mcap"
     write_flight(flight.with_columns(**columns), path)
     return path

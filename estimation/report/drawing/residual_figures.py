@@ -37,12 +37,12 @@ def residual_figure(model: "Model", result: Result) -> Picture:
             axes[i][0].plot(fit.time, broken_at_gaps(fit.time, residual), color=colour, lw=0.8)
             axes[i][0].axhline(0, color="k", lw=0.5)
             axes[i][0].set_ylabel(axis_label(signal.name, unit))
-            known = residual[np.isfinite(residual)]
-            if known.size > FEWEST:
-                _correlation(axes[i][1], known, step, colour)
-                _spectrum(axes[i][2], known, step, colour)
+            finite_residual = residual[np.isfinite(residual)]
+            if finite_residual.size > FEWEST:
+                _correlation(axes[i][1], finite_residual, step, colour)
+                _spectrum(axes[i][2], finite_residual, step, colour)
             axes[i][1].set_ylim(-0.6, 1.05)
-        for column, (title, below) in enumerate(
+        for column, (title, axis_text) in enumerate(
             (
                 ("residual", "time [s]"),
                 ("autocorrelation", "lag [s]"),
@@ -50,7 +50,7 @@ def residual_figure(model: "Model", result: Result) -> Picture:
             )
         ):
             axes[0][column].set_title(title)
-            axes[-1][column].set_xlabel(below)
+            axes[-1][column].set_xlabel(axis_text)
         figure.align_ylabels()
     return picture(
         figure,
@@ -98,17 +98,17 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     from matplotlib.figure import Figure
 
     fit = result.flights[0]
-    shown = moved(result, flight)
-    if not shown:
+    moved_columns = moved(result, flight)
+    if not moved_columns:
         return None
     colour = look(result.method).colour
-    points = fit.time.size * len(model.outputs) * len(shown)
+    points = fit.time.size * len(model.outputs) * len(moved_columns)
     with styled():
         figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
-        axes = figure.subplots(len(model.outputs), len(shown), squeeze=False, sharex="col", sharey="row")
+        axes = figure.subplots(len(model.outputs), len(moved_columns), squeeze=False, sharex="col", sharey="row")
         for i, signal in enumerate(model.outputs):
             factor, unit = face(signal.name, signal.unit)
-            for j, column in enumerate(shown):
+            for j, column in enumerate(moved_columns):
                 x = np.degrees(flight[column])
                 axes[i][j].plot(x, factor * _residual(fit, i), ".", color=colour, ms=1.6, alpha=0.35)
                 axes[i][j].errorbar(*binned(x, factor * _residual(fit, i)), color="k", fmt="o-", ms=2.4, lw=0.8)
@@ -125,15 +125,15 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
 
 def moved(result: Result, flight: "Flight") -> list[str]:
     """Which of incidence, sideslip and surfaces were measured and moved, at the samples of the fit."""
-    here = len(flight) == result.flights[0].time.size
-    return [c for c in AGAINST if here and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
+    same_samples = len(flight) == result.flights[0].time.size
+    return [c for c in AGAINST if same_samples and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
 
 
 def binned(x: Array, residual: Array) -> tuple[Array, Array, Array]:
     """(centres, means, 1.96 standard errors) of `residual` in equally filled bins of `x`; (N,) each, NaN left out."""
-    known = np.isfinite(x) & np.isfinite(residual)
-    order = np.argsort(x[known])
-    x, residual = x[known][order], residual[known][order]
+    finite = np.isfinite(x) & np.isfinite(residual)
+    order = np.argsort(x[finite])
+    x, residual = x[finite][order], residual[finite][order]
     parts = [p for p in np.array_split(np.arange(x.size), BINS) if p.size >= FEWEST]
     centres = np.array([x[p].mean() for p in parts])
     means = np.array([residual[p].mean() for p in parts])

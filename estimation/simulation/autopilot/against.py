@@ -72,17 +72,17 @@ class SimulatorProof:
         return tuple(n for n, v in self.deviation.items() if not v <= self.limit)
 
     def sentence(self) -> str:
-        worst = max(
+        worst_axis = max(
             self.deviation, key=lambda n: self.deviation[n] if self.deviation[n] == self.deviation[n] else np.inf
         )
         if not self.failed:
             return (
-                f"proof: at {self.states} random states every axis is the model's without what is left out, {worst} to"
-                f" {self.deviation[worst]:.1g} of its largest value (limit {self.limit:g})"
+                f"proof: at {self.states} random states every axis is the model's without what is left out, {worst_axis} to"
+                f" {self.deviation[worst_axis]:.1g} of its largest value (limit {self.limit:g})"
             )
         return (
-            f"proof failed: at {self.states} random states {', '.join(self.failed)} differ from the model, {worst} by"
-            f" {self.deviation[worst]:.3g} of its largest value, and {self.limit:g} is allowed; do not fly this file"
+            f"proof failed: at {self.states} random states {', '.join(self.failed)} differ from the model, {worst_axis} by"
+            f" {self.deviation[worst_axis]:.3g} of its largest value, and {self.limit:g} is allowed; do not fly this file"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -99,20 +99,22 @@ class SimulatorProof:
 def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()) -> SimulatorProof:
     """SITL's accelerations by a file against the model's, both at sea level."""
     stall = plane.values["alpha_stall"]
-    near = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
-    motion = random_motion(craft, near)
-    without = ardupilot.left_out(craft)
-    told = _told(craft, motion, without, ardupilot.INDUCED, air_of_sitl)
-    told += _gyroscopic(craft, motion)
+    alpha_range = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
+    motion = random_motion(craft, alpha_range)
+    omitted = ardupilot.left_out(craft)
+    omitted_terms = _told(craft, motion, omitted, ardupilot.INDUCED, air_of_sitl)
+    omitted_terms += _gyroscopic(craft, motion)
 
     def model(m: FlightStates) -> Axes:
         return accelerations(
-            craft.aircraft, forces(craft.without(without), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
+            craft.aircraft, forces(craft.without(omitted), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
         )
 
-    told += _blend(lambda m: sitl_accelerations(plane, m), model, random_motion(craft), near[1] < ALPHAS[1])
-    off = _off(sitl_accelerations(plane, motion), model(motion))
-    return SimulatorProof(len(motion), off, (*told, *_beyond(beyond)), SITL_LIMIT)
+    omitted_terms += _blend(
+        lambda m: sitl_accelerations(plane, m), model, random_motion(craft), alpha_range[1] < ALPHAS[1]
+    )
+    deviation = _off(sitl_accelerations(plane, motion), model(motion))
+    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond(beyond)), SITL_LIMIT)
 
 
 def against_gazebo(
@@ -121,24 +123,26 @@ def against_gazebo(
     """Gazebo's forces and moments by a model against the model's; mass and inertia of all links together."""
     density = plane.values["air_density"]
     motion = random_motion(craft, rho=density)
-    without = gazebo.left_out(craft)
-    far = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
-    told = _told(craft, motion, without, gazebo.INDUCED, air_of_gazebo)
+    omitted = gazebo.left_out(craft)
+    unstalled_plane = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
+    omitted_terms = _told(craft, motion, omitted, gazebo.INDUCED, air_of_gazebo)
 
     def model(m: FlightStates) -> Axes:
-        return forces(craft.without(without), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
+        return forces(craft.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
 
-    told += _blend(lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL)
-    off = {**_off(gazebo_forces(far, motion), model(motion)), **_off_of_body(plane, craft)}
-    return SimulatorProof(len(motion), off, (*told, *_beyond(beyond)), GAZEBO_LIMIT)
+    omitted_terms += _blend(
+        lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL
+    )
+    deviation = {**_off(gazebo_forces(unstalled_plane, motion), model(motion)), **_off_of_body(plane, craft)}
+    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond(beyond)), GAZEBO_LIMIT)
 
 
 def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> SimulatorProof:
     """The trees of a neutral file against the text of the model, coefficient by coefficient; nothing is left out."""
     motion = random_motion(LinearAircraft(model.name, model.title, body, {}))
     rng = np.random.default_rng(len(motion))
-    more = {"thrust": rng.uniform(0.0, 10.0, len(motion)), ALPHA_RATE: rng.uniform(-0.5, 0.5, len(motion))}
-    states = {**motion.values, **more}
+    extra_states = {"thrust": rng.uniform(0.0, 10.0, len(motion)), ALPHA_RATE: rng.uniform(-0.5, 0.5, len(motion))}
+    states = {**motion.values, **extra_states}
     read = evaluated(content, states)
     symbols: dict[str, Any] = {**model.numbers, **states}
 
@@ -149,8 +153,10 @@ def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> 
             )
         return symbols[name]
 
-    off = {axis: _share(read[c] - text(c), np.atleast_1d(text(c))) for axis, c in zip(AXES, COEFFICIENTS, strict=True)}
-    return SimulatorProof(len(motion), off, (), TEXT_LIMIT)
+    deviation = {
+        axis: _share(read[c] - text(c), np.atleast_1d(text(c))) for axis, c in zip(AXES, COEFFICIENTS, strict=True)
+    }
+    return SimulatorProof(len(motion), deviation, (), TEXT_LIMIT)
 
 
 def _off(flown: Axes, model: Axes) -> dict[str, float]:
@@ -177,27 +183,31 @@ def _told(
     air: Callable[[FlightStates], tuple[Array, Array, Array]],
 ) -> list[OmittedTerm]:
     """Derivatives without a key, parts of induced drag, and air data that are defined otherwise, each with what it weighs."""
-    whole = accelerations(craft.aircraft, forces(craft, motion))
-    found = []
+    full_axes = accelerations(craft.aircraft, forces(craft, motion))
+    terms = []
     for name in without:
-        less = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
-        found.append(_largest(name, craft[name], whole, less))
-    said = craft.without(without)
+        reduced_axes = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
+        terms.append(_largest(name, craft[name], full_axes, reduced_axes))
+    expressible = craft.without(without)
     for ending in ("beta", "p", "q", "r", "de", "da", "dr"):
-        if ending not in induced and said[f"CL_{ending}"] != 0.0 and said["CD_k"] != 0.0:
-            more = accelerations(craft.aircraft, forces(said, motion, (*induced, ending)))
-            less = accelerations(craft.aircraft, forces(said, motion, induced))
-            found.append(_largest(f"induced drag of CL_{ending}", np.nan, more, less))
-    own = accelerations(craft.aircraft, forces(said, motion, induced))
-    theirs = accelerations(craft.aircraft, forces(said, motion.with_air(*air(motion)), induced))
-    found.append(_largest("sideslip taken as atan2(v, u)", np.nan, own, theirs))
-    return [t for t in found if t.share > LEAST_SHARE]
+        if ending not in induced and expressible[f"CL_{ending}"] != 0.0 and expressible["CD_k"] != 0.0:
+            full_drag = accelerations(craft.aircraft, forces(expressible, motion, (*induced, ending)))
+            reduced_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
+            terms.append(_largest(f"induced drag of CL_{ending}", np.nan, full_drag, reduced_axes))
+    model_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
+    theirs = accelerations(craft.aircraft, forces(expressible, motion.with_air(*air(motion)), induced))
+    terms.append(_largest("sideslip taken as atan2(v, u)", np.nan, model_axes, theirs))
+    return [t for t in terms if t.share > LEAST_SHARE]
 
 
 def _gyroscopic(craft: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
-    whole = accelerations(craft.aircraft, forces(craft, motion))
+    full_axes = accelerations(craft.aircraft, forces(craft, motion))
     turning = gyroscopic(craft.aircraft, motion)
-    return [_largest("gyroscopic terms", np.nan, whole, {**whole, **{n: whole[n] + v for n, v in turning.items()}})]
+    return [
+        _largest(
+            "gyroscopic terms", np.nan, full_axes, {**full_axes, **{n: full_axes[n] + v for n, v in turning.items()}}
+        )
+    ]
 
 
 def _blend(

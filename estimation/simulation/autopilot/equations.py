@@ -47,17 +47,19 @@ class SitlPlane:
 
 def blend(alpha: Array, stall: float, sharpness: float) -> Array:
     """Share of the flat plate in lift, 0 to 1."""
-    below, above = np.exp(-sharpness * (alpha - stall)), np.exp(sharpness * (alpha + stall))
-    return np.asarray((1.0 + below + above) / ((1.0 + below) * (1.0 + above)))
+    lower_exponential, upper_exponential = np.exp(-sharpness * (alpha - stall)), np.exp(sharpness * (alpha + stall))
+    return np.asarray(
+        (1.0 + lower_exponential + upper_exponential) / ((1.0 + lower_exponential) * (1.0 + upper_exponential))
+    )
 
 
 def lift(plane: SitlPlane, alpha: Array) -> Array:
     """CL of the angle of attack."""
     k = plane.values
-    held = np.clip(alpha, k["alpha_stall"] - CLAMP, k["alpha_stall"] + CLAMP)
-    share = blend(held, k["alpha_stall"], k["mcoeff"])
-    plate = 2.0 * np.sign(held) * np.sin(held) ** 2 * np.cos(held)
-    return np.asarray((1.0 - share) * (k["c_lift_0"] + k["c_lift_a"] * held) + share * plate)
+    clamped_alpha = np.clip(alpha, k["alpha_stall"] - CLAMP, k["alpha_stall"] + CLAMP)
+    share = blend(clamped_alpha, k["alpha_stall"], k["mcoeff"])
+    plate = 2.0 * np.sign(clamped_alpha) * np.sin(clamped_alpha) ** 2 * np.cos(clamped_alpha)
+    return np.asarray((1.0 - share) * (k["c_lift_0"] + k["c_lift_a"] * clamped_alpha) + share * plate)
 
 
 def air_of_sitl(motion: FlightStates) -> tuple[Array, Array, Array]:
@@ -142,16 +144,16 @@ class GazeboPlane:
 
 def gazebo_forces(plane: GazeboPlane, motion: FlightStates) -> dict[str, Array]:
     """X, Y, Z [N] and L, M, N [N m] about the centre of gravity, (N,) each, body axes x forward, y right, z down."""
-    k, at = plane.values, motion.values
+    k, state = plane.values, motion.values
     x, y, z = plane.cp
     u, v, w = motion.velocity()
-    p, q, r = at["p"], at["q"], at["r"]
+    p, q, r = state["p"], state["q"], state["r"]
     u, v, w = u + q * z - r * y, v + r * x - p * z, w + p * y - q * x
     V = np.sqrt(u**2 + w**2)
     alpha, beta = np.arctan2(w, u), np.arctan2(v, u)
     span, chord = np.sqrt(k["area"] * k["AR"]), k["mac"]
     hats = {"p": p * span / (2.0 * V), "q": q * chord / (2.0 * V), "r": r * span / (2.0 * V)}
-    turned = {s.joint: np.degrees(sum(m * at[n] for n, m in s.moves.items())) for s in plane.surfaces}
+    joint_angles = {s.joint: np.degrees(sum(m * state[n] for n, m in s.moves.items())) for s in plane.surfaces}
     share = blend(alpha, k["alpha_stall"], SHARPNESS)
     sine, cosine = np.sin(alpha), np.cos(alpha)
 
@@ -159,7 +161,7 @@ def gazebo_forces(plane: GazeboPlane, motion: FlightStates) -> dict[str, Array]:
         return np.asarray(sum(k[f"{c}{n}"] * hat for n, hat in hats.items()))
 
     def control(c: str) -> Array:
-        return np.asarray(sum((s.values[f"{c}_ctrl"] * turned[s.joint] for s in plane.surfaces), 0.0 * V))
+        return np.asarray(sum((s.values[f"{c}_ctrl"] * joint_angles[s.joint] for s in plane.surfaces), 0.0 * V))
 
     plate = 2.0 * np.sign(alpha) * sine**2 * cosine
     lifting = (1.0 - share) * (k["CL0"] + k["CLa"] * alpha) + share * plate + k["CLb"] * beta + control("CL")
@@ -171,8 +173,8 @@ def gazebo_forces(plane: GazeboPlane, motion: FlightStates) -> dict[str, Array]:
     def linear(c: str) -> Array:
         return np.asarray(k[f"{c}a"] * alpha + k[f"{c}b"] * beta + control(c) + rates(c))
 
-    beyond = np.sign(alpha) * np.maximum(np.abs(alpha) - k["alpha_stall"], 0.0)
-    Cm = k["Cem0"] + linear("Cem") + (k["Cema_stall"] - k["Cema"]) * beyond
+    excess_alpha = np.sign(alpha) * np.maximum(np.abs(alpha) - k["alpha_stall"], 0.0)
+    Cm = k["Cem0"] + linear("Cem") + (k["Cema_stall"] - k["Cema"]) * excess_alpha
     area = 0.5 * k["air_density"] * V**2 * k["area"]
     X, Y, Z = area * (CL * sine - CD * cosine), area * linear("CY"), area * (-CL * cosine - CD * sine)
     L, M, N = area * span * linear("Cell"), area * chord * Cm, area * span * linear("Cen")

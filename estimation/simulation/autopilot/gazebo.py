@@ -227,8 +227,8 @@ def _propeller(craft: LinearAircraft) -> Body:
 def _rotor(propeller: Body, span: float) -> ET.Element:
     """The link of the propeller, z along its shaft, as the plugin of the motor pushes."""
     upright = turned(*FORWARD)
-    own = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
-    return _link("rotor_puller", own, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
+    turned_body = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
+    return _link("rotor_puller", turned_body, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
 
 
 def _shaft() -> ET.Element:

@@ -60,8 +60,8 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         raise SimulationError(
             f"{path}: the link of its AdvancedLiftDrag is turned in the model; x forward, y left, z up is read"
         )
-    whole = together([_body(e, path) for e in model.iter("link")])
-    cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - whole.centre)
+    total_body = together([_body(e, path) for e in model.iter("link")])
+    cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - total_body.centre)
     surfaces, notes = _surfaces(model, plugin, path)
     unread = [k for k in UNREAD if plugin.find(k) is not None]
     if unread:
@@ -70,17 +70,17 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         notes.append(
             f"{path.name}: Cem0 and Cema are taken as gz-sim with pull 3817 does; before it they are thrown away"
         )
-    craft = _aircraft(model.get("name") or path.parent.name, whole, values, path)
+    craft = _aircraft(model.get("name") or path.parent.name, total_body, values, path)
     return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, craft, tuple(notes))
 
 
 def _plugin(root: ET.Element, path: Path) -> ET.Element:
-    found = [e for e in root.iter("plugin") if e.get("name") == SYSTEM]
-    if len(found) != 1:
+    plugins = [e for e in root.iter("plugin") if e.get("name") == SYSTEM]
+    if len(plugins) != 1:
         raise SimulationError(
-            f"{path}: has {len(found)} plugins {SYSTEM}, and one aeroplane with one is read; the simple LiftDrag is not"
+            f"{path}: has {len(plugins)} plugins {SYSTEM}, and one aeroplane with one is read; the simple LiftDrag is not"
         )
-    return found[0]
+    return plugins[0]
 
 
 def _model_of(root: ET.Element, plugin: ET.Element) -> ET.Element:
@@ -151,15 +151,15 @@ def _body(link: ET.Element, path: Path) -> Body:
             f"{path}: link {link.get('name')!r} has no <inertial>; Gazebo would take 1 kg, so state it"
         )
     place, upright = _pose(link, path)
-    inside, own = _pose(inertial, path)
+    position, rotation = _pose(inertial, path)
     mass = _number(inertial, "mass", path)
     tensor = inertial.find("inertia")
     if tensor is None or not mass > 0.0:
         raise SimulationError(f"{path}: link {link.get('name')!r} has no mass above zero, or no <inertia>")
     i = {n: _number(tensor, n, path, 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
     matrix = np.array([[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]])
-    axes = upright @ own
-    return Body(mass, place + upright @ inside, axes @ matrix @ axes.T)
+    axes = upright @ rotation
+    return Body(mass, place + upright @ position, axes @ matrix @ axes.T)
 
 
 def _surfaces(model: ET.Element, plugin: ET.Element, path: Path) -> tuple[tuple, list[str]]:  # type: ignore[type-arg]
@@ -183,27 +183,29 @@ def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
     if joint is None:
         raise SimulationError(f"{path}: control surface {name!r} is no joint of the model")
     axis = joint.find("axis")
-    along = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
+    axis_direction = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
     child = next((e for e in model.iter("link") if e.get("name") == _word(joint, "child")), None)
     link_place, link_axes = _pose(child, path)
-    inside, own = _pose(joint, path)
-    size = float(np.linalg.norm(along))
+    position, rotation = _pose(joint, path)
+    size = float(np.linalg.norm(axis_direction))
     if not size > 0.0:
         raise SimulationError(f"{path}: the axis of joint {name!r} has no direction")
-    place = link_place + link_axes @ inside
-    return link_axes @ own @ along / size, float(place[1])
+    place = link_place + link_axes @ position
+    return link_axes @ rotation @ axis_direction / size, float(place[1])
 
 
 def _aircraft(name: str, whole: Body, values: dict[str, float], path: Path) -> Aircraft:
     inertia = OVER @ whole.inertia @ OVER
-    made = Aircraft(
+    aircraft = Aircraft(
         name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=whole.mass,
         Ixx=float(inertia[0, 0]), Iyy=float(inertia[1, 1]), Izz=float(inertia[2, 2]), Ixz=float(-inertia[0, 2]),
         title=f"Gazebo model {name}",
     )  # fmt: skip
-    if not (made.Ixx > 0 and made.Iyy > 0 and made.Izz > 0 and made.Ixz**2 < made.Ixx * made.Izz):
+    if not (
+        aircraft.Ixx > 0 and aircraft.Iyy > 0 and aircraft.Izz > 0 and aircraft.Ixz**2 < aircraft.Ixx * aircraft.Izz
+    ):
         raise SimulationError(f"{path}: its links together have an inertia that no body has")
-    return made
+    return aircraft
 
 
 UPRIGHT = 0.5  # share of an axis across from which a surface counts as lying flat, or standing up
@@ -220,16 +222,18 @@ def hinged(read: Sequence[Read], path: Path) -> tuple[tuple[Hinged, ...], list[s
     none is left to be one, all are both.
     """
     surfaces, notes = [], []
-    flat = [(name, values, axis, left) for name, values, (axis, left) in read if abs(axis[1]) > UPRIGHT]
-    elevators = [name for name, values, _, left in flat if abs(left) < CENTRE or not _rolls(values)]
-    for name, values, (axis, left) in read:
-        up, port = float(axis[1]), float(-axis[2])
-        if abs(up) > UPRIGHT:
-            side = -np.sign(left) if abs(left) >= CENTRE else 0.0  # +1 on the right, whose edge goes down with delta_a
-            both = not elevators and side != 0.0
-            moves = {"delta_e": -1.0 / up} if name in elevators or both else {}
-            if side != 0.0 and (name not in elevators or both):
-                moves["delta_a"] = -float(side) / up
+    flat = [(name, values, axis, edge_side) for name, values, (axis, edge_side) in read if abs(axis[1]) > UPRIGHT]
+    elevators = [name for name, values, _, edge_side in flat if abs(edge_side) < CENTRE or not _rolls(values)]
+    for name, values, (axis, edge_side) in read:
+        vertical, port = float(axis[1]), float(-axis[2])
+        if abs(vertical) > UPRIGHT:
+            side = (
+                -np.sign(edge_side) if abs(edge_side) >= CENTRE else 0.0
+            )  # +1 on the right, whose edge goes down with delta_a
+            moves_both = not elevators and side != 0.0
+            moves = {"delta_e": -1.0 / vertical} if name in elevators or moves_both else {}
+            if side != 0.0 and (name not in elevators or moves_both):
+                moves["delta_a"] = -float(side) / vertical
         elif abs(port) > UPRIGHT:
             moves = {"delta_r": 1.0 / port}
         else:
@@ -238,9 +242,9 @@ def hinged(read: Sequence[Read], path: Path) -> tuple[tuple[Hinged, ...], list[s
         surfaces.append(Hinged(name, values, moves))
     if not any(s.moves for s in surfaces) and surfaces:
         raise SimulationError(f"{path}: none of its control surfaces turns about y or z, so none is known")
-    told = [f"{s.joint} by {', '.join(s.moves)}" for s in surfaces if s.moves]
-    if told:
-        notes.append(f"{path.name}: surfaces move {'; '.join(told)}")
+    joint_list = [f"{s.joint} by {', '.join(s.moves)}" for s in surfaces if s.moves]
+    if joint_list:
+        notes.append(f"{path.name}: surfaces move {'; '.join(joint_list)}")
     return tuple(surfaces), notes
 
 

@@ -83,29 +83,29 @@ def coefficients(
     craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None
 ) -> dict[str, Array]:
     """Each of LINES -> (N,). induced: endings of the terms of lift that enter induced drag, all by default."""
-    at = motion.values
+    state = motion.values
     span, chord = craft.aircraft.span, craft.aircraft.chord
-    hats = {"p_hat": at["p"] * span, "q_hat": at["q"] * chord, "r_hat": at["r"] * span}
-    known = {**at, **{n: v / (2.0 * at["V"]) for n, v in hats.items()}}
-    known["alphadot_hat"] = at.get("alphadot_hat", np.zeros(len(motion)))
+    hats = {"p_hat": state["p"] * span, "q_hat": state["q"] * chord, "r_hat": state["r"] * span}
+    regressors = {**state, **{n: v / (2.0 * state["V"]) for n, v in hats.items()}}
+    regressors["alphadot_hat"] = state.get("alphadot_hat", np.zeros(len(motion)))
 
     def line(name: str, endings: tuple[str, ...]) -> Array:
-        terms = [craft[f"{name}_{ending}"] * known[SLOPES[ending]] for ending in endings if ending != CONSTANT]
+        terms = [craft[f"{name}_{ending}"] * regressors[SLOPES[ending]] for ending in endings if ending != CONSTANT]
         constant = craft[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
         return np.asarray(sum(terms, np.full(len(motion), constant)))
 
     every = (CONSTANT, *SLOPES)
-    made = {name: line(name, every) for name in LINES}
-    made["CD"] = made["CD"] + craft[POLAR] * line("CL", induced or every) ** 2
-    return made
+    values = {name: line(name, every) for name in LINES}
+    values["CD"] = values["CD"] + craft[POLAR] * line("CL", induced or every) ** 2
+    return values
 
 
 def forces(craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
     """Each of AXES -> (N,): aerodynamic force [N] and moment about the centre of gravity [N m] in body axes."""
     c = coefficients(craft, motion, induced)
-    at, a = motion.values, craft.aircraft
-    sine, cosine = np.sin(at["alpha"]), np.cos(at["alpha"])
-    area = 0.5 * at["rho"] * at["V"] ** 2 * a.area
+    state, a = motion.values, craft.aircraft
+    sine, cosine = np.sin(state["alpha"]), np.cos(state["alpha"])
+    area = 0.5 * state["rho"] * state["V"] ** 2 * a.area
     return {
         "X": area * (c["CL"] * sine - c["CD"] * cosine),
         "Y": area * c["CY"],
@@ -119,11 +119,11 @@ def forces(craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...]
 def accelerations(aircraft: Aircraft, force: Mapping[str, Array]) -> dict[str, Array]:
     """Each of AXES -> (N,): specific force [m/s2] and angular acceleration [rad/s2] without gyroscopic terms."""
     inertia = aircraft.Ixx * aircraft.Izz - aircraft.Ixz**2
-    made = {axis: force[axis] / aircraft.mass for axis in ("X", "Y", "Z")}
-    made["L"] = (aircraft.Izz * force["L"] + aircraft.Ixz * force["N"]) / inertia
-    made["M"] = force["M"] / aircraft.Iyy
-    made["N"] = (aircraft.Ixx * force["N"] + aircraft.Ixz * force["L"]) / inertia
-    return made
+    axes = {axis: force[axis] / aircraft.mass for axis in ("X", "Y", "Z")}
+    axes["L"] = (aircraft.Izz * force["L"] + aircraft.Ixz * force["N"]) / inertia
+    axes["M"] = force["M"] / aircraft.Iyy
+    axes["N"] = (aircraft.Ixx * force["N"] + aircraft.Ixz * force["L"]) / inertia
+    return axes
 
 
 def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
@@ -132,9 +132,9 @@ def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     roll = aircraft.Ixz * p * q - (aircraft.Izz - aircraft.Iyy) * q * r
     pitch = (aircraft.Izz - aircraft.Ixx) * p * r - aircraft.Ixz * (p**2 - r**2)
     yaw = -aircraft.Ixz * q * r - (aircraft.Iyy - aircraft.Ixx) * p * q
-    nothing = np.zeros(len(motion))
-    turned = accelerations(aircraft, {"X": nothing, "Y": nothing, "Z": nothing, "L": roll, "M": pitch, "N": yaw})
-    return {axis: turned[axis] for axis in ("L", "M", "N")}
+    zeros = np.zeros(len(motion))
+    angular_rates = accelerations(aircraft, {"X": zeros, "Y": zeros, "Z": zeros, "L": roll, "M": pitch, "N": yaw})
+    return {axis: angular_rates[axis] for axis in ("L", "M", "N")}
 
 
 STATES = 200
@@ -155,8 +155,8 @@ def random_motion(
     cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL * aircraft.area * CRUISE))
     values = {n: rng.uniform(-size, size, count) for n, size in SIZES.items()}
     for name in SURFACES:
-        least, greatest = craft.throws.get(name, (-DEFLECTION, DEFLECTION))
-        values[name] = rng.uniform(max(least, -DEFLECTION), min(greatest, DEFLECTION), count)
+        lowest, greatest = craft.throws.get(name, (-DEFLECTION, DEFLECTION))
+        values[name] = rng.uniform(max(lowest, -DEFLECTION), min(greatest, DEFLECTION), count)
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*alphas, count)
     values["rho"] = np.full(count, rho)
     return FlightStates(values)

@@ -75,12 +75,12 @@ def config(name: str, title: str) -> ET.Element:
 
 
 def command_lines(folder: Path, name: str) -> list[str]:
-    above = shlex.quote(str(folder.resolve().parent))
+    parent_folder = shlex.quote(str(folder.resolve().parent))
     return [
         f"needs: {NEEDS}",
         f"fly it: copy {airframe_name(name)} to PX4's ROMFS/px4fmu_common/init.d-posix/airframes, its name into CMakeLists.txt"
-        f" there; then GZ_SIM_RESOURCE_PATH={above} make px4_sitl gz_{name}",
-        f"  or without building: GZ_SIM_RESOURCE_PATH={above} PX4_SYS_AUTOSTART={BASE} PX4_SIM_MODEL=gz_{name}"
+        f" there; then GZ_SIM_RESOURCE_PATH={parent_folder} make px4_sitl gz_{name}",
+        f"  or without building: GZ_SIM_RESOURCE_PATH={parent_folder} PX4_SYS_AUTOSTART={BASE} PX4_SIM_MODEL=gz_{name}"
         " ./build/px4_sitl_default/bin/px4 with the SIM_GZ_SV parameters of that file set by hand",
         "  gains are those of gz_advanced_plane; begin with the real aircraft's",
     ]
@@ -111,15 +111,15 @@ def to_ardupilot(path: Path, out: Path, request: Request) -> ExportedSimulator:
     ardupilot.check_name(out)
     ardupilot.check_stall(request.stall)
     _check_free((out,), request)
-    made = gathered(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
-    craft = made.craft
+    gathered_aircraft = gathered(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
+    craft = gathered_aircraft.craft
     if not request.only_prove:
-        left = [(n, craft[n]) for n in ardupilot.left_out(craft)] + list(made.beyond)
-        comments = ardupilot.comments(craft, path.name, left, request.stall)
+        omitted_terms = [(n, craft[n]) for n in ardupilot.left_out(craft)] + list(gathered_aircraft.beyond)
+        comments = ardupilot.comments(craft, path.name, omitted_terms, request.stall)
         write_text(file_text(ardupilot.sitl_values(craft, request.stall), comments), out)
     ardupilot.sitl_values(craft, request.stall)  # refuses what no file could say, also where nothing is written
     plane = read_sitl_plane(out)
-    proof = against_sitl(plane, craft, made.beyond)
+    proof = against_sitl(plane, craft, gathered_aircraft.beyond)
     flying = ardupilot.command_lines(out, craft.thrust, craft.aircraft.mass)
     stall = (
         ()
@@ -138,18 +138,18 @@ def to_gazebo(path: Path, out: Path, request: Request) -> ExportedSimulator:
         raise SimulationError(f"--alpha-stall {request.stall:g}: give 0.2 to {gazebo.STALL:g} rad (11 to 115 deg)")
     files = (out / "model.config", out / "model.sdf", out / airframe_name(name))
     _check_free(files, request)
-    made = gathered(path, request.stated, "a Gazebo model", needs_thrust=True)
-    craft = made.craft
+    gathered_aircraft = gathered(path, request.stated, "a Gazebo model", needs_thrust=True)
+    craft = gathered_aircraft.craft
     sdf = gazebo.model_sdf(name, craft, request.stall)
     if not request.only_prove:
         for file, text in zip(files, (_xml(config(name, craft.title)), _xml(sdf), airframe(name, craft)), strict=True):
             write_text(text, file)
     plane = read_gazebo_plane(files[1])
-    proof = against_gazebo(plane, craft, made.beyond)
+    proof = against_gazebo(plane, craft, gathered_aircraft.beyond)
     return ExportedSimulator(
         () if request.only_prove else files,
         proof,
-        (*craft.notes, *_warnings(made, request), *command_lines(out, name)),
+        (*craft.notes, *_warnings(gathered_aircraft, request), *command_lines(out, name)),
     )
 
 
@@ -179,10 +179,10 @@ def to_neutral(path: Path, out: Path, request: Request) -> ExportedSimulator:
     if out.suffix.lower() != ".json":
         raise SimulationError(f"{out}: the neutral form is JSON; end the name in .json")
     _check_free((out,), request)
-    model, body, more = whole_model(path, request.stated)
-    content = neutral(model, body, more)
+    model, body, note_lines = whole_model(path, request.stated)
+    content = neutral(model, body, note_lines)
     if not request.only_prove:
         write_json(content, out)
     proof = against_text(read_back(out), model, body)
     reader = "read it with docs/examples/read_neutral.py or read_neutral.m; every key: docs/export.md"
-    return ExportedSimulator(() if request.only_prove else (out,), proof, (*more["notes"], reader))
+    return ExportedSimulator(() if request.only_prove else (out,), proof, (*note_lines["notes"], reader))

@@ -102,9 +102,9 @@ class JsbsimOracle:
     def _check(self, state: dict[str, float]) -> None:
         """Raise SimulationError where JSBSim did not take the state that was set."""
         speed = self.fdm["velocities/vt-fps"] * FOOT
-        off = max(abs(speed / state["V"] - 1.0),
+        deviation = max(abs(speed / state["V"] - 1.0),
                   *(abs(self.fdm[f"aero/{n}-rad"] - state[n]) for n in ("alpha", "beta")))  # fmt: skip
-        if not off < AGREES:
+        if not deviation < AGREES:
             self._refuse(state)
 
     def _refuse(self, state: dict[str, float]) -> NoReturn:
@@ -142,9 +142,11 @@ def jsbsim_simulation(which: str) -> Simulation:
         )
     if surfaces.held:
         notes.append(f"the aerodynamics of {path.stem} also reads {', '.join(surfaces.held)}: {HELD}")
-    behind = [n for n in surfaces.writes if n.startswith(f"fcs/{EXPORTED}")]
-    if behind:
-        notes.append(f"{', '.join(behind)}: given as measured, without the actuator that was exported before it")
+    actuated_surfaces = [n for n in surfaces.writes if n.startswith(f"fcs/{EXPORTED}")]
+    if actuated_surfaces:
+        notes.append(
+            f"{', '.join(actuated_surfaces)}: given as measured, without the actuator that was exported before it"
+        )
     oracle = JsbsimOracle(path, fdm, surfaces)
     return Simulation(f"jsbsim:{which}", path.stem, oracle, aircraft_as_loaded(fdm, path.stem), tuple(notes))
 

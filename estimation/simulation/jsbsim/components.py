@@ -21,16 +21,16 @@ USUAL = {"delta_e": "fcs/elevator-pos-rad", "delta_a": "fcs/left-aileron-pos-rad
 
 def surfaces_read(source: Path, chains: Mapping[str, str]) -> dict[str, ET.Element]:
     """Our surfaces as the aerodynamics reads them, with our signs."""
-    behind = {old: new for new, old in chains.items()}
+    chained_names = {old: new for new, old in chains.items()}
     read = surfaces_of(source).writes
-    made = {}
+    surface_properties = {}
     for column in SURFACES:
         name = next(
             (n for n, (c, _) in read.items() if c == column and n.endswith("-rad") and "mag-" not in n), USUAL[column]
         )
         sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
-        made[column] = prop(behind.get(name, name), sign)
-    return made
+        surface_properties[column] = prop(chained_names.get(name, name), sign)
+    return surface_properties
 
 
 def chains_of(
@@ -49,14 +49,14 @@ def chains_of(
                     " positions in rad can"
                 )
             sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
-            at = name
+            position = name
             for t in acting:
-                made = _component(
-                    t, values[t.parameters[0]], at, sign, f"fcs/{OURS}/{name.removeprefix('fcs/')}-{t.kind}", rate
+                new_components = _component(
+                    t, values[t.parameters[0]], position, sign, f"fcs/{OURS}/{name.removeprefix('fcs/')}-{t.kind}", rate
                 )
-                components += made
-                at = made[-1].get("name", "") if made else at
-            chains[at] = name
+                components += new_components
+                position = new_components[-1].get("name", "") if new_components else position
+            chains[position] = name
     return chains, components
 
 
@@ -86,13 +86,13 @@ def _component(t: InputTransform, size: float, at: str, sign: float, name: str, 
             return [made("summer", "", node("bias", repr(sign * size)))]
     if size < 0.0:
         raise SimulationError(f"{t.input}: a delay of {size:g} s is none that a simulation can have")
-    whole, part = divmod(size * rate, 1.0)
-    late = [_late(made, "-early", int(whole)), _late(made, "-late", int(whole) + 1)]
+    whole_frames, part = divmod(size * rate, 1.0)
+    delays = [_late(made, "-early", int(whole_frames)), _late(made, "-late", int(whole_frames) + 1)]
     gains = [
         _gain(f"{name}{end}-share", source.get("name", ""), share)
-        for end, source, share in (("-early", late[0], 1.0 - part), ("-late", late[1], part))
+        for end, source, share in (("-early", delays[0], 1.0 - part), ("-late", delays[1], part))
     ]
-    return [*late, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
+    return [*delays, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
 
 
 def _late(made: Maker, ending: str, frames: int) -> ET.Element:
@@ -112,13 +112,13 @@ def _gain(name: str, at: str, gain: float) -> ET.Element:
 
 def states_of(found: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
     """Lag filters for states of effects of the form x_dot = (input - x)/tau; they enter `known`."""
-    made: list[ET.Element] = []
+    filters: list[ET.Element] = []
     # flight control sees the motion of the step before: it is carried on by its own rate
-    carried = {
+    carried_states = {
         n: total(prop(PROPERTIES[n][0]), product(1.0 / rate, prop(PROPERTIES[f"{n}_dot"][0])))
         for n in ("alpha", "beta", "p", "q", "r")
     }
-    ahead = replace(translator, known={**translator.known, **carried})
+    carried_translator = replace(translator, known={**translator.known, **carried_states})
     for state in found.states:
         match parse(found.physical.definitions[f"{state}_dot"]):
             case ast.BinOp(
@@ -133,9 +133,9 @@ def states_of(found: Increments, translator: Translator, rate: float, known: dic
                 " can be written for JSBSim"
             )
         function = ET.Element("fcs_function", name=f"fcs/{OURS}/{state}-input")
-        function.append(node("function", ahead.of(given, ())))
+        function.append(node("function", carried_translator.of(given, ())))
         lag = ET.Element("lag_filter", name=f"fcs/{OURS}/{state}")
         lag.extend([node("input", f"fcs/{OURS}/{state}-input"), node("c1", repr(1.0 / seconds))])
-        made += [function, lag]
+        filters += [function, lag]
         known[state] = prop(f"fcs/{OURS}/{state}")
-    return made
+    return filters

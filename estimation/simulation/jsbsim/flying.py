@@ -54,8 +54,8 @@ def flown(source: Path, root: ET.Element, components: bool, rate: float, plays: 
         time = k / rate - SETTLE
         if time >= 0.0:
             rows.append(_seen(fdm, time, actual))
-        wanted = trim + _pilot(fdm, time, steady)
-        actual = actual + (wanted - actual) * min(1.0, 1.0 / (SERVO * rate))
+        command = trim + _pilot(fdm, time, steady)
+        actual = actual + (command - actual) * min(1.0, 1.0 / (SERVO * rate))
         _write(fdm, surfaces, names, actual + (_centring(k, plays) if k < 2 * CENTRING else 0.0))
         fdm.run()
     table = np.array(rows)
@@ -100,9 +100,9 @@ def glide(source: Path, surfaces: Surfaces, rate: float) -> dict[str, float]:
     loading = fdm["inertia/weight-lbs"] / fdm["metrics/Sw-sqft"]
     for lift in LIFTS:
         speed = math.sqrt(2.0 * loading / (fdm["atmosphere/rho-slugs_ft3"] * lift)) * FOOT
-        found = _trimmed(fdm, surfaces, speed)
-        if found is not None:
-            return {"V": speed, **dict(zip(("alpha", "theta", "phi", *SURFACES), found.tolist(), strict=True))}
+        trim = _trimmed(fdm, surfaces, speed)
+        if trim is not None:
+            return {"V": speed, **dict(zip(("alpha", "theta", "phi", *SURFACES), trim.tolist(), strict=True))}
     raise SimulationError(f"{source.stem}: finds no steady glide without engine; nothing can be flown to compare")
 
 
@@ -116,13 +116,13 @@ def _trimmed(fdm: Any, surfaces: Surfaces, speed: float) -> Array | None:
 
     x, step = np.array([0.03, -0.05, 0.0, 0.0, 0.0, 0.0]), 1e-3
     for _ in range(30):
-        left = off(x)
-        if not np.isfinite(left).all():
+        residual = off(x)
+        if not np.isfinite(residual).all():
             return None
-        if np.abs(left).max() < TRIMMED:
+        if np.abs(residual).max() < TRIMMED:
             return x if np.abs(x).max() < 0.5 else None
         slopes = np.column_stack([(off(x + step * e) - off(x - step * e)) / (2.0 * step) for e in np.eye(6)])
-        x = x - np.clip(np.linalg.lstsq(slopes, left, rcond=None)[0], -0.05, 0.05)
+        x = x - np.clip(np.linalg.lstsq(slopes, residual, rcond=None)[0], -0.05, 0.05)
     return None
 
 
@@ -146,9 +146,9 @@ def _begin(fdm: Any, at: Mapping[str, float], surfaces: Surfaces | None = None, 
 
 
 def _write(fdm: Any, surfaces: Surfaces, names: Mapping[str, str], positions: Array) -> None:
-    now = dict(zip(SURFACES, positions.tolist(), strict=True))
+    surface_values = dict(zip(SURFACES, positions.tolist(), strict=True))
     for name, (column, follows) in surfaces.writes.items():
-        fdm[names[name]] = follows(now[column])
+        fdm[names[name]] = follows(surface_values[column])
 
 
 def _inject(root: ET.Element, names: Mapping[str, str]) -> None:
@@ -163,15 +163,15 @@ def _inject(root: ET.Element, names: Mapping[str, str]) -> None:
 
 def _pilot(fdm: Any, time: float, steady: Mapping[str, float]) -> Array:
     """(3,) elevator, aileron, rudder beside trim: a doublet and a faster one each, weakly steadied."""
-    made = dict.fromkeys(SURFACES, 0.0)
+    deflections = dict.fromkeys(SURFACES, 0.0)
     for name, (begin, size) in STEPS_OF.items():
-        for at, width in ((begin, STEP), (begin + 2.5, 0.5 * STEP)):
-            if at <= time < at + 2 * width:
-                made[name] += math.radians(size) * (1.0 if time < at + width else -1.0)
+        for start, width in ((begin, STEP), (begin + 2.5, 0.5 * STEP)):
+            if start <= time < start + 2 * width:
+                deflections[name] += math.radians(size) * (1.0 if time < start + width else -1.0)
     for name, angle, rate in (("delta_e", "theta", "q"), ("delta_a", "phi", "p")):
         k, d = FEEDBACK[name]
-        made[name] += k * (fdm[f"attitude/{angle}-rad"] - steady[angle]) + d * fdm[f"velocities/{rate}-rad_sec"]
-    return np.array([made[n] for n in SURFACES])
+        deflections[name] += k * (fdm[f"attitude/{angle}-rad"] - steady[angle]) + d * fdm[f"velocities/{rate}-rad_sec"]
+    return np.array([deflections[n] for n in SURFACES])
 
 
 def _centring(k: int, plays: Mapping[str, float]) -> Array:

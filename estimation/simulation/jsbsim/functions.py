@@ -40,13 +40,13 @@ Term = float | ET.Element
 
 def node(tag: str, *parts: Term | str) -> ET.Element:
     """An element with numbers, elements or one text inside."""
-    made = ET.Element(tag)
+    element = ET.Element(tag)
     for part in parts:
         if isinstance(part, str):
-            made.text = part
+            element.text = part
         else:
-            made.append(part if isinstance(part, ET.Element) else node("value", repr(float(part))))
-    return made
+            element.append(part if isinstance(part, ET.Element) else node("value", repr(float(part))))
+    return element
 
 
 def prop(name: str, scale: float = 1.0) -> ET.Element:
@@ -158,11 +158,11 @@ def _function(name: str, arguments: list[Term]) -> Term:
     if name == "sqrt":
         return node("pow", x, 0.5)
     if name == "sign":
-        below = node("ifthen", node("lt", copied(x), 0.0), -1.0, 0.0)
-        return node("ifthen", node("gt", x, 0.0), 1.0, below)
-    up, down = node("exp", x), node("exp", product(-1.0, copied(x)))
+        negative_branch = node("ifthen", node("lt", copied(x), 0.0), -1.0, 0.0)
+        return node("ifthen", node("gt", x, 0.0), 1.0, negative_branch)
+    growing, falling = node("exp", x), node("exp", product(-1.0, copied(x)))
     if name == "tanh":  # by exp(-2x): from 1 to a number that underflows, never one over another too large
         size = node("exp", product(-2.0, node("abs", copied(x))))
-        even = node("quotient", node("difference", 1.0, size), node("sum", 1.0, copied(size)))
-        return node("ifthen", node("lt", copied(x), 0.0), product(-1.0, even), copied(even))
-    return product(0.5, node("sum" if name == "cosh" else "difference", up, down))
+        tanh_size = node("quotient", node("difference", 1.0, size), node("sum", 1.0, copied(size)))
+        return node("ifthen", node("lt", copied(x), 0.0), product(-1.0, tanh_size), copied(tanh_size))
+    return product(0.5, node("sum" if name == "cosh" else "difference", growing, falling))

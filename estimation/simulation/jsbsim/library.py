@@ -47,15 +47,17 @@ def aircraft_file(which: str) -> Path:
                 f"{path}: JSBSim finds an aircraft as NAME/NAME.xml; put the file into a folder called {path.stem}"
             )
         return path.resolve()
-    if (inside := path / f"{path.name}.xml").is_file():
-        return inside.resolve()
-    own = Path(library().get_default_root_dir()) / "aircraft"
-    if (built_in := own / which / f"{which}.xml").is_file():
+    if (folder_file := path / f"{path.name}.xml").is_file():
+        return folder_file.resolve()
+    library_folder = Path(library().get_default_root_dir()) / "aircraft"
+    if (built_in := library_folder / which / f"{which}.xml").is_file():
         return built_in
-    near = ", ".join(sorted(p.name for p in own.iterdir() if p.name[:2].lower() == which[:2].lower())[:6])
+    similar_names = ", ".join(
+        sorted(p.name for p in library_folder.iterdir() if p.name[:2].lower() == which[:2].lower())[:6]
+    )
     raise SimulationError(
         f"jsbsim:{which}: neither an aircraft of JSBSim, nor a folder NAME with NAME.xml in it"
-        + (f"; JSBSim has {near}" if near else f"; JSBSim's own are in {own}")
+        + (f"; JSBSim has {similar_names}" if similar_names else f"; JSBSim's own are in {library_folder}")
     )
 
 
@@ -80,7 +82,7 @@ def loaded(
     wherever we are, at every `run_ic` again whatever it was told, and listen on the ports that a stranger's file names.
     """
     jsbsim = library()
-    own = Path(jsbsim.get_default_root_dir())
+    library_root = Path(jsbsim.get_default_root_dir())
     root = tree_of(path) if root is None else root
     for talk in [*root.findall("output"), *root.findall("input")]:  # files, and sockets that would listen for commands
         root.remove(talk)
@@ -99,14 +101,14 @@ def loaded(
             fdm.load_planet(str(Path(folder) / "planet.xml"), False)
         fdm.set_dt(1.0 / rate)
         fdm.set_aircraft_path(folder)
-        beside = path.parent.parent.parent
+        aircraft_root = path.parent.parent.parent
         for name, give in (("engine", fdm.set_engine_path), ("systems", fdm.set_systems_path)):
-            give(str(beside / name if (beside / name).is_dir() else own / name))
+            give(str(aircraft_root / name if (aircraft_root / name).is_dir() else library_root / name))
         try:
-            done = fdm.load_model(path.stem)
+            load_succeeded = fdm.load_model(path.stem)
         except (jsbsim.BaseError, RuntimeError, ValueError) as error:
             raise SimulationError(f"{path}: JSBSim cannot load it ({error})") from error
-    if not done:
+    if not load_succeeded:
         raise SimulationError(f"{path}: JSBSim cannot load it; try it with JSBSim itself, which says why")
     return fdm
 
@@ -149,12 +151,12 @@ class Surfaces:
 
 def aerodynamics_of(path: Path) -> ET.Element:
     """The `aerodynamics` section, from the file itself or the one it names. Raises SimulationError where there is none."""
-    found = tree_of(path).find("aerodynamics")
-    if found is not None and found.get("file"):
-        found = tree_of(path.parent / f"{found.get('file', '').removesuffix('.xml')}.xml")
-    if found is None:
+    section = tree_of(path).find("aerodynamics")
+    if section is not None and section.get("file"):
+        section = tree_of(path.parent / f"{section.get('file', '').removesuffix('.xml')}.xml")
+    if section is None:
         raise SimulationError(f"{path}: has no section <aerodynamics>; nothing can be asked of it")
-    return found
+    return section
 
 
 def properties_read(section: ET.Element) -> set[str]:
@@ -167,7 +169,7 @@ def surfaces_of(path: Path) -> Surfaces:
     """The surfaces of an aircraft. Raises SimulationError for a normalised position whose travel the file does not say."""
     read = properties_read(aerodynamics_of(path))
     writes: dict[str, tuple[str, Follows]] = {}
-    held = []
+    held_properties = []
     for name in sorted(n for n in read if n.startswith(("fcs/", "gear/", "propulsion/"))):
         surface, _, unit = name.removeprefix("fcs/").partition("-pos-")
         if surface.startswith(
@@ -177,7 +179,7 @@ def surfaces_of(path: Path) -> Surfaces:
         size = surface.startswith("mag-")
         column, sign = SIGNS.get(surface.removeprefix("mag-"), ("", 0.0))
         if not column or unit not in ("rad", "deg", "norm"):
-            held.append(name)
+            held_properties.append(name)
         elif size:
             scale = 1.0 if unit == "rad" else float(np.degrees(1.0))
             writes[name] = column, lambda value, k=scale: k * abs(value)  # type: ignore[misc]
@@ -187,7 +189,7 @@ def surfaces_of(path: Path) -> Surfaces:
             scale = sign * (1.0 if unit == "rad" else float(np.degrees(1.0)))
             writes[name] = column, lambda value, k=scale: k * value  # type: ignore[misc]
     rates = any(n.rpartition("/")[2].startswith(("alphadot", "betadot")) for n in read)
-    return Surfaces(writes, tuple(held), rates, "aero/cl-squared" in read)
+    return Surfaces(writes, tuple(held_properties), rates, "aero/cl-squared" in read)
 
 
 def _normalised(path: Path, surface: str, sign: float) -> Follows:
@@ -199,11 +201,11 @@ def _normalised(path: Path, surface: str, sign: float) -> Follows:
             continue
         try:
             low, high = (float(scale.findtext(f"domain/{end}", "")) for end in ("min", "max"))
-            least, most = (float(scale.findtext(f"range/{end}", "")) for end in ("min", "max"))
+            lowest, highest = (float(scale.findtext(f"range/{end}", "")) for end in ("min", "max"))
         except ValueError:
             continue
         if low < 0.0 < high:
-            return lambda value: sign * value * (most / high if sign * value > 0.0 else least / low)
+            return lambda value: sign * value * (highest / high if sign * value > 0.0 else lowest / low)
     raise SimulationError(
         f"{path}: its aerodynamics reads fcs/{surface}-pos-norm, and no aerosurface_scale says how that follows the deflection;"
         " give the simulation as a Python function instead (module:function)"

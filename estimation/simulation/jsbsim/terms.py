@@ -73,16 +73,20 @@ class Sum:
         """One over it. Raises ZeroDivisionError for nothing."""
         if not self.products:
             raise ZeroDivisionError
-        one = self.single
-        return Sum((one.to_power(-1),)) if one is not None else Sum((Product(1.0, {f"({text_of(self)})": -1}),))
+        single_product = self.single
+        return (
+            Sum((single_product.to_power(-1),))
+            if single_product is not None
+            else Sum((Product(1.0, {f"({text_of(self)})": -1}),))
+        )
 
 
 def collected(products: Iterable[Product]) -> Sum:
     """A sum, equal products taken together and zeros left away."""
     found: dict[frozenset[tuple[str, int]], Product] = {}
     for p in products:
-        known = found.get(p.key)
-        found[p.key] = p if known is None else Product(known.number + p.number, p.factors)
+        same_product = found.get(p.key)
+        found[p.key] = p if same_product is None else Product(same_product.number + p.number, p.factors)
     return Sum(tuple(p for p in found.values() if p.number != 0.0))
 
 
@@ -101,21 +105,21 @@ def number_text(value: float) -> str:
 
 def text_of(terms: Sum) -> str:
     """Equation text; `0` for nothing."""
-    written = "0"
+    text = "0"
     for i, p in enumerate(terms.products):
         sign = "-" if p.number < 0 else "" if i == 0 else "+"
         body = product_text(Product(abs(p.number), p.factors))
-        written = f"{sign}{body}" if i == 0 else f"{written} {sign} {body}"
-    return written
+        text = f"{sign}{body}" if i == 0 else f"{text} {sign} {body}"
+    return text
 
 
 def product_text(p: Product) -> str:
-    above = [_power(t, n) for t, n in p.factors.items() if n > 0]
-    below = [_power(t, -n) for t, n in p.factors.items() if n < 0]
+    numerator = [_power(t, n) for t, n in p.factors.items() if n > 0]
+    denominator = [_power(t, -n) for t, n in p.factors.items() if n < 0]
     number = float(f"{p.number:.{DIGITS}g}")
-    if number != 1.0 or not above:
-        above.insert(0, number_text(number))
-    return "*".join(above) + "".join(f"/{t}" for t in below)
+    if number != 1.0 or not numerator:
+        numerator.insert(0, number_text(number))
+    return "*".join(numerator) + "".join(f"/{t}" for t in denominator)
 
 
 def _power(text: str, power: int) -> str:
@@ -148,15 +152,15 @@ def table_of(element: ET.Element) -> tuple[LookupTable, list[str]]:
     """The numbers of a <table> and the properties it is looked up by, the last one first. Raises TableError."""
     variables = {e.get("lookup", "row"): (e.text or "").strip() for e in element.findall("independentVar")}
     data = element.findall("tableData")
-    wanted = ("row", "column", "table")[: len(variables)]
-    if set(variables) != set(wanted) or not data or not variables:
+    lookups = ("row", "column", "table")[: len(variables)]
+    if set(variables) != set(lookups) or not data or not variables:
         raise TableError("a table looked up in a way that is not known here")
     if len(variables) == 3:
         breaks = [_number(d.get("breakPoint", "")) for d in data]
         table = _risen(breaks, tuple(_of_two(d.text or "") for d in data))
     else:
         table = _of_two(data[0].text or "") if len(variables) == 2 else _of_one(data[0].text or "")
-    return table, [variables[w] for w in reversed(wanted)]
+    return table, [variables[w] for w in reversed(lookups)]
 
 
 def _risen(points: list[float], values: "tuple[float | LookupTable, ...]") -> LookupTable:
@@ -197,11 +201,13 @@ def _number(word: str) -> float:
 
 def looked_up(table: LookupTable, at: list[Sum], line: Line) -> Sum:
     """The value of a table at variables, the last one first; where one is a number, the table is looked up there and then."""
-    x, *others = at
+    x, *further_arguments = at
     number = x.number
     around = range(len(table.points)) if number is None else _around(table.points, number)
     inner = {
-        i: v if isinstance(v, float) else looked_up(v, others, line) for i, v in enumerate(table.values) if i in around
+        i: v if isinstance(v, float) else looked_up(v, further_arguments, line)
+        for i, v in enumerate(table.values)
+        if i in around
     }
     values = {i: constant(v) if isinstance(v, float) else v for i, v in inner.items()}
     if number is not None:
