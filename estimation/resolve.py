@@ -17,7 +17,7 @@ from estimation.estimators.registry import find
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
 from estimation.session.flights import select_segments, separated, unique_names
-from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, settled
+from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, motion_settled
 from groundstation.flight import Flight, read_flight
 
 Flights = Flight | str | Path | Sequence[Flight | str | Path]
@@ -106,7 +106,7 @@ def _on_simulation(
     attached = attach(spec, str(model), flights, aircraft, free)
     if free is Free.DERIVATIVES:
         return estimated_about_its_motion(attached)
-    return settled(attached) if free is Free.NOTHING else attached
+    return motion_settled(attached) if free is Free.NOTHING else attached
 
 
 def with_initial_states(model: Model, hold: Names, free: Names) -> Model:

@@ -109,7 +109,7 @@ class VerbTable(click.Group):
         """The verb that the first word means; for a mistyped one the usage error names those that it resembles."""
         word = args[0] if args else ""
         if word and not word.startswith("-") and self.get_command(ctx, word) is None and not ctx.resilient_parsing:
-            ctx.fail(f"No such verb {word!r}{_meant(word, self.list_commands(ctx), args[1:])}")
+            ctx.fail(f"No such verb {word!r}{_suggestion(word, self.list_commands(ctx), args[1:])}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -119,7 +119,7 @@ class VerbTable(click.Group):
             formatter.write_dl([*rows, *((entry.name, f"From {entry.module}.") for entry in _package_verbs())])
 
 
-def _meant(word: str, verbs: list[str], rest: list[str]) -> str:
+def _suggestion(word: str, verbs: list[str], rest: list[str]) -> str:
     """What somebody may have meant by a word that is no verb: verbs spelt alike or beginning alike; for a file, to look at it."""
     if Path(word).suffix and Path(word).exists():
         return f"; it is a file: did you mean 'sideslip {' '.join(['info', word, *rest])}'?"
@@ -197,7 +197,9 @@ def _with_streams(status: int, out: SafeStream, err: SafeStream) -> int:
     """The exit status, where what was printed may not have arrived: a reader that has gone changes nothing, a full disk does."""
     out.flush()
     if out.trouble is not None and out.trouble.errno in DISK_ERRNOS:
-        status = _said(f"standard output: {out.trouble.strerror}; everything else is done, only its words are lost")
+        status = _error_line(
+            f"standard output: {out.trouble.strerror}; everything else is done, only its words are lost"
+        )
     err.flush()
     for stream in (out, err):
         stream.give_up()
@@ -212,11 +214,11 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         context = error.ctx if isinstance(error, click.UsageError) else None
         text = error.format_message().rstrip(".")
         hint = f"{' See' if text.endswith('?') else '; see'} '{context.command_path} --help'" if context else ""
-        return _said(text + hint)
+        return _error_line(text + hint)
     except UserError as error:
-        return _said(str(error))
+        return _error_line(str(error))
     except ModuleNotFoundError as error:
-        return _said(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
+        return _error_line(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
     except (KeyboardInterrupt, click.Abort):
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status
@@ -224,11 +226,11 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         return 0 if error.filename is not None else _unforeseen(error)
     except OSError as error:
         if error.filename is None and error.errno == errno.ENOENT:  # of tempfile: no folder takes a file
-            return _said(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
+            return _error_line(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
         if error.filename is None and error.errno not in DISK_ERRNOS:
             return _unforeseen(error)
         place = error.filename2 or error.filename or "a file"
-        return _said(f"{place}: cannot be read or written ({error.strerror}); choose another place")
+        return _error_line(f"{place}: cannot be read or written ({error.strerror}); choose another place")
     except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
         return _unforeseen(error)
     return status if isinstance(status, int) else 0
@@ -240,13 +242,13 @@ def _unforeseen(error: Exception) -> int:
         raise error
     last_frame = traceback.extract_tb(error.__traceback__)[-1:]
     place = f" at {Path(last_frame[0].filename).name}:{last_frame[0].lineno}" if last_frame else ""
-    return _said(
+    return _error_line(
         f"a mistake in this program, please report it: {type(error).__name__}{place}: {str(error) or 'no words'}"
         f"; {TRACEBACK}=1 in the environment shows where it comes from"
     )
 
 
-def _said(sentence: str) -> int:
+def _error_line(sentence: str) -> int:
     """One line on standard error, whatever names are in it."""
     click.echo(f"sideslip: {one_line(sentence)}", err=True)
     return 2

@@ -10,7 +10,7 @@ NOT_FLOWN = ("sensors", "faults", "radio", "logger", "sequencer")
 """Tables of a scenario that decide nothing here: there is no bus, no chip and no radio."""
 
 
-def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
     """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key, and for a key that
     would change nothing."""
     from estimation.aircraft import load_aircraft
@@ -36,7 +36,7 @@ def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
     return altered_scenario.model_dump(mode="json")
 
 
-def flown(description: Mapping[str, Any]) -> bytes:
+def fly_description(description: Mapping[str, Any]) -> bytes:
     """The flight of a description as CSV, by the direct sensor model: no bus, no chips."""
     import tempfile
     from pathlib import Path
@@ -54,4 +54,4 @@ def flown(description: Mapping[str, Any]) -> bytes:
 
 def simulator() -> FlightMaker:
     """What `estimation.campaign` takes."""
-    return FlightMaker(described, flown, digest_of_files(("firmware_sim", "estimation/aircraft")))
+    return FlightMaker(describe_scenario, fly_description, digest_of_files(("firmware_sim", "estimation/aircraft")))

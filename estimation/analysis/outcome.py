@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from estimation.answers.answer import Answer, Rows
-from estimation.report.tables import pair
+from estimation.report.tables import value_and_bound
 
 SHOWN = 10
 """Derivatives in the sentence."""
@@ -49,7 +49,7 @@ class Analysis(Answer):
         found = []
         for name, p in parameters(self.content["estimate"]).items():
             if p.get("estimate") is not None:
-                value, bound = pair(p["estimate"], p["std_coloured"])
+                value, bound = value_and_bound(p["estimate"], p["std_coloured"])
                 found.append((name, value, bound, "" if p.get("identifiable") else str(p.get("why", "cannot tell"))))
         return found
 
@@ -162,7 +162,7 @@ def verdict_of(estimate: Mapping[str, Any] | None, where: str, contradictions: S
         why = str(best.get("why") or estimate.get("status", "")) or "; ".join(stopping)
         return f"No derivatives of {aircraft} are recommended ({model} {where}): {why}"
     told = [
-        f"{n} {' +- '.join(pair(p['estimate'], p['std_coloured']))}"
+        f"{n} {' +- '.join(value_and_bound(p['estimate'], p['std_coloured']))}"
         for n, p in parameters(estimate).items()
         if p.get("identifiable") and not n.endswith("_0")
     ]

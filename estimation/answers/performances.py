@@ -28,14 +28,14 @@ def performance(
     aircraft's mass or area is.
     """
     from estimation.performance.polar import fitted
-    from estimation.performance.samples import together, usable
+    from estimation.performance.samples import all_stretches, usable
     from estimation.resolve import read_flights, which_aircraft
 
     read = read_flights(flights, segments)
     craft = which_aircraft(read, aircraft, needed=True)
     craft.need(("m", "S"), "performance")
     used = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
-    return Performance(craft, used, fitted(together(used)))
+    return Performance(craft, used, fitted(all_stretches(used)))
 
 
 @dataclass(frozen=True, repr=False)

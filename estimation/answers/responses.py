@@ -42,7 +42,7 @@ def frequency(
     kind, category: class of a piloted aircraft and category of the flight phase, for levels. aircraft: whose mass decides
     whether levels apply. Raises a UserError where the input did not move, a column is missing or the flights are too short.
     """
-    from estimation.frequency.answer import answer
+    from estimation.frequency.answer import frequency_answer
     from estimation.frequency.forms import form_for
     from estimation.frequency.handling import Craft
     from estimation.frequency.response import ResponseOptions
@@ -57,7 +57,7 @@ def frequency(
     options = ResponseOptions(beside, band, points, tuple(windows))
     read = read_flights(flights, segments)
     craft = _with_mass(asked, read, aircraft)
-    return Response(answer(responded(read, input, output, options), wanted, craft), tuple(read))
+    return Response(frequency_answer(responded(read, input, output, options), wanted, craft), tuple(read))
 
 
 def _with_mass(asked: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
@@ -87,11 +87,11 @@ class Response(Answer):
         kind: class I to IV of a piloted aircraft, for levels; category: of the flight phase; mass: kg, by default that of the
         aircraft where it is known.
         """
-        from estimation.frequency.answer import answer
+        from estimation.frequency.answer import frequency_answer
         from estimation.frequency.handling import Craft
 
         craft = Craft(kind, category, self.answer.craft.mass if mass is None else mass)
-        return replace(self, answer=answer(self.answer.response, form, craft))
+        return replace(self, answer=frequency_answer(self.answer.response, form, craft))
 
     def to_json(self) -> dict[str, Any]:
         """As `frequency --json` has it."""
@@ -115,9 +115,9 @@ class Response(Answer):
 
     def lines(self) -> Iterator[str]:
         """What `sideslip frequency` prints."""
-        from estimation.frequency.answer import lines
+        from estimation.frequency.answer import response_lines
 
-        return lines(self.answer)
+        return response_lines(self.answer)
 
     def plot(self, ax: Any = None) -> Any:
         """Magnitude [dB], phase [deg] and coherence over frequency; gives the three axes."""

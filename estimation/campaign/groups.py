@@ -140,7 +140,7 @@ def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
             f" beside it (limit {_limit(s):.1f}); left out of what is said of {s.label}"
         )
         yield {
-            **_about(s),
+            **_group_columns(s),
             "kind": "outlier",
             "flight": s.flights[i],
             "at": s.dates[i] or None,
@@ -162,7 +162,7 @@ def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
     if fit.p < 0.01:  # as the mean over flights of sideslip estimate says it
         text = f"scatter is {scatter / bound:.1f} times the bounds: these are too small, or the flights differ"
     yield {
-        **_about(s),
+        **_group_columns(s),
         "since": s.dates[0] if apart else None,
         "until": s.dates[-1] if apart else None,
         "kind": "pooled",
@@ -179,7 +179,7 @@ def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
     }
 
 
-def _about(s: ParameterSeries) -> Row:
+def _group_columns(s: ParameterSeries) -> Row:
     group = {key: value or None for key, value in s.group.items()}
     return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **group}
 
@@ -188,7 +188,7 @@ FIRST = ("difference", "step", "envelope", "outlying flight", "outlier")
 """Kinds that say something, those about the aircraft before those about single flights."""
 
 
-def told(groups: Sequence[Row]) -> list[Row]:
+def claims_of(groups: Sequence[Row]) -> list[Row]:
     """Rows that say something that a person must read, the most important first. A flight that is off as a whole is told once,
     not for each of its parameters again."""
     outlying_flights = {(r["group"], r["method"], r["flight"]) for r in groups if r["kind"] == "outlying flight"}

@@ -56,14 +56,14 @@ def entries_of(
 
     Raises CampaignError for a pattern without a match, and for a table or scenario that cannot be used.
     """
-    entries = [e for text in plan.flights for e in _located(text, folder, RecordConditions(), send)]
+    entries = [e for text in plan.flights for e in _flights_at(text, folder, RecordConditions(), send)]
     simulated = sum(scenario.count for scenario in plan.simulate)
     if simulated > limits.FLIGHTS:
         raise CampaignError(
             f"the plan simulates {simulated} flights; at most {limits.FLIGHTS} are made, take several plans"
         )
     for row in (*plan.flight, *(_table(plan.table, folder) if plan.table else ())):
-        entries += _located(row.path, folder, RecordConditions(**row.model_dump(exclude={"path"})), send)
+        entries += _flights_at(row.path, folder, RecordConditions(**row.model_dump(exclude={"path"})), send)
     for number, scenario in enumerate(plan.simulate):
         entries += _simulated(scenario, number, folder, simulator)
         if len(entries) > limits.FLIGHTS:
@@ -89,7 +89,7 @@ def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
             raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
 
 
-def _located(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:
+def _flights_at(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:
     if "://" in text:
         for url in _urls(text):
             yield _remote(url, conditions)
@@ -202,7 +202,7 @@ def _simulated(
         except UserError as error:
             raise CampaignError(f"plan, simulate.{number}: {error}") from error
     for i in range(entry.count):
-        described = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
+        described = simulator.describe(scenario, {**entry.set, **_drawn_values(entry, i)})
         description: Mapping[str, Any] = {"scenario": described, "seed": int(key_of(entry.seed, i)[:8], 16)}
         scenario_aircraft = str(described.get("flight", {}).get("aircraft", ""))
         source = FlightSource(
@@ -215,7 +215,7 @@ def _simulated(
         )
 
 
-def _drawn(entry: SimulateEntry, number: int) -> dict[str, float]:
+def _drawn_values(entry: SimulateEntry, number: int) -> dict[str, float]:
     """What varies, drawn for the flight of that number alone: another count changes none of the others."""
     rng = np.random.default_rng([entry.seed, number])
     return {key: float(rng.uniform(*ends)) for key, ends in sorted(entry.vary.items())}

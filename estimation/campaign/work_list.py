@@ -191,7 +191,7 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
         (m for m in members if all(p in m.estimates for p in pieces)), key=lambda m: m.planned.work.identity
     )
     subjects = tuple(m.planned.work.subjects[0] for m in joint_members)
-    limit = _together(plan, len(subjects))
+    limit = _joint_time_limit(plan, len(subjects))
     return Work(
         "joint",
         f"joint fit of {label}",
@@ -208,7 +208,7 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
     )
 
 
-def _together(plan: CampaignPlan, flights: int) -> float:
+def _joint_time_limit(plan: CampaignPlan, flights: int) -> float:
     """Seconds for work on several flights: as long as for one after the other, as far as clocks count."""
     return min(plan.time_limit * flights, LONGEST_CLOCK)
 
@@ -231,7 +231,7 @@ def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> 
         versions(),
         False,
         each_segment=plan.each_segment,
-        limit_s=_together(plan, len(subjects)),
+        limit_s=_joint_time_limit(plan, len(subjects)),
         group=label,
     )
 

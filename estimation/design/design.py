@@ -12,7 +12,7 @@ from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
 from daq.contract.plain_words import meant
 from estimation.aircraft import Aircraft
 from estimation.design.limits import Condition, Limits, trimmed, usual_limits
-from estimation.design.measured_inputs import DRAWS, expected
+from estimation.design.measured_inputs import DRAWS, expected_errors
 from estimation.design.optimal import (
     Criterion,
     Designed,
@@ -25,7 +25,7 @@ from estimation.design.optimal import (
     optimal,
     worst_of,
 )
-from estimation.design.predict import INTEGRATION_STEP, DesignSetting, told, with_values
+from estimation.design.predict import INTEGRATION_STEP, DesignSetting, estimated_names, with_values
 from estimation.design.shapes import PATTERNS, chirp, pattern, relative_peak_factor
 from estimation.errors import EstimationError
 from estimation.models.base import Model
@@ -95,12 +95,12 @@ class InputDesign:
 
     def _expected(self, designed: Designed) -> dict[str, float]:
         task = self.task
-        return expected(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
+        return expected_errors(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
 
     @property
     def relative(self) -> dict[str, float]:
         """Predicted standard deviation over size of each derivative that has one."""
-        return relative(self.expected, self.sizes)
+        return relative_errors(self.expected, self.sizes)
 
     @property
     def untold(self) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ class InputDesign:
     @property
     def gain(self) -> float:
         """Worst relative prediction of the doublets over that of this input."""
-        return max(relative(self.expected_of_doublets, self.sizes).values()) / max(self.relative.values())
+        return max(relative_errors(self.expected_of_doublets, self.sizes).values()) / max(self.relative.values())
 
     def manoeuvre(self) -> Manoeuvre:
         """As the file that is flown."""
@@ -143,7 +143,11 @@ class InputDesign:
             "time": self.best.motion.time.tolist(),
             "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.bench.controls)},
             "predicted": {
-                n: {"std": _told(s), "std_outputs": _told(bounds[n]), "relative": _told(self.relative.get(n))}
+                n: {
+                    "std": _finite_or_none(s),
+                    "std_outputs": _finite_or_none(bounds[n]),
+                    "relative": _finite_or_none(self.relative.get(n)),
+                }
                 for n, s in self.expected.items()
             },
             "peak_factor": self.peak_factors(),
@@ -160,18 +164,18 @@ class InputDesign:
         return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.bench.controls)}
 
 
-def _told(value: float | None) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def relative(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
+def relative_errors(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
     """Standard deviation over size, for the parameters that have a size."""
     return {n: std[n] / abs(size) for n, size in sizes.items() if n in std and size != 0.0}
 
 
 def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str, float]:
     """Cramer-Rao bound over size, what the search goes by."""
-    return relative(designed.information.std, sizes)
+    return relative_errors(designed.information.std, sizes)
 
 
 def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | None = None) -> InputDesign:
@@ -209,7 +213,7 @@ def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSettin
 
 def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
-    sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in told(model.parameters)}
+    sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in estimated_names(model.parameters)}
     sizes |= {n: s for n, s in task.sizes.items() if n in model.parameter_names}
     requested_names = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
     unknown = [n for n in requested_names if n not in sizes]

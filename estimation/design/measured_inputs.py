@@ -39,7 +39,7 @@ SURFACE_NOISE = math.radians(0.07)
 """Of a potentiometer read with 12 bits, 1 sigma [rad]."""
 
 
-def expected(
+def expected_errors(
     bench: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
 ) -> dict[str, float]:
     """Standard deviation that estimates from this motion will have with all sensors noisy, by parameter.
@@ -64,11 +64,11 @@ def expected(
             f"model {bench.model.name} leaves all bounds where its inputs are as noisy as measured ones"
         )
     error_covariance = np.mean([d.T @ d / len(d) for d in finite], axis=0)
-    std = _scatter(run.dy, _own(bench, run.y, np.diag(error_covariance)), error_covariance, finite)
+    std = _scatter(run.dy, _sensor_noise(bench, run.y, np.diag(error_covariance)), error_covariance, finite)
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 
-def _own(bench: DesignSetting, y: Array, shown: Array) -> Array:
+def _sensor_noise(bench: DesignSetting, y: Array, shown: Array) -> Array:
     """(ny, ny) noise of the sensors themselves. shown (ny,): variance that noisy inputs add."""
     variance = np.array([output_noise(bench, s, y[:, i]) ** 2 for i, s in enumerate(bench.model.outputs)])
     return np.diag(np.maximum(variance - shown, LEAST_OWN * variance) if bench.noise_of_residuals else variance)

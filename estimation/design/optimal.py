@@ -71,7 +71,7 @@ def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
     """Largest factor, at most 1e3, at which commands keep inside every limit; by halving, because motion is not linear."""
 
     def inside(factor: float) -> bool:
-        return _inside(bench, limits, factor * commands)
+        return _within_limits(bench, limits, factor * commands)
 
     peaks = np.abs(commands).max(axis=0)
     amplitudes_allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
@@ -93,7 +93,7 @@ def each_fitted(bench: DesignSetting, limits: Limits, commands: Array) -> Array:
         for _ in range(SIZES if high > 1.0 + 1e-6 else 0):
             middle = 0.5 * (low + high)
             trial_factors = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
-            low, high = (middle, high) if _inside(bench, limits, trial_factors * commands) else (low, middle)
+            low, high = (middle, high) if _within_limits(bench, limits, trial_factors * commands) else (low, middle)
         factors[i] *= low
     return factors
 
@@ -102,7 +102,7 @@ def _peak(values: Array) -> float:
     return max(float(np.abs(values).max()), 1e-12)
 
 
-def _inside(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
+def _within_limits(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     # a rounding above 1 where a control stands at its own limit
     return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
@@ -221,14 +221,14 @@ def multisine(
         size = limits.amplitude_of(control) / peak if weights is None else math.sqrt(float(power.sum()))
         waves.append(wave.scaled(size))
     time = np.arange(0.0, period + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    waves = calm(bench, limits, waves, time)
+    waves = calmest_shifts(bench, limits, waves, time)
     commands = total(waves, time)
     factors = each_fitted(bench, limits, commands)
     waves = [w.scaled(f) for w, f in zip(waves, factors.tolist(), strict=True)]
     return measure(bench, limits, "multisine", factors * commands, waves)
 
 
-def calm(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
+def calmest_shifts(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
     """The waves, each but the first shifted to the zero crossing at which the motion keeps furthest from its limits."""
 
     def pressed(tried: Sequence[Multisine]) -> float:

@@ -216,6 +216,6 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     return model.with_starts({n: v for n, v in values.items() if n in model.parameter_names})
 
 
-def told(parameters: Sequence[Parameter]) -> list[str]:
+def estimated_names(parameters: Sequence[Parameter]) -> list[str]:
     """Derivatives proper, whose relative bound means something: constants and what is believed to be zero are left out."""
     return [p.name for p in parameters if not p.fixed and not p.name.endswith("_0") and (p.reference or p.start) != 0.0]

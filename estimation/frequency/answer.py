@@ -12,7 +12,7 @@ from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction, fit_transfer
 from estimation.report.flight_tables import provenance_table
 from estimation.report.page import Page, Part, Section, box, paragraph, sentence
-from estimation.report.tables import ReportTable, number, pair, significant
+from estimation.report.tables import ReportTable, number, significant, value_and_bound
 from groundstation.flight import Flight
 
 ACCEPTABLE = 100.0  # CIFER's J; Tischler and Remple, chapter 11
@@ -44,7 +44,7 @@ class FrequencyResult:
         }
 
 
-def answer(response: FrequencyResponse, form: str | None, craft: Craft) -> FrequencyResult:
+def frequency_answer(response: FrequencyResponse, form: str | None, craft: Craft) -> FrequencyResult:
     """The response, with a fit of `form` where one is given."""
     if form is None:
         return FrequencyResult(response, craft=craft)
@@ -62,7 +62,7 @@ def judged(fit: TransferFunction) -> str:
     return f"the form describes the data (cost {fit.cost:.1f}, acceptable up to {ACCEPTABLE:g})"
 
 
-def lines(found: FrequencyResult) -> Iterator[str]:
+def response_lines(found: FrequencyResult) -> Iterator[str]:
     """What a person reads on the terminal."""
     r = found.response
     conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
@@ -141,8 +141,8 @@ def response_table(found: FrequencyResult) -> ReportTable:
     rows = tuple(
         (
             significant(float(r.omega[k]), 4),
-            *pair(float(r.magnitude[k]), float(r.std[k])),
-            *pair(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])),
+            *value_and_bound(float(r.magnitude[k]), float(r.std[k])),
+            *value_and_bound(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])),
             number(float(r.coherence[k]), 3),
         )
         for k in range(r.omega.size)
@@ -157,7 +157,10 @@ def response_table(found: FrequencyResult) -> ReportTable:
 
 
 def _fit_table(fit: TransferFunction) -> ReportTable:
-    rows = tuple((n, *pair(p.estimate, p.std), significant(fit.cifer[n], 4), p.unit) for n, p in fit.parameters.items())
+    rows = tuple(
+        (n, *value_and_bound(p.estimate, p.std), significant(fit.cifer[n], 4), p.unit)
+        for n, p in fit.parameters.items()
+    )
     return ReportTable(
         "transfer_function",
         f"Transfer function, form {fit.form.name}: H = {fit.form.equation}",
@@ -175,7 +178,7 @@ def _handling_table(found: FrequencyResult) -> ReportTable | None:
     rows = tuple(
         (
             n.name,
-            *(pair(n.value, n.std) if math.isfinite(n.std) else (significant(n.value, 4), "")),
+            *(value_and_bound(n.value, n.std) if math.isfinite(n.std) else (significant(n.value, 4), "")),
             n.unit,
             "" if n.level is None else "beyond 3" if n.level > 3 else str(n.level),
             n.definition,

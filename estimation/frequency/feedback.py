@@ -52,8 +52,8 @@ def _moments(stretch: DetrendedStretch, lags: int) -> tuple[Array, float, float,
         return None
     past_u = np.concatenate([_lagged(c, range(lags + 1), lags) for c in u.T], axis=1)
     past_y = _lagged(y, range(1, lags + 1), lags)
-    residual = _left(y[lags:], np.concatenate([past_u, past_y], axis=1))
-    new = _left(u[lags:, 0], _lagged(u[:, 0], range(1, lags + 1), lags))
+    residual = _remainder(y[lags:], np.concatenate([past_u, past_y], axis=1))
+    new = _remainder(u[lags:, 0], _lagged(u[:, 0], range(1, lags + 1), lags))
     cross = np.array([residual[:-k] @ new[k:] for k in range(1, lags + 1)])
     return cross, float(residual @ residual), float(new @ new), len(residual)
 
@@ -63,5 +63,5 @@ def _lagged(values: Array, lags: range, first: int) -> Array:
     return np.stack([values[first - k : len(values) - k] for k in lags], axis=1)
 
 
-def _left(values: Array, columns: Array) -> Array:
+def _remainder(values: Array, columns: Array) -> Array:
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=1e-9)[0])

@@ -46,7 +46,7 @@ def draw_on(axes: Any, response: FrequencyResponse, fit: TransferFunction | None
     axes[1].yaxis.set_major_locator(_multiples_of_45())
     axes[2].set_xlabel("frequency [rad/s]")
     axes[2].set_xscale("log")
-    axes[2].xaxis.set_major_formatter(_plain())
+    axes[2].xaxis.set_major_formatter(_plain_ticks())
     for axis in axes:
         axis.grid(which="minor", axis="x", alpha=0.15)
     axes[0].legend(ncols=3, **ABOVE)
@@ -87,7 +87,7 @@ def _multiples_of_45() -> Any:
     return MaxNLocator(nbins=7, steps=[1, 1.5, 3, 4.5, 9, 10])
 
 
-def _plain() -> Any:
+def _plain_ticks() -> Any:
     from matplotlib.ticker import FuncFormatter
 
     return FuncFormatter(lambda value, _: f"{value:g}")

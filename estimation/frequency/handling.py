@@ -138,7 +138,7 @@ def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -
     rated = not craft.why_no_level
     if fit.form.mode == "roll":
         T = p["T_R"]
-        level = _below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
+        level = _level_below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
         yield _number("T_R", T.estimate, T.std, level)
     elif fit.form.mode == "dutch-roll":
         yield from _dutch_roll(fit, craft, rated)
@@ -167,7 +167,7 @@ def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Nu
 
 def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_sp"], fit.parameters["omega_sp"]
-    level = _within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
+    level = _level_within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
     yield _number("zeta_sp", zeta.estimate, zeta.std, level)
     yield _number("omega_sp", omega.estimate, omega.std)
     lead = fit.parameters.get("1/T_theta2")
@@ -176,13 +176,13 @@ def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Cra
     V = response.speed
     yield _number("n/alpha", *_derived(fit, lambda v: V / G * v["1/T_theta2"]))
     cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * G / (V * v["1/T_theta2"]))
-    level = _within(cap, ANTICIPATION[craft.category]) if rated else None
+    level = _level_within(cap, ANTICIPATION[craft.category]) if rated else None
     yield _number("CAP", cap, cap_std, level)
 
 
 def _delay(fit: TransferFunction, craft: Craft) -> Iterator[Number]:
     tau = fit.parameters["tau"]
-    level = None if craft.why_no_level else _below(tau.estimate, DELAY)
+    level = None if craft.why_no_level else _level_below(tau.estimate, DELAY)
     yield _number("tau", tau.estimate, tau.std, level)
 
 
@@ -196,11 +196,11 @@ def _derived(fit: TransferFunction, value: Callable[[dict[str, float]], float]) 
     return value(estimates), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
 
 
-def _below(value: float, limits: tuple[float, ...]) -> int:
+def _level_below(value: float, limits: tuple[float, ...]) -> int:
     return next((k + 1 for k, limit in enumerate(limits) if value <= limit), 4)
 
 
-def _within(value: float, limits: tuple[tuple[float, float], ...]) -> int:
+def _level_within(value: float, limits: tuple[tuple[float, float], ...]) -> int:
     return next((k + 1 for k, (low, high) in enumerate(limits) if low <= value <= high), len(limits) + 1)
 
 
@@ -219,12 +219,12 @@ def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[N
         H = H / (1j * omega)
     phase = np.unwrap(np.angle(H))
     phase += -np.pi / 2 - phase[0] + _near_quarter(phase[0] + np.pi / 2)
-    crossing = _first(omega, phase, -np.pi)
-    by_phase = _first(omega, phase, -0.75 * np.pi)
+    crossing = _first_crossing(omega, phase, -np.pi)
+    by_phase = _first_crossing(omega, phase, -0.75 * np.pi)
     if crossing is None or by_phase is None:
         return
     decibels = 20 * np.log10(np.abs(H))
-    by_gain = _first(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
+    by_gain = _first_crossing(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
     width = min(by_phase, by_gain if by_gain is not None else math.inf)
     yield _number("omega_BW", width)
     if 2 * crossing <= omega[-1]:
@@ -237,7 +237,7 @@ def _near_quarter(offset: float) -> float:
     return offset - np.pi * round(offset / np.pi)
 
 
-def _first(omega: Array, values: Array, level: float) -> float | None:
+def _first_crossing(omega: Array, values: Array, level: float) -> float | None:
     """Where values first fall through a level."""
     crossings = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
     if not crossings.size:

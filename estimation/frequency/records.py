@@ -78,7 +78,9 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
         _refuse_endless(flight, columns)
     _refuse_still(flights, name)
     other_inputs = (
-        tuple(dict.fromkeys(w for w in with_ if w != name)) if with_ is not None else _moved(flights, (name, output))
+        tuple(dict.fromkeys(w for w in with_ if w != name))
+        if with_ is not None
+        else _moved_text(flights, (name, output))
     )
     stretches = [s for flight in flights for s in _stretches(flight, (name, *other_inputs), output)]
     if not stretches:
@@ -92,7 +94,7 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
     return Signals((name, *other_inputs), output, tuple(stretches), level, _speed(flights), notes)
 
 
-def moved(flight: Flight, name: str) -> tuple[float, float]:
+def input_movement(flight: Flight, name: str) -> tuple[float, float]:
     """(rms motion about the median, noise level) of a column."""
     values = flight[name][np.isfinite(flight[name])]
     return float(np.sqrt(np.mean((values - np.median(values)) ** 2))), sensor_noise(values)
@@ -111,16 +113,16 @@ def sensor_noise(values: Array) -> float:
     return min(noise_level(values), float(np.sqrt(floor)))
 
 
-def _moves(flights: Sequence[Flight], name: str) -> bool:
-    movements = [moved(f, name) for f in flights if f.measured(name)]
+def _typical_movement(flights: Sequence[Flight], name: str) -> bool:
+    movements = [input_movement(f, name) for f in flights if f.measured(name)]
     size = max((float(np.nanmax(np.abs(f[name]))) for f in flights if f.measured(name)), default=0.0)
     return any(rms > max(STILL * noise, LEAST * size) for rms, noise in movements)
 
 
 def _refuse_still(flights: Sequence[Flight], name: str) -> None:
-    if _moves(flights, name):
+    if _typical_movement(flights, name):
         return
-    rms, noise = max(moved(f, name) for f in flights)
+    rms, noise = max(input_movement(f, name) for f in flights)
     raise DataError(
         f"{', '.join(f.name for f in flights)}: input {name} moved only {rms:.2g} rms against {noise:.2g} of "
         "sensor noise, so there is no response to it; fly a frequency sweep, a multisine or doublets on it"
@@ -141,23 +143,25 @@ def _refuse_flat(stretches: Sequence[DetrendedStretch], output: str) -> None:
         raise DataError(f"output {output} stands still: a dead channel has no frequency response; name another output")
 
 
-def _moved(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]:
+def _moved_text(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]:
     """Other controls that moved, in all flights that would be left out otherwise."""
-    return tuple(c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _moves(flights, c))
+    return tuple(
+        c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _typical_movement(flights, c)
+    )
 
 
 def _stretches(flight: Flight, inputs: tuple[str, ...], output: str) -> list[DetrendedStretch]:
     columns = np.stack([flight[c] for c in (*inputs, output)], axis=1)
     stretches = []
     for part in flight.segments:
-        for first, last in _whole(np.asarray(np.isfinite(columns[part]).all(axis=1))):
+        for first, last in _gapless_runs(np.asarray(np.isfinite(columns[part]).all(axis=1))):
             if last - first >= SHORTEST:
                 rows = slice(part.start + first, part.start + last)
-                stretches.append(_even(flight.time[rows], columns[rows]))
+                stretches.append(_resampled(flight.time[rows], columns[rows]))
     return stretches
 
 
-def _whole(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _gapless_runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Index ranges without a hole longer than LONGEST_BRIDGE; they begin and end at a known sample."""
     known_indices = np.flatnonzero(known)
     if not known_indices.size:
@@ -167,7 +171,7 @@ def _whole(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(known_indices[a]), int(known_indices[b]) + 1) for a, b in zip(begins, ends, strict=True)]
 
 
-def _even(time: Array, columns: Array) -> DetrendedStretch:
+def _resampled(time: Array, columns: Array) -> DetrendedStretch:
     """A stretch on an even grid, by a cubic where samples are missing or unevenly spaced; trends taken off."""
     step = float(time[-1] - time[0]) / (time.size - 1)
     grid = time[0] + step * np.arange(time.size)

@@ -206,7 +206,7 @@ def _composed(
     H, std = mean([r.H for r in found]), np.sum(weight * np.where(holds, error, 0.0), axis=0)
     coherence, power = mean([r.coherence for r in found]), mean([r.power for r in found])
     length = mean([np.full(grid.omega.shape, r.length) for r in found])
-    coherent = _told(H, std, coherence, mean([r.freedom for r in found]))
+    coherent = _coherent_points(H, std, coherence, mean([r.freedom for r in found]))
     omitted = tuple((float(w), float(c)) for w, c in zip(omega[~coherent], coherence[~coherent], strict=True))
     if not coherent.any():
         raise DataError(
@@ -222,7 +222,7 @@ def _composed(
     )  # fmt: skip
 
 
-def _told(H: Complex, std: Array, coherence: Array, freedom: Array) -> NDArray[np.bool_]:
+def _coherent_points(H: Complex, std: Array, coherence: Array, freedom: Array) -> NDArray[np.bool_]:
     """(frequencies,) which points tell something, judged with their neighbours."""
     by_chance = 1.0 - CHANCE ** (1.0 / np.maximum(freedom, 1.0))  # all but CHANCE of coherences of nothing lie below
     spare = np.stack([coherence - np.maximum(INCOHERENT, by_chance), WORST * np.abs(H) - std])

@@ -114,7 +114,7 @@ def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Transfer
         )
     omega, H, g2 = response.omega[good], response.H[good], response.coherence[good]
     std = np.maximum(response.std[good], 1e-9 * np.abs(H).max())
-    classic = _best(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
+    classic = _best_search(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
     likelihood_fit = least_squares(lambda x: _errors(form, x, omega, H, std), classic.x, x_scale=_scale(classic.x))
     covariance, misfit = _covariance(likelihood_fit.jac, likelihood_fit.fun, omega, response.length[good])
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -139,7 +139,7 @@ def _scale(x: Array) -> Array:
     return np.maximum(np.abs(x), 1e-3)
 
 
-def _best(form: TransferForm, omega: Array, H: Complex, residuals: Any) -> Any:
+def _best_search(form: TransferForm, omega: Array, H: Complex, residuals: Any) -> Any:
     """The best of searches from several delays."""
     starts = []
     for delay in DELAYS:

@@ -125,16 +125,16 @@ def _stretch(
     rho, alpha = flight["rho"][piece], flight["alpha"][piece]
     pressure = 0.5 * rho * V**2 * aircraft.area / aircraft.mass
     ax, az = flight["ax"][piece] - thrust[piece] / aircraft.mass, flight["az"][piece]
-    CL, CD = _turned(ax, az, alpha, pressure)
-    smooth, _ = _turned(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
+    CL, CD = _rotated(ax, az, alpha, pressure)
+    smooth, _ = _rotated(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
     scatter = np.hypot(noise[0], az * noise[1]) / pressure
     return PolarSamples(CL, CD, smooth, scatter, V, np.asarray(rho, float))
 
 
-def _turned(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
+def _rotated(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
     sine, cosine = np.sin(alpha), np.cos(alpha)
     return (ax * sine - az * cosine) / pressure, (-ax * cosine - az * sine) / pressure
 
 
-def together(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
+def all_stretches(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
     return tuple(s for f in flights for s in f.stretches)

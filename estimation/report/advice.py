@@ -33,7 +33,7 @@ class Untold:
     told: tuple[str, ...]
 
 
-def untold(session: "EstimationSession") -> list[Untold]:
+def untold_parameters(session: "EstimationSession") -> list[Untold]:
     """One entry a parameter, method and reason."""
     flights_by_reason: dict[tuple[str, str, str], list[str]] = {}
     sources = [(f.flight.name, m, r) for f in session.flights for m, r in f.results.items()]
@@ -76,23 +76,23 @@ def grouped(entries: Sequence[Untold]) -> list[AdviceGroup]:
         entries_by_manoeuvre.setdefault(entry.manoeuvre, []).append(entry)
     return [
         AdviceGroup(
-            _once(u.parameter for u in manoeuvre_entries),
-            _once(u.method for u in manoeuvre_entries),
-            _once(w for u in manoeuvre_entries for w in u.where),
-            _once(short(u.why) for u in manoeuvre_entries),
+            _distinct(u.parameter for u in manoeuvre_entries),
+            _distinct(u.method for u in manoeuvre_entries),
+            _distinct(w for u in manoeuvre_entries for w in u.where),
+            _distinct(reason_without_numbers(u.why) for u in manoeuvre_entries),
             fly,
-            _once(u.parameter for u in manoeuvre_entries if u.told),
+            _distinct(u.parameter for u in manoeuvre_entries if u.told),
         )
         for fly, manoeuvre_entries in entries_by_manoeuvre.items()
     ]
 
 
-def short(why: str) -> str:
+def reason_without_numbers(why: str) -> str:
     """A reason without its numbers, which differ from flight to flight, and without what the other columns say."""
     return re.sub(r": this data cannot tell.*", "", re.sub(r"(?<![\w])[+-]?\d+(\.\d+)?(e[+-]?\d+)?", "…", why))
 
 
-def _once(items: Iterable[str]) -> tuple[str, ...]:
+def _distinct(items: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(items))
 
 

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from estimation.models.base import ParameterRole
 from estimation.report import published
-from estimation.report.advice import grouped, untold
+from estimation.report.advice import grouped, untold_parameters
 from estimation.report.conventions import conventions_table
 from estimation.report.drawing.estimate_figures import (
     correlation_figure,
@@ -23,7 +23,7 @@ from estimation.report.drawing.estimate_figures import (
 )
 from estimation.report.drawing.figures import Picture
 from estimation.report.drawing.histories import write_flights
-from estimation.report.drawing.residual_figures import against_figure, moved, residual_figure
+from estimation.report.drawing.residual_figures import against_figure, moved_quantities, residual_figure
 from estimation.report.estimate_tables import (
     estimate_table,
     fit_table,
@@ -97,7 +97,7 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         Section("provenance", "Provenance", [provenance_table(flights), _equations(session.model)], "Provenance"),
     ]
     title = "Derivatives" if named_aircraft is None else f"Aerodynamic derivatives of {named_aircraft.name}"
-    page = Page(title, _lead(session), sections, beside=[_untold(session)])
+    page = Page(title, _lead(session), sections, beside=[_untold_table(session)])
     return page.write(folder / "index.html", folder / "tables")
 
 
@@ -123,7 +123,7 @@ def _figures(
         first, name = next(iter(f.results.values())), f.flight.name
         sections["histories"][f"figure9_{name}"] = partial(history_figure, f, published_too)
         sections["residuals"][f"residuals_{name}"] = partial(residual_figure, first.model, first)
-        if moved(first, f.flight):
+        if moved_quantities(first, f.flight):
             sections["residuals"][f"against_{name}"] = partial(against_figure, first.model, first, f.flight)
     if _can_be_proved(session):
         sections["proof"]["figure10"] = lambda: proof_figure(proofs()[:2], refitted(session), published_too)
@@ -182,7 +182,7 @@ def _equations(model: "Model") -> Markup:
 
 def _untold_parts(session: "EstimationSession") -> list[Markup]:
     """A row for each manoeuvre that would tell more."""
-    groups = grouped(untold(session))
+    groups = grouped(untold_parameters(session))
     if not groups:
         return [paragraph("Every parameter was told by every flight.")]
     words = ("fly next", "it would tell", "flights that could not", "why", "methods", "told by all flights together")
@@ -301,12 +301,12 @@ def _runs(session: "EstimationSession") -> ReportTable:
     return ReportTable("runs", caption, head, rows, symbols=False, texts=(1, 2), failed=failed)
 
 
-def _untold(session: "EstimationSession") -> ReportTable:
+def _untold_table(session: "EstimationSession") -> ReportTable:
     """Every parameter, method and reason, for the file beside the page."""
     head = ("parameter", "method", "flights", "why", "fly next", "joint")
     rows = tuple(
         (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "told" if u.told else "")
-        for u in untold(session)
+        for u in untold_parameters(session)
     )
     return ReportTable("untold", "What could not be told", head, rows, texts=(2, 3, 4))
 

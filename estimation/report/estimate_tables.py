@@ -24,7 +24,7 @@ def is_published(session: "EstimationSession") -> bool:
     return published.is_of(session.aircraft.name) and "CY_beta" in session.model.free_names
 
 
-def _believed(session: "EstimationSession") -> bool:
+def _has_beliefs(session: "EstimationSession") -> bool:
     """Whether anything is believed of the parameters before flying."""
     return any(p.reference is not None for p in session.model.parameters)
 
@@ -45,10 +45,10 @@ def _parameter_table(
 ) -> ReportTable:
     """Parameters by methods, with what was believed before. methods: what fills the `columns` of each; beside: groups of columns
     after those, as (label, heads, what fills them)."""
-    has_beliefs = _believed(session)
+    has_beliefs = _has_beliefs(session)
     groups = [*methods.items(), *((label, cells) for label, _, cells in beside)]
     rows = tuple(
-        (n, *(_before(session, n) if has_beliefs else ()), *(cell for _, cells in groups for cell in cells(n)))
+        (n, *(_belief_cells(session, n) if has_beliefs else ()), *(cell for _, cells in groups for cell in cells(n)))
         for n in parameters
     )
     heads = [*(columns for _ in methods), *(head for _, head, _ in beside)]
@@ -64,7 +64,7 @@ def _parameter_table(
 
 
 def _fitted(result: "Result") -> Cells:
-    return lambda name: _three(result.parameters.get(name))
+    return lambda name: _estimate_cells(result.parameters.get(name))
 
 
 def _published(numbers: Callable[[str], tuple[float, float] | None]) -> Cells:
@@ -91,8 +91,8 @@ def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> R
     ]  # fmt: skip
     return _parameter_table(
         session,
-        f"estimates_{_safe(flight.flight.name)}",
-        f"Estimates of {flight.flight.name}{_best(flight.verdict)}",
+        f"estimates_{_file_part(flight.flight.name)}",
+        f"Estimates of {flight.flight.name}{_recommended_method(flight.verdict)}",
         next(iter(flight.results.values())).parameters,
         {method: _fitted(result) for method, result in flight.results.items()},
         ("estimate", "bound", "corrected"),
@@ -107,7 +107,7 @@ def joint_table(session: "EstimationSession") -> ReportTable | None:
     return _parameter_table(
         session,
         "estimates_joint",
-        f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
+        f"Joint estimate over {len(session.flights)} flights{_recommended_method(session.verdict)}",
         next(iter(session.joint.values())).parameters,
         {method: _fitted(result) for method, result in session.joint.items()},
         ("estimate", "bound", "corrected"),
@@ -117,7 +117,7 @@ def joint_table(session: "EstimationSession") -> ReportTable | None:
     )
 
 
-def _best(verdict: "Verdict | None") -> str:
+def _recommended_method(verdict: "Verdict | None") -> str:
     """The recommended method, for a caption: heads are names of columns in CSV, which stay as they are."""
     return "" if verdict is None else f" (recommended: {verdict.recommended.method})"
 
@@ -134,7 +134,7 @@ def mean_table(session: "EstimationSession") -> ReportTable | None:
 
     def cells(method: str, name: str) -> list[str]:
         s = session.mean[method].get(name)
-        return [CANNOT_TELL, "", "", ""] if s is None else [*_to_bound(s.mean, s.std, s.bound), str(s.count)]
+        return [CANNOT_TELL, "", "", ""] if s is None else [*_bound_cells(s.mean, s.std, s.bound), str(s.count)]
 
     paper = [
         (f"{m} (published)", ("mean", "scatter"), _published(partial(published.mean, m)))
@@ -220,25 +220,25 @@ def _fit_cells(fit: object) -> list[str]:
     )
 
 
-def _before(session: "EstimationSession", name: str) -> list[str]:
+def _belief_cells(session: "EstimationSession", name: str) -> list[str]:
     parameter = session.model.parameter(name)
     if parameter.reference is None:
         return ["", ""]
     return [number(parameter.reference), parameter.reference_source.replace("engineering estimate", "guess")]
 
 
-def _three(e: "Estimate | None") -> list[str]:
+def _estimate_cells(e: "Estimate | None") -> list[str]:
     if e is None:
         return ["", "", ""]
-    cells = _to_bound(e.estimate, e.std, e.std_coloured)
+    cells = _bound_cells(e.estimate, e.std, e.std_coloured)
     return cells if e.identifiable else [*cells[:2], CANNOT_TELL]
 
 
-def _to_bound(value: float, other: float, bound: float) -> list[str]:
+def _bound_cells(value: float, other: float, bound: float) -> list[str]:
     """Value, another spread and the bound to be believed: the value to the second figure of that bound."""
     text, bound_text = rounded(value, bound)
     return [text, rounded(other, other)[1], bound_text]
 
 
-def _safe(name: str) -> str:
+def _file_part(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)

@@ -45,7 +45,7 @@ def flight_card(flights: Sequence["Flight"], aircraft: "Aircraft | None" = None)
         "flight_card",
         "Aircraft, speeds, height, weather and configuration",
         HEAD,
-        tuple(_row(f, aircraft or _own(f)) for f in flights),
+        tuple(_row(f, aircraft or _aircraft_of_flight(f)) for f in flights),
         symbols=False,
         texts=(12,),
         note="Speeds, heights and angles: median (lowest to highest) over the samples used. Mass and CG: as in the aircraft's "
@@ -53,7 +53,7 @@ def flight_card(flights: Sequence["Flight"], aircraft: "Aircraft | None" = None)
     )
 
 
-def _own(flight: "Flight") -> "Aircraft | None":
+def _aircraft_of_flight(flight: "Flight") -> "Aircraft | None":
     try:
         return aircraft_of([flight])
     except AircraftError:
@@ -86,25 +86,25 @@ def _date(flight: "Flight") -> str:
     return datetime.fromtimestamp(offset + float(flight.time[0]), UTC).strftime("%Y-%m-%d %H:%M")
 
 
-def _known(flight: "Flight", column: str) -> Array:
+def _finite_values(flight: "Flight", column: str) -> Array:
     values = flight[column] if flight.measured(column) else np.zeros(0)
     return values[np.isfinite(values)]
 
 
 def _median(flight: "Flight", column: str, factor: float, shift: float = 0.0) -> float | None:
-    values = _known(flight, column)
+    values = _finite_values(flight, column)
     return factor * float(np.median(values)) + shift if values.size else None
 
 
 def _range(flight: "Flight", column: str, factor: float, digits: int) -> str:
-    values = factor * _known(flight, column)
+    values = factor * _finite_values(flight, column)
     if not values.size:
         return ""
     return f"{np.median(values):.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
 
 
 def _surfaces(flight: "Flight") -> str:
-    deflections = [float(np.degrees(_known(flight, s).std())) if flight.measured(s) else None for s in SURFACES]
+    deflections = [float(np.degrees(_finite_values(flight, s).std())) if flight.measured(s) else None for s in SURFACES]
     return (
         " / ".join("–" if m is None else f"{m:.1f}" for m in deflections)
         if any(m is not None for m in deflections)

@@ -11,7 +11,7 @@ from estimation.report import published
 from estimation.report.drawing.figures import Picture, file_picture
 from estimation.report.estimate_tables import match_table
 from estimation.report.page import MARK, Page, Section, box, bullets, link_back, paragraph
-from estimation.report.tables import CANNOT_TELL, ReportTable, number, pair, rounded, significant
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant, value_and_bound
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 PAGES = (
@@ -171,7 +171,7 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
                 _pair(source[method]["parameters"].get(name)) if source else _mean_pair(data["mean"][method].get(name))
             )
         if truth:
-            row += [number(truth.get(name)), _off(source, methods, name, truth.get(name))]
+            row += [number(truth.get(name)), _error_in_bounds(source, methods, name, truth.get(name))]
         if ours:
             published_mean = published.mean("ml", name)
             row += [
@@ -208,7 +208,7 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
     )
 
 
-def _off(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
+def _error_in_bounds(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
     """How far the first method's joint estimate is from the truth, in its bounds."""
     entry = source[methods[0]]["parameters"].get(name) if source else None
     if true is None or entry is None or name.endswith("_0") or not entry["identifiable"] or not entry["std_coloured"]:
@@ -220,12 +220,12 @@ def _pair(entry: dict[str, Any] | None) -> list[str]:
     if entry is None:
         return ["", ""]
     if not entry["identifiable"]:
-        return [pair(entry["estimate"], entry["std_coloured"])[0], CANNOT_TELL]
-    return pair(entry["estimate"], entry["std_coloured"])
+        return [value_and_bound(entry["estimate"], entry["std_coloured"])[0], CANNOT_TELL]
+    return value_and_bound(entry["estimate"], entry["std_coloured"])
 
 
 def _mean_pair(entry: dict[str, Any] | None) -> list[str]:
-    return ["", ""] if entry is None else pair(entry["mean"], entry["std"])
+    return ["", ""] if entry is None else value_and_bound(entry["mean"], entry["std"])
 
 
 def _match(data: dict[str, Any] | None) -> ReportTable | None:
@@ -280,7 +280,7 @@ def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Report
         verdict = "named" if step["effect"] == hidden["name"] else f"among those that {step['effect']} stands for"
     rows = []
     for name, (value, unit) in hidden["parameters"].items():
-        estimate, bound = pair(
+        estimate, bound = value_and_bound(
             *((parameters[name]["estimate"], parameters[name]["std"]) if name in parameters else (None, None))
         )
         rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", verdict))

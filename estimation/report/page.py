@@ -16,7 +16,7 @@ from daq.contract.durable import write_text
 from daq.contract.plain_words import printed
 from estimation.report.drawing.figures import Picture
 from estimation.report.names import html as symbol
-from estimation.report.tables import ReportTable, label, needs_width, pieces, words
+from estimation.report.tables import ReportTable, cell_label, needs_width, table_slices, word_columns
 
 HERE = Path(__file__).parent
 FRONT = "index.html"
@@ -74,9 +74,9 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters.update(symbol=symbol, pieces=pieces, words=words, breakable=breakable)
+        environment.filters.update(symbol=symbol, pieces=table_slices, words=word_columns, breakable=breakable)
         environment.tests.update(report_table=_is_table, picture=_is_picture)
-        environment.globals["label"] = label
+        environment.globals["label"] = cell_label
         return environment.get_template("page.html.j2").render(
             page=self,
             links=[*((f"#{s.anchor}", s.link) for s in self.shown() if s.link), *self.links],

@@ -46,13 +46,18 @@ class ReportTable:
 
     def latex(self) -> str:
         """A booktabs tabular with its caption."""
-        lines = [r"\begin{table}", r"\centering", rf"\caption{{{_plain(self.caption)}}}", rf"\label{{tab:{self.name}}}"]
+        lines = [
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{_latex_text(self.caption)}}}",
+            rf"\label{{tab:{self.name}}}",
+        ]
         lines += [rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule"]
         if self.groups:
-            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_plain(g)}}}" for g, n in self.groups) + r" \\")
-        lines += [" & ".join(_plain(h) for h in self.head) + r" \\", r"\midrule"]
+            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_latex_text(g)}}}" for g, n in self.groups) + r" \\")
+        lines += [" & ".join(_latex_text(h) for h in self.head) + r" \\", r"\midrule"]
         for row in self.rows:
-            first = f"${tex(row[0])}$" if self.symbols else _plain(row[0])
+            first = f"${tex(row[0])}$" if self.symbols else _latex_text(row[0])
             lines.append(" & ".join([first, *self._latex_cells(row)]) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
@@ -67,8 +72,8 @@ class ReportTable:
             if span > 1 and group and group[-1] == CANNOT_TELL:
                 cells.append(rf"\multicolumn{{{span}}}{{c}}{{{CANNOT_TELL}}}")
             else:
-                cells += [_plain(c) for c in group]
-        return [*cells, *(_plain(c) for c in row[position:])]
+                cells += [_latex_text(c) for c in group]
+        return [*cells, *(_latex_text(c) for c in row[position:])]
 
 
 def _no_formula(cell: str) -> str:
@@ -84,7 +89,7 @@ _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
 }  # fmt: skip
 
 
-def _plain(text: str) -> str:
+def _latex_text(text: str) -> str:
     return "".join(_ESCAPES.get(c, c) for c in visible(text))
 
 
@@ -114,7 +119,7 @@ def _unsigned_zero(text: str) -> str:
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
 
-def pair(value: float | None, bound: float | None) -> list[str]:
+def value_and_bound(value: float | None, bound: float | None) -> list[str]:
     """Two cells: a value and its bound, both to the second figure of the bound; empty where they are not there."""
     return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
 
@@ -149,7 +154,7 @@ class TableSlice:
     short: bool
 
 
-def width(table: ReportTable, columns: Sequence[int], *, small: bool = False) -> float:
+def table_width(table: ReportTable, columns: Sequence[int], *, small: bool = False) -> float:
     """Width of some columns of a table [CSS pixels]."""
     letter, margin = (SMALL_LETTER, SMALL_MARGIN) if small else (LETTER, MARGIN)
     return sum(letter * _letters(table, c) + margin for c in columns)
@@ -162,17 +167,17 @@ def _letters(table: ReportTable, column: int) -> int:
     return max(longest_word, *(len(row[column]) for row in table.rows), 1)
 
 
-def pieces(table: ReportTable) -> list[TableSlice]:
+def table_slices(table: ReportTable) -> list[TableSlice]:
     """The table in as few pieces as fit the sheet; one that has no groups stays whole."""
     columns = tuple(range(len(table.head)))
     groups = _spans(table)
-    if width(table, columns) <= SHEET or len(groups) < 3:
+    if table_width(table, columns) <= SHEET or len(groups) < 3:
         return [_piece(table, groups)]
     first, rest = groups[0], groups[1:]
     parts: list[list[tuple[str, tuple[int, ...]]]] = [[]]
     for group in rest:
         columns_together = [c for _, span in (first, *parts[-1], group) for c in span]
-        if parts[-1] and width(table, columns_together, small=True) > SHEET:
+        if parts[-1] and table_width(table, columns_together, small=True) > SHEET:
             parts.append([])
         parts[-1].append(group)
     return [_piece(table, [first, *part]) for part in parts]
@@ -192,10 +197,10 @@ def _spans(table: ReportTable) -> list[tuple[str, tuple[int, ...]]]:
 def _piece(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) -> TableSlice:
     columns = tuple(c for _, span in groups for c in span)
     named_groups = tuple((label, len(span)) for label, span in groups) if table.groups else ()
-    return TableSlice(columns, named_groups, width(table, columns) > SHEET, len(table.rows) <= SHORT)
+    return TableSlice(columns, named_groups, table_width(table, columns) > SHEET, len(table.rows) <= SHORT)
 
 
-def words(table: ReportTable) -> frozenset[int]:
+def word_columns(table: ReportTable) -> frozenset[int]:
     """Columns that hold no number: they are read from the left."""
     return frozenset(
         c
@@ -209,7 +214,7 @@ def _without_words(table: ReportTable) -> frozenset[int]:
     return frozenset(c for c in range(len(table.head)) if {row[c] for row in table.rows} <= {"", CANNOT_TELL})
 
 
-def label(table: ReportTable, column: int) -> str:
+def cell_label(table: ReportTable, column: int) -> str:
     """What a cell is called where the head of its table is not in sight: group and head."""
     group_label = next((g for g, span in _spans(table) if column in span), "")
     return f"{group_label} {table.head[column]}".strip()
@@ -217,4 +222,4 @@ def label(table: ReportTable, column: int) -> str:
 
 def needs_width(tables: Iterable[ReportTable]) -> bool:
     """Whether any of the tables of a page is better printed across."""
-    return any(width(t, p.columns, small=p.wide) > PORTRAIT for t in tables for p in pieces(t))
+    return any(table_width(t, p.columns, small=p.wide) > PORTRAIT for t in tables for p in table_slices(t))

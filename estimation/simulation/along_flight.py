@@ -49,7 +49,7 @@ class Along:
     unmeasured: tuple[str, ...]
 
 
-def along(
+def simulate_along(
     simulation: Simulation,
     plain: Model,
     flights: Sequence[Flight],
@@ -71,7 +71,7 @@ def along(
     for i, flight in enumerate(flights):
         states, usable, unmeasured = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation)
         absent &= unmeasured
-        base_values, by_variable = _asked(simulation, states, coefficients, variables)
+        base_values, by_variable = _asked_around(simulation, states, coefficients, variables)
         flight_answers.append((states, usable, base_values))
         slopes.append(by_variable)
     if names is None:
@@ -79,14 +79,16 @@ def along(
         names = (*slope_names, *(column_name(c) for c in coefficients))
     columns = []
     for (states, usable, base_values), flight_slopes in zip(flight_answers, slopes, strict=True):
-        table = {n: _placed(flight_slopes[n], usable) for n in names if n in flight_slopes}
+        table = {n: _placed_in_flight(flight_slopes[n], usable) for n in names if n in flight_slopes}
         for k, c in enumerate(coefficients):
             explained_parts = [
                 flight_slopes[column_name(c, v)] * _of_states(states, v)
                 for v in variables
                 if column_name(c, v) in table
             ]
-            table[column_name(c)] = _placed(base_values[:, k] - sum(explained_parts, np.zeros(len(states))), usable)
+            table[column_name(c)] = _placed_in_flight(
+                base_values[:, k] - sum(explained_parts, np.zeros(len(states))), usable
+            )
         columns.append(table)
     means = {
         (c, v): float(np.mean([np.mean(s[column_name(c, v)]) for s in slopes]))
@@ -175,13 +177,15 @@ def _course(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> Ar
     return np.nan_to_num(data.states[s, probe.state_names.index(name)])
 
 
-def _asked(
+def _asked_around(
     simulation: Simulation, states: States, wanted: Sequence[str], by: Sequence[str]
 ) -> tuple[Array, dict[str, Array]]:
     """(N, wanted) coefficients of one flight; column -> (N,) slopes."""
     steps = {v: STEPS.get(v) or SHARE * max(float(np.mean(np.abs(_of_states(states, v)))), 1.0) for v in by}
     shifted_states = [states, *(states.moved(v, sign * steps[v]) for v in by for sign in (1.0, -1.0))]
-    base_values, *shifted_values = np.split(_of(simulation, States.joined(shifted_states), wanted), len(shifted_states))
+    base_values, *shifted_values = np.split(
+        _coefficient_columns(simulation, States.joined(shifted_states), wanted), len(shifted_states)
+    )
     slopes = {
         column_name(c, v): (shifted_values[2 * j][:, k] - shifted_values[2 * j + 1][:, k]) / (2.0 * steps[v])
         for k, c in enumerate(wanted)
@@ -191,13 +195,13 @@ def _asked(
     return base_values, slopes
 
 
-def _placed(values: Array, usable: np.ndarray) -> Array:  # type: ignore[type-arg]
+def _placed_in_flight(values: Array, usable: np.ndarray) -> Array:  # type: ignore[type-arg]
     result = np.full(usable.size, np.nan)
     result[usable] = values
     return result
 
 
-def _of(simulation: Simulation, states: States, wanted: Sequence[str]) -> Array:
+def _coefficient_columns(simulation: Simulation, states: States, wanted: Sequence[str]) -> Array:
     """(N, wanted) coefficients, lift and drag turned out of body axes by the angle of attack."""
     body = simulation.oracle.coefficients(states)
     alpha = states.values["alpha"]

@@ -14,7 +14,7 @@ from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.models.load import load_model, read_model
-from estimation.simulation.along_flight import Along, along
+from estimation.simulation.along_flight import Along, simulate_along
 from estimation.simulation.autopilot.simulations import ARDUPILOT, GAZEBO, ardupilot_simulation, gazebo_simulation
 from estimation.simulation.base_model import Free, base_model
 from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
@@ -85,17 +85,17 @@ def attach(
     if simulation.referred is not None:
         simulation = replace(simulation, oracle=simulation.referred(craft))
     if which in BUILDERS:
-        along_flights = along(simulation, load_model(which, craft), flights)
+        along_flights = simulate_along(simulation, load_model(which, craft), flights)
         model = base_model(simulation, which, craft, along_flights, free)
     else:
         model = _standing_on(which)
-        along_flights = along(simulation, without_simulation(model), flights, names=computed(model))
+        along_flights = simulate_along(simulation, without_simulation(model), flights, names=computed(model))
     return Attached(
         simulation, craft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
     )
 
 
-def renewed(attached: Attached, fitted: Model | None = None) -> Attached:
+def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attached:
     """The same with the simulation evaluated at the motion that `fitted` (by default the model as it stands) makes of each
     flight, instead of at the measured one.
 
@@ -103,20 +103,20 @@ def renewed(attached: Attached, fitted: Model | None = None) -> Attached:
     initial states are fitted and that does not converge, the measured motion stays. The means that derivatives begin at stay too.
     """
     motion_model = fitted or attached.model
-    along_flights = along(
+    along_flights = simulate_along(
         attached.simulation, without_simulation(attached.model), attached.flights,
         [_motion_of(motion_model, flight) for flight in attached.flights], names=computed(attached.model),
     )  # fmt: skip
     return replace(attached, flights=carrying(attached.flights, along_flights))
 
 
-def settled(attached: Attached) -> Attached:
+def motion_settled(attached: Attached) -> Attached:
     """The same with the simulation at the motion that the model predicts with it, renewed until that motion stays where it is."""
     old_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
     for _ in range(MOST):
-        attached = renewed(attached)
+        attached = renewed_attachment(attached)
         new_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
-        if all(_same(old_motion, two) for old_motion, two in zip(old_motions, new_motions, strict=True)):
+        if all(_same_motion(old_motion, two) for old_motion, two in zip(old_motions, new_motions, strict=True)):
             break
         old_motions = new_motions
     return attached
@@ -129,7 +129,7 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
             first = output_error(attached.model, attached.flights)
     except (UserError, NumericalFailure):
         return attached
-    return renewed(attached, first.fitted_model) if first.converged else attached
+    return renewed_attachment(attached, first.fitted_model) if first.converged else attached
 
 
 def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
@@ -153,12 +153,12 @@ def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str |
 def without_simulation(model: Model) -> Model:
     """A model with nothing for coefficients: it decides which variables are known and which columns a flight must have."""
     inputs = tuple(s for s in model.inputs if not s.computed)
-    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _lines(model) else f"{n} = {text}"
+    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _coefficient_lines(model) else f"{n} = {text}"
                for n, text in model.definitions.items()]  # fmt: skip
     return replace(model, inputs=inputs, equations=tuple(zero_lines))
 
 
-def _lines(model: Model) -> tuple[str, ...]:
+def _coefficient_lines(model: Model) -> tuple[str, ...]:
     return tuple(c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions)
 
 
@@ -201,7 +201,7 @@ def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
     return {n: model_outputs[n] for n in model.state_names if n in VARIABLES and n in model_outputs}
 
 
-def _same(before: Mapping[str, Array], after: Mapping[str, Array]) -> bool:
+def _same_motion(before: Mapping[str, Array], after: Mapping[str, Array]) -> bool:
     return before.keys() == after.keys() and all(
         np.nanstd(after[n] - before[n]) <= SETTLED * np.nanstd(after[n]) for n in after
     )

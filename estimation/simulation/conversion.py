@@ -21,11 +21,11 @@ from estimation.simulation.jsbsim.as_text import (
     Imported,
     StandardTroposphere,
     arm_of,
-    imported,
+    import_aircraft,
 )
 from estimation.simulation.jsbsim.export import JsbsimExport, export_aircraft
 from estimation.simulation.jsbsim.increments import simulation_named
-from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aerodynamics_of, aircraft_file, known
+from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aerodynamics_of, aircraft_file, knows_property
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from estimation.simulation.own_simulations import TextOracle
 from estimation.simulation.proof import ExportProof, proof_of
@@ -47,7 +47,7 @@ class ProvedExport:
             return (
                 "proof: flown by JSBSim, the aircraft stays within a tenth of sensor noise of the model in every output"
             )
-        output = _worst(self.proof, self.proof.rms, self.proof.failed)
+        output = _worst_output(self.proof, self.proof.rms, self.proof.failed)
         return (
             f"proof failed: flown by JSBSim, {output} differs from the model by {self.proof.rms[output]:.3g} rms, allowed are"
             f" {self.proof.allowed[output]:.3g}; do not use the aircraft, and look at what the model has that no aircraft can"
@@ -56,7 +56,7 @@ class ProvedExport:
     def of_the_steps(self) -> str:
         """What JSBSim's steps alone do at the rate, in one sentence."""
         proof = self.proof
-        output = _worst(proof, proof.steps, tuple(proof.steps))
+        output = _worst_output(proof, proof.steps, tuple(proof.steps))
         step_note = f"its steps alone put {output} off by {proof.steps[output]:.2g} rms in the same flight"
         if proof.steps[output] <= proof.allowed[output]:
             return f"at {self.rate:g} Hz {step_note}, within what is allowed"
@@ -66,7 +66,7 @@ class ProvedExport:
         )
 
 
-def _worst(proof: ExportProof, off: Mapping[str, float], among: tuple[str, ...]) -> str:
+def _worst_output(proof: ExportProof, off: Mapping[str, float], among: tuple[str, ...]) -> str:
     return max(among, key=lambda n: off[n] / proof.allowed[n])
 
 
@@ -181,7 +181,7 @@ def imported_exactly(spec: str) -> ProvedImport:
         simulation.name, simulation.spec, craft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
         oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _asking(oracle, states),
     )  # fmt: skip
-    imported_model = imported(source)
+    imported_model = import_aircraft(source)
     text, jsbsim_values = compared(oracle, TextOracle(imported_model.model), states)
     size = np.maximum(np.abs(jsbsim_values).max(axis=0), 1e-300)
     deviation = dict(zip(COEFFICIENTS, (np.abs(text - jsbsim_values).max(axis=0) / size).tolist(), strict=True))
@@ -226,7 +226,7 @@ def _asking(oracle: JsbsimOracle, states: States) -> Callable[[str], list[float]
     """What a property is at several states; None where JSBSim does not know it."""
 
     def asked(name: str) -> list[float] | None:
-        if not known(oracle.fdm, name):
+        if not knows_property(oracle.fdm, name):
             return None
         values = []
         for i in range(4):

@@ -10,10 +10,10 @@ from estimation.engine.data import FlightData, Preparation, Segment, prepare
 from estimation.engine.simulate import Simulator, simulate
 from estimation.engine.trace import trace
 from estimation.models.base import Model
-from estimation.simulation.along_flight import MOMENTS, along, column_name
+from estimation.simulation.along_flight import MOMENTS, column_name, simulate_along
 from estimation.simulation.attach import carrying, computed, without_simulation
 from estimation.simulation.jsbsim.export import Written
-from estimation.simulation.jsbsim.flying import flown
+from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.increments import Increments
 from estimation.simulation.oracle import ALPHA_RATE, Array, Simulation
 from groundstation.flight import Flight
@@ -31,7 +31,7 @@ from groundstation.flight import Flight
 UNIT = 1.0  # of a filter's state: its rate is linear in it, so that any step gives its slope
 
 
-def stepped(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...]) -> Array:
+def step_model(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...]) -> Array:
     """(samples, ny) what a model shows that is moved by JSBSim's steps, one a sample, from x0 (nx,); NaN outside segments.
 
     filters: its states of the form x_dot = (input - x)/tau, which JSBSim has in its flight control. The flight begins steady: the
@@ -44,11 +44,11 @@ def stepped(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...])
     filtered = [model.state_names.index(n) for n in filters]
     for segment in data.segments:
         u = simulator.drive(segment, values, False).u
-        outputs[segment.first : segment.first + len(segment)] = _moved(model, segment, u, p, x0, filtered)
+        outputs[segment.first : segment.first + len(segment)] = _step_motion(model, segment, u, p, x0, filtered)
     return outputs
 
 
-def _moved(model: Model, segment: Segment, u: Array, p: Array, x0: Array, filtered: list[int]) -> Array:
+def _step_motion(model: Model, segment: Segment, u: Array, p: Array, x0: Array, filtered: list[int]) -> Array:
     """(N, ny) outputs of one segment with inputs u (N, nu)."""
     functions = trace(model.structure)
 
@@ -111,8 +111,8 @@ def proof_of(source: Path, simulation: Simulation, made: Written, found: Increme
     """Fly the written aircraft and the model side by side. Raises SimulationError where there is nothing to fly."""
     values = found.physical.starts()
     plays = {t.input: abs(values[t.parameters[0]]) for t in found.transforms if t.kind == "backlash"}
-    flight = flown(source, made.root, any(t.startswith("fcs/") for t in made.terms), rate, plays)
-    model_motions = moved(simulation, found.physical, flight, found.states)
+    flight = fly_aircraft(source, made.root, any(t.startswith("fcs/") for t in made.terms), rate, plays)
+    model_motions = move_model(simulation, found.physical, flight, found.states)
     names = [n for n in found.physical.output_names if n in NOISE]
     column = {n: found.physical.output_names.index(n) for n in names}
     rms = {n: _rms(model_motions.stepped[:, c] - flight[n]) for n, c in column.items()}
@@ -128,15 +128,17 @@ class SteppedMotion:
     exact: Array
 
 
-def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
+def move_model(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
     """A model on a simulation over a flight without noise, from its first state on. filters: its states that are lag filters in
     JSBSim."""
-    along_flight = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
+    along_flight = simulate_along(
+        simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model)
+    )
     (carrying_flight,) = carrying([flight], along_flight)
     x0 = _start(model, flight)
     as_read = prepare(model, _with_the_rate_told(carrying_flight), AS_IT_IS)
     exact = simulate(model, prepare(model, carrying_flight, AS_IT_IS), x0=x0, substeps=1)
-    return SteppedMotion(stepped(model, as_read, x0, filters), exact)
+    return SteppedMotion(step_model(model, as_read, x0, filters), exact)
 
 
 def _with_the_rate_told(flight: Flight) -> Flight:

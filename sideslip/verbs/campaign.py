@@ -139,7 +139,7 @@ def _page(outcome: "CampaignOutcome", plan: "CampaignPlan", folder: Path) -> Pat
 
 
 def _say(outcome: "CampaignOutcome", out: Path, page: Path | None, wall_s: float) -> None:
-    from estimation.campaign.groups import told
+    from estimation.campaign.groups import claims_of
 
     click.echo(
         f"{outcome.flights} flights: {outcome.done} estimated, {len(outcome.failed)} not"
@@ -151,7 +151,7 @@ def _say(outcome: "CampaignOutcome", out: Path, page: Path | None, wall_s: float
         click.echo(f"  left out: {flight}: the same bytes as {same_flight}")
     for path in outcome.damaged:
         click.echo(f"  set aside: {path}: cannot be read; its flights were done again")
-    for row in told(outcome.groups)[:SHOWN]:
+    for row in claims_of(outcome.groups)[:SHOWN]:
         click.echo(f"  {row['text']}")
     click.echo(f"results: {out / 'results'}, groups: {out / 'groups'}, manifest: {out / 'manifest.json'}")
     if page is not None:

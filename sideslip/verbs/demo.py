@@ -139,10 +139,10 @@ def _demo_flight(name: str, out: Path) -> Path:
     lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
     agree = "air and ground agree" if chain_flight.agreed else "air and ground DO NOT agree"
     click.echo(f"{name}: {s['scans_received']} scans came down, {lost_scans} lost on the radio; after backfill {agree}")
-    return _named(chain_flight.onboard, out, name)
+    return _named_copy(chain_flight.onboard, out, name)
 
 
-def _named(flight: Path, out: Path, name: str) -> Path:
+def _named_copy(flight: Path, out: Path, name: str) -> Path:
     """The flight under a name of its own in one folder, where a person looks for it."""
     import shutil
 
@@ -162,5 +162,5 @@ def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
     for number, (scenario, seed) in enumerate(CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
         with Progress(f"flying hidden_{number}") as bar:
             chain_flight = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
-        paths.append(_named(chain_flight.onboard, out, f"hidden_{number}"))
+        paths.append(_named_copy(chain_flight.onboard, out, f"hidden_{number}"))
     return paths[:-1], paths[-1]

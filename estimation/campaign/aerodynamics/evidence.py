@@ -68,7 +68,7 @@ def information(wide: Model, data: Sequence[FlightData], result: Result, simulat
     return PooledInformation(names, M, g)
 
 
-def grown(found: PooledInformation, active: Sequence[str], tried: Sequence[str], most: int) -> list[TermGain]:
+def terms_that_gain(found: PooledInformation, active: Sequence[str], tried: Sequence[str], most: int) -> list[TermGain]:
     """Terms taken one after the other, the one with the largest held-out gain first, while it is clear of chance.
 
     active: parameters that stand; tried: candidates, of several that do as well the first is taken; most: terms at most.
@@ -99,7 +99,7 @@ def grown(found: PooledInformation, active: Sequence[str], tried: Sequence[str],
     return gains_in_order
 
 
-def superfluous(found: PooledInformation, active: Sequence[str], taken: Mapping[str, float]) -> list[str]:
+def superfluous_terms(found: PooledInformation, active: Sequence[str], taken: Mapping[str, float]) -> list[str]:
     """Terms among `taken` (with their estimates) without which flights held out are not clearly worse predicted, by what stands
     beside them now."""
     M, g = _folds(found)

@@ -104,26 +104,26 @@ def spline_columns(x: Array) -> Array:
     return columns
 
 
-def larger(form: PolynomialForm, changed: NDArray[np.bool_]) -> Iterator[PolynomialForm]:
+def larger_forms(form: PolynomialForm, changed: NDArray[np.bool_]) -> Iterator[PolynomialForm]:
     """Forms with one thing more: a next power, a product of two conditions that stand already, a spline on a line."""
     have = set(form.powers)
     for c in np.flatnonzero(changed).tolist():
         highest = max(p[c] for p in form.powers if sum(p) == p[c])
         if highest < MOST_POWER and c not in form.splines:
-            yield replace(form, powers=(*form.powers, _alone(c, highest + 1)))
+            yield replace(form, powers=(*form.powers, _single_power(c, highest + 1)))
         if highest == 1 and c not in form.splines:
             yield replace(form, splines=(*form.splines, c))
         for second_condition in np.flatnonzero(changed[:c]).tolist():
             product = tuple(int(i in (c, second_condition)) for i in range(len(CONDITIONS)))
-            if highest and _alone(second_condition, 1) in have and product not in have:
+            if highest and _single_power(second_condition, 1) in have and product not in have:
                 yield replace(form, powers=(*form.powers, product))
 
 
-def _alone(condition: int, power: int) -> tuple[int, ...]:
+def _single_power(condition: int, power: int) -> tuple[int, ...]:
     return tuple(power if i == condition else 0 for i in range(len(CONDITIONS)))
 
 
-def flown(points: Array, flights: Array, axes: NDArray[np.intp]) -> NDArray[np.bool_]:
+def near_flights(points: Array, flights: Array, axes: NDArray[np.intp]) -> NDArray[np.bool_]:
     """(points,) whether a flight was near in each of the conditions `axes`; both scaled, (points, 4) and (flights, 4)."""
     if not axes.size:
         return np.ones(len(points), bool)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.campaign.aerodynamics.evidence import TermGain, grown, information, superfluous
+from estimation.campaign.aerodynamics.evidence import TermGain, information, superfluous_terms, terms_that_gain
 from estimation.campaign.aerodynamics.terms import (
     CENTRED,
     POWERS,
@@ -150,14 +150,14 @@ class _Fit:
         """Terms of `wave` that flights held out want beside those of the result."""
         pooled_information = information(self.wide, self.data, result, self.simulator)
         active = [n for n in pooled_information.names if n in result.parameters]
-        return grown(pooled_information, active, [t.name for t in wave if t.name not in active], most)
+        return terms_that_gain(pooled_information, active, [t.name for t in wave if t.name not in active], most)
 
     def needed(self, result: Result, gains: tuple[TermGain, ...]) -> tuple[TermGain, ...]:
         """Those that are still wanted beside all the others."""
         pooled_information = information(self.wide, self.data, result, self.simulator)
         active = [n for n in pooled_information.names if n in result.parameters]
-        superfluous_terms = superfluous(pooled_information, active, {g.name: result.values[g.name] for g in gains})
-        return tuple(g for g in gains if g.name not in superfluous_terms)
+        removed = superfluous_terms(pooled_information, active, {g.name: result.values[g.name] for g in gains})
+        return tuple(g for g in gains if g.name not in removed)
 
     def again(self, before: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
         """The joint fit with the terms that were taken, from where the last one ended."""

@@ -42,11 +42,11 @@ def joint_model_rows(results: "pa.Table", starts: Starts = MappingProxyType({}))
         outcome = "model over the envelope" if run["model_text"] else "no model over the envelope"
         text = f"{run['group']}: {outcome} ({run['method']}): {run['why']}"
         if run["model_text"]:
-            text += _mixed(Model.from_dict(tomllib.loads(run["model_text"])), run["group"], starts)
+            text += _mixed_sides_note(Model.from_dict(tomllib.loads(run["model_text"])), run["group"], starts)
         yield {"kind": "envelope", "group": run["group"], "method": run["method"], "text": text}
 
 
-def _mixed(model: Model, group: str, starts: Starts) -> str:
+def _mixed_sides_note(model: Model, group: str, starts: Starts) -> str:
     """A sentence on derivatives that a step moved, by whatever method it was seen; the model has one value for both sides."""
     derivative_names = set(derivatives_of(model))
     step_dates = {
@@ -76,7 +76,7 @@ def joint_rows(results: "pa.Table", curves: Sequence[Curves]) -> list[Row]:
     """Surfaces and curves of each derivative by the joint models, at the points of the pooled curves of the same group."""
     points = {group_curves.about["group"]: (group_curves.about, group_curves.envelope) for group_curves in curves}
     rows: list[Row] = []
-    for joint_model in _found(results):
+    for joint_model in _joint_models(results):
         if joint_model.about["group"] in points:
             group_columns, envelope = points[joint_model.about["group"]]
             rows += _rows(joint_model, {**group_columns, "method": joint_model.about["method"]}, envelope)
@@ -95,7 +95,7 @@ def _rows(found: JointModel, about: Row, envelope: PooledCurves) -> Iterator[Row
             "form": " + ".join(["1", *(f"{t.variable}^{t.power}" if t.power > 1 else t.variable for t in own_terms)]),
         }
         for condition, grid in points_of(envelope):
-            model_points = _where(grid, condition)
+            model_points = _model_points(grid, condition)
             value, std = curve(found.model, found.names, found.values, found.covariance, name, model_points)
             half = half_band(std, found.flights)
             for i, was_flown in enumerate(envelope.flown(grid)):
@@ -108,7 +108,7 @@ def _rows(found: JointModel, about: Row, envelope: PooledCurves) -> Iterator[Row
                 yield row
 
 
-def _where(points: Array, along: str) -> list[dict[str, float]]:
+def _model_points(points: Array, along: str) -> list[dict[str, float]]:
     """Values of the model's variables: sideslip is none but where it is what changes."""
     points_of_model = []
     for p in points:
@@ -127,7 +127,7 @@ def _runs(results: "pa.Table") -> list[Row]:
     return rows
 
 
-def _found(results: "pa.Table") -> Iterator[JointModel]:
+def _joint_models(results: "pa.Table") -> Iterator[JointModel]:
     import pyarrow.compute as pc
 
     for run in _runs(results):

@@ -22,10 +22,10 @@ ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
 def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
     """Name of a file without its ending -> XML, for each group, method and way of estimation; of what a step in time moved, the
     last side."""
-    last = {_of(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")}
+    last = {_identity(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")}
     sets: dict[tuple[str, str, str], dict[str, list[Row]]] = {}
     for r in database:
-        if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_of(r))):
+        if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_identity(r))):
             sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
     return {
         file_name("_".join(labels).replace(", ", "_").replace(" ", "_")): _xml(", ".join(labels), parameters)
@@ -33,7 +33,7 @@ def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
     }
 
 
-def _of(r: Row) -> tuple[str, str, str, str]:
+def _identity(r: Row) -> tuple[str, str, str, str]:
     return r["group"], r["method"], r["kind"], r["parameter"]
 
 
@@ -57,11 +57,11 @@ def _function(name: str, rows: Sequence[Row]) -> ET.Element:
     table = ET.SubElement(function, "table")
     ET.SubElement(table, "independentVar", lookup="row").text = ALPHA
     ET.SubElement(table, "independentVar", lookup="column").text = SPEED
-    ET.SubElement(table, "tableData").text = "\n" + "\n".join(_lines(alphas, speeds, value)) + "\n"
+    ET.SubElement(table, "tableData").text = "\n" + "\n".join(_table_lines(alphas, speeds, value)) + "\n"
     return function
 
 
-def _lines(alphas: Sequence[float], speeds: Sequence[float], value: Array) -> Iterator[str]:
+def _table_lines(alphas: Sequence[float], speeds: Sequence[float], value: Array) -> Iterator[str]:
     yield " ".join(f"{v / FOOT:.8g}" for v in speeds)
     for a, row in zip(alphas, value, strict=True):
         yield " ".join(f"{x:.8g}" for x in (a, *row))

@@ -131,7 +131,7 @@ def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> Mix
     ):  # towards nothing the likelihood grows flat long before it is there
         variances = reduced_variances
     tau2 = np.where(variances[:size] > LEAST, variances[:size], 0.0)
-    return _in_units(_at(data, design, tau2, variances[size:]), unit, design)
+    return _in_units(_fit_at(data, design, tau2, variances[size:]), unit, design)
 
 
 def predicted(found: MixedFit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
@@ -224,7 +224,7 @@ def _likelihood(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array
     return value, np.concatenate([between_slope, 0.5 * (sizes / smooth - (traces + squares) / smooth**2)])
 
 
-def _at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> MixedFit:
+def _fit_at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> MixedFit:
     S, W, _, _, inverse, b, residual = _solved(data, design, tau2, smooth)
     H = np.einsum("nkp,pq,nlq->nkl", design.X, inverse, design.X, optimize=True)
     used_freedom = np.einsum("nkl,nlk->k", W, H)

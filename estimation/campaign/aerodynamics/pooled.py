@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
-from estimation.campaign.aerodynamics.forms import CONSTANT, ConditionScale, PolynomialForm, flown, larger
+from estimation.campaign.aerodynamics.forms import CONSTANT, ConditionScale, PolynomialForm, larger_forms, near_flights
 from estimation.campaign.aerodynamics.mixed import MixedData, MixedDesign, MixedFit
 from groundstation.flight import Array
 
@@ -93,7 +93,7 @@ class PooledCurves:
         """(points,) whether one of the sound flights (of those in the mask `flights`) was near enough, in every condition that
         changed."""
         flight_conditions = self.x if flights is None else self.x[flights[self.sound]]
-        return flown(self.scale.scaled(conditions), flight_conditions, np.flatnonzero(self.scale.changed))
+        return near_flights(self.scale.scaled(conditions), flight_conditions, np.flatnonzero(self.scale.changed))
 
     def formula(self, parameter: int, shifts: Array | None = None) -> str | None:
         """An expression of alpha, V and delta_e for a model file, where the form has one. shifts: as of `columns`."""
@@ -170,7 +170,7 @@ def choose(data: MixedData, x: Array, changed: Mask, shifts: Array) -> Polynomia
     while True:
         scored_forms = [
             (form, form_scores)
-            for form in larger(best_form, changed)
+            for form in larger_forms(best_form, changed)
             if rows.sum() >= form.size + 2 * len(form.splines) + shifts.shape[1] + SPARE_FLIGHTS
             and (form_scores := _scores(known_data, form, known_conditions, known_shifts)) is not None
         ]

@@ -130,14 +130,14 @@ class _Statistics:
         A = np.einsum("nkp,nkq->pq", design.X, WX, optimize=True)
         A[np.diag_indices(count)] += [0.0 if p < 0 else 1.0 / fit.smooth[p] for p in design.penalty]
         self.to_b = np.linalg.solve(A, WX.reshape(-1, count).T)  # (p, flights k): coefficients from estimates
-        later_information = _after(self.W, places)
-        cross = _after(WX, places)
+        later_information = _sums_from(self.W, places)
+        cross = _sums_from(WX, places)
         information = later_information - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
         self.inverse = np.array([np.linalg.pinv(i, rcond=1e-9, hermitian=True) for i in information])
 
     def of(self, residual: Array) -> Array:
         """(draws, places) from (draws, flights, k) residuals."""
-        score = np.stack([_after(r, self.places) for r in np.einsum("nkl,dnl->dnk", self.W, residual)])
+        score = np.stack([_sums_from(r, self.places) for r in np.einsum("nkl,dnl->dnk", self.W, residual)])
         chi2: Array = np.einsum("dck,ckl,dcl->dc", score, self.inverse, score, optimize=True)
         return chi2
 
@@ -155,7 +155,7 @@ class _Statistics:
         return np.array(largest)
 
 
-def _after(values: Array, places: Index) -> Array:
+def _sums_from(values: Array, places: Index) -> Array:
     """(places, ...) sums over the flights from each place on, of (flights, ...)."""
     sums: Array = np.cumsum(values[::-1], axis=0)[::-1][places]
     return sums

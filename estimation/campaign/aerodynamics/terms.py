@@ -73,12 +73,14 @@ def candidates(model: Model, columns: Sequence[str]) -> tuple[ConditionTerm, ...
     controls = {s.name for s in model.inputs if s.control}
     names = derivatives_of(model)
     terms = [ConditionTerm(d, v, n) for v, powers in POWERS.items() if v in signals for n in powers for d in names]
-    terms += [ConditionTerm(d, v, n) for d in names for v in sorted(_beside(model, d) & controls) for n in OWN_CONTROL]
+    terms += [
+        ConditionTerm(d, v, n) for d in names for v in sorted(_symbols_beside(model, d) & controls) for n in OWN_CONTROL
+    ]
     existing_names = set(model.parameter_names) | set(model.constants)
     return tuple(dict.fromkeys(t for t in terms if t.name not in existing_names))
 
 
-def _beside(model: Model, parameter: str) -> set[str]:
+def _symbols_beside(model: Model, parameter: str) -> set[str]:
     """Symbols that stand in a product with the parameter."""
     factor_sets = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
     return set().union(*factor_sets)

@@ -65,12 +65,12 @@ def write_flight_pages(
         troubled = bool(words) or any(r["kind"] == "run" and r["status"] != "ok" for r in rows)
         page = _page_name(first) if len(flights) <= MOST_PAGES or troubled else ""
         if page:
-            _write(pages / page, rows, first, words, _beside(pooled, first["date"] or ""), keys)
+            _write(pages / page, rows, first, words, _pooled_beside(pooled, first["date"] or ""), keys)
         entries.append(_entry(first, rows, page, len(words), keys))
     return entries
 
 
-def _beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
+def _pooled_beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
     """Group, method, parameter -> the pooled value that a flight of a date is held against: that of its side of a step."""
     return {
         (r["group"], r["method"], r["parameter"]): r

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from estimation.campaign.groups import told
+from estimation.campaign.groups import claims_of
 from estimation.campaign.pages.figures import bounds_figure, envelope_figure, scatter_figure, trend_figures
 from estimation.campaign.pages.flights import flight_list, write_flight_pages
 from estimation.campaign.pages.points import points_of
@@ -24,7 +24,7 @@ SHOWN = 60  # sentences: the tables hold all
 
 def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Path) -> Path:
     """Write folder/index.html with everything inside, its tables as CSV and LaTeX in folder/tables, and folder/flights."""
-    claims = [r["text"] for r in told(outcome.groups)]
+    claims = [r["text"] for r in claims_of(outcome.groups)]
     failures = failed_table(outcome.failed)
     flights = write_flight_pages(outcome.results, outcome.groups, plan.groups, folder)
     points = {
@@ -41,7 +41,7 @@ def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Pa
     scatter = [scatter_figure(method, estimate_points, outcome.groups) for method, estimate_points in points.items()]
     sections = [
         Section("", "", [_status_box(outcome)]),
-        Section("found", "Found", _found(claims, outcome.groups), "Found"),
+        Section("found", "Found", _found_parts(claims, outcome.groups), "Found"),
         Section("pooled", "Pooled estimates", [*pooled, *bounds], "Pooled"),
         Section("scatter", "Every flight", scatter, "Scatter"),
         Section("trends", "Trends over conditions", trends, "Trends"),
@@ -70,7 +70,7 @@ def _status_box(outcome: CampaignOutcome) -> Markup:
     return box([paragraph(counts)], warn=bool(outcome.failed))
 
 
-def _found(claims: Sequence[str], groups: Sequence[Row]) -> list[Part]:
+def _found_parts(claims: Sequence[str], groups: Sequence[Row]) -> list[Part]:
     """What a person must read first, and what could have been found."""
     parts: list[Part] = [paragraph("No outlier, no step in time and no difference between groups was found.")]
     if claims:

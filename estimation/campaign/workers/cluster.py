@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from estimation.campaign.tasks import CampaignError, Finished, Row, Work
 from estimation.campaign.workers.in_process import ended_after, overdue_text
-from estimation.campaign.workers.work import OtherSoftwareError, do, failed
+from estimation.campaign.workers.work import OtherSoftwareError, do_work, failed_rows
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -112,7 +112,7 @@ class Cluster:
         for work in condemned:
             yield from self._window(iter([work]), 1, "-alone", condemned_twice)
         for work in condemned_twice:
-            yield Finished(work, failed(work, _condemned_text(work)), attempts=4)
+            yield Finished(work, failed_rows(work, _condemned_text(work)), attempts=4)
 
     def _window(
         self, works: Iterator[Work], most: int, suffix: str, condemned: list[Work]
@@ -162,7 +162,7 @@ class Cluster:
 
         if work.identity in self._overdue and not future.done():
             future.cancel(force=True)
-            return failed(work, overdue_text(work.name, work.limit_s))
+            return failed_rows(work, overdue_text(work.name, work.limit_s))
         if future.status == "finished":
             rows: list[Row] = future.result()
             return rows
@@ -173,7 +173,7 @@ class Cluster:
             raise error
         if isinstance(error, KilledWorker):
             return None
-        return failed(work, f"{work.name}: {type(error).__name__}: {error}; the engine could not run it")
+        return failed_rows(work, f"{work.name}: {type(error).__name__}: {error}; the engine could not run it")
 
     def _lost(self) -> bool:
         """Whether there has been no scheduler, or no worker, for LOST_S."""
@@ -210,7 +210,7 @@ def watched(work: Work) -> list[Row]:
 
     worker = get_worker()
     with ended_after(work.limit_s, lambda: worker.log_event(OVERDUE, work.identity)):
-        return do(work)
+        return do_work(work)
 
 
 def _connected(client: "type[Client]", address: str) -> "Client":

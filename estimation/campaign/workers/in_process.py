@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any
 
 from estimation.campaign.tasks import Finished, OverdueError, Work
-from estimation.campaign.workers.work import do, failed
+from estimation.campaign.workers.work import do_work, failed_rows
 
 GRACE_S = 3.0
 """Between saying that work is overdue and ending the process: the word must leave it first."""
@@ -77,9 +77,9 @@ class SerialEngine:
         for work in works:
             try:
                 with interrupted_after(work.limit_s, work.name):
-                    rows = do(work)
+                    rows = do_work(work)
             except OverdueError as error:
-                rows = failed(work, str(error))
+                rows = failed_rows(work, str(error))
             yield Finished(work, rows)
 
     def close(self) -> None:

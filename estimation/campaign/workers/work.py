@@ -28,19 +28,21 @@ class OtherSoftwareError(UserError):
     """A worker whose libraries are not those of the client: its numbers would be of another campaign."""
 
 
-def do(work: Work) -> list[Row]:
+def do_work(work: Work) -> list[Row]:
     """All rows of a piece of work. OtherSoftwareError where this process is not fit for it; nothing else is raised."""
     _refuse_other_software(work.versions)
     try:
         with one_thread():
             return list(_KINDS[work.kind](work))
     except UserError as error:
-        return failed(work, str(error))
+        return failed_rows(work, str(error))
     except Exception as error:  # noqa: BLE001  the edge of a worker: one flight is never the end of a campaign
-        return failed(work, f"{work.name}: {type(error).__name__}: {error}; a mistake of the program or of own code")
+        return failed_rows(
+            work, f"{work.name}: {type(error).__name__}: {error}; a mistake of the program or of own code"
+        )
 
 
-def failed(work: Work, why: str) -> list[Row]:
+def failed_rows(work: Work, why: str) -> list[Row]:
     """A row for each piece that says why it has no result."""
     return [_run_row(work, piece, FAILED, why) for piece in work.pieces]
 

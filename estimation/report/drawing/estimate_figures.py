@@ -62,10 +62,10 @@ def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
             (x, e) for x, e in placed_estimates if e is not None and e.identifiable and np.isfinite(e.std_coloured)
         ]
         if identifiable:
-            places, estimates = [x for x, _ in identifiable], [e.estimate for _, e in identifiable]
+            across, estimates = [x for x, _ in identifiable], [e.estimate for _, e in identifiable]
             bounds, style = [e.std_coloured for _, e in identifiable], look(method)
             errorbar = {"fmt": style.marker, "color": style.colour, "ms": 3.6, "lw": 0.9, "capsize": 1.8}
-            axis.errorbar(places, estimates, bounds, label=method, **errorbar)
+            axis.errorbar(across, estimates, bounds, label=method, **errorbar)
     labels = [f.flight.name.removeprefix("cdfp_") for f in session.flights]
     count = len(labels)
     joint = session.leading

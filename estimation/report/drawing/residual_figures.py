@@ -98,7 +98,7 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     from matplotlib.figure import Figure
 
     fit = result.flights[0]
-    moved_columns = moved(result, flight)
+    moved_columns = moved_quantities(result, flight)
     if not moved_columns:
         return None
     colour = look(result.method).colour
@@ -123,7 +123,7 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     return picture(figure, f"against_{fit.name}", caption, points if points > LARGE else 0)
 
 
-def moved(result: Result, flight: "Flight") -> list[str]:
+def moved_quantities(result: Result, flight: "Flight") -> list[str]:
     """Which of incidence, sideslip and surfaces were measured and moved, at the samples of the fit."""
     same_samples = len(flight) == result.flights[0].time.size
     return [c for c in AGAINST if same_samples and flight.measured(c) and np.nanstd(flight[c]) > MOVED]

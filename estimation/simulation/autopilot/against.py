@@ -102,7 +102,7 @@ def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[st
     alpha_range = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
     motion = random_motion(craft, alpha_range)
     omitted = ardupilot.left_out(craft)
-    omitted_terms = _told(craft, motion, omitted, ardupilot.INDUCED, air_of_sitl)
+    omitted_terms = _omitted_terms(craft, motion, omitted, ardupilot.INDUCED, air_of_sitl)
     omitted_terms += _gyroscopic(craft, motion)
 
     def model(m: FlightStates) -> Axes:
@@ -113,8 +113,8 @@ def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[st
     omitted_terms += _blend(
         lambda m: sitl_accelerations(plane, m), model, random_motion(craft), alpha_range[1] < ALPHAS[1]
     )
-    deviation = _off(sitl_accelerations(plane, motion), model(motion))
-    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond(beyond)), SITL_LIMIT)
+    deviation = _axis_deviations(sitl_accelerations(plane, motion), model(motion))
+    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), SITL_LIMIT)
 
 
 def against_gazebo(
@@ -125,7 +125,7 @@ def against_gazebo(
     motion = random_motion(craft, rho=density)
     omitted = gazebo.left_out(craft)
     unstalled_plane = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
-    omitted_terms = _told(craft, motion, omitted, gazebo.INDUCED, air_of_gazebo)
+    omitted_terms = _omitted_terms(craft, motion, omitted, gazebo.INDUCED, air_of_gazebo)
 
     def model(m: FlightStates) -> Axes:
         return forces(craft.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
@@ -133,8 +133,11 @@ def against_gazebo(
     omitted_terms += _blend(
         lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL
     )
-    deviation = {**_off(gazebo_forces(unstalled_plane, motion), model(motion)), **_off_of_body(plane, craft)}
-    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond(beyond)), GAZEBO_LIMIT)
+    deviation = {
+        **_axis_deviations(gazebo_forces(unstalled_plane, motion), model(motion)),
+        **_off_of_body(plane, craft),
+    }
+    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), GAZEBO_LIMIT)
 
 
 def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> SimulatorProof:
@@ -159,7 +162,7 @@ def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> 
     return SimulatorProof(len(motion), deviation, (), TEXT_LIMIT)
 
 
-def _off(flown: Axes, model: Axes) -> dict[str, float]:
+def _axis_deviations(flown: Axes, model: Axes) -> dict[str, float]:
     return {axis: _share(flown[axis] - model[axis], model[axis]) for axis in AXES}
 
 
@@ -175,7 +178,7 @@ def _off_of_body(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
     return {"mass": abs(a.mass / b.mass - 1.0), "inertia": inertia}
 
 
-def _told(
+def _omitted_terms(
     craft: LinearAircraft,
     motion: FlightStates,
     without: tuple[str, ...],
@@ -223,6 +226,6 @@ def _largest(name: str, value: float, whole: Axes, less: Axes) -> OmittedTerm:
     return OmittedTerm(name, value, shares[axis], axis)
 
 
-def _beyond(beyond: tuple[tuple[str, float], ...]) -> list[OmittedTerm]:
+def _beyond_terms(beyond: tuple[tuple[str, float], ...]) -> list[OmittedTerm]:
     """What of the model is in none of its coefficients: nothing more is known than its size."""
     return [OmittedTerm(name, size, np.nan, "") for name, size in beyond]

@@ -222,14 +222,14 @@ def _object(text: str, path: Path) -> dict[str, Any]:
             f"{path}: nested {deepest} deep, at most {DEEPEST} are read; SITL's keys stand side by side"
         )
     try:
-        content = json.loads(body, parse_constant=_refused)
+        content = json.loads(body, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise SimulationError(f"{path}: no JSON, and SITL would stop here ({error}); correct it") from error
     assert isinstance(content, dict)
     return content
 
 
-def _refused(word: str) -> float:
+def _refuse_constant(word: str) -> float:
     raise ValueError(f"{word} is no number")
 
 

@@ -61,7 +61,7 @@ def source_of(path: Path) -> Model | Aircraft:
     return read_model(path)
 
 
-def gathered(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
+def gather_aircraft(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
     """The aircraft of a model or aircraft file, whole. Raises MissingPartsError with the list of what is missing, SimulationError
     for a model that is not linear."""
     source = source_of(path)
@@ -81,7 +81,7 @@ def gathered(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> 
     if model is not None and not missing:
         derivatives = derivatives_of(model, frame)
         sources = dict.fromkeys(derivatives, f"model {model.name}")
-    notes = _added(stated_aircraft, [c for c in LINES if c not in lines], derivatives, sources, missing)
+    notes = _add_beliefs(stated_aircraft, [c for c in LINES if c not in lines], derivatives, sources, missing)
     throws = _throws(stated_aircraft, stated, missing)
     thrust = stated.thrust if stated.thrust is not None else _thrust(stated_aircraft)
     if thrust is None and needs_thrust:
@@ -94,7 +94,7 @@ def gathered(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> 
         if stated_aircraft is None
         else [(n, d.value) for n, d in stated_aircraft.derivatives.items() if n not in STANDARD]
     )
-    return Gathered(craft, tuple(unknown) if model is None else _beyond(model, craft))
+    return Gathered(craft, tuple(unknown) if model is None else _beyond_coefficients(model, craft))
 
 
 def lines_named(path: Path, model: Model) -> tuple[str, ...]:
@@ -117,7 +117,7 @@ def body_of(model: Model, beside: Aircraft | None) -> Aircraft:
     return replace(frame.with_values(**model_values), name=model.name, title=model.title)
 
 
-def _added(
+def _add_beliefs(
     beside: Aircraft | None,
     lines: list[str],
     derivatives: dict[str, float],
@@ -171,7 +171,7 @@ def asked_for(path: Path, target: str, missing: list[str], beside: Aircraft | No
     )
 
 
-def _beyond(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
+def _beyond_coefficients(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
     try:
         accelerations = beyond_coefficients(model, craft)
     except SimulationError as error:

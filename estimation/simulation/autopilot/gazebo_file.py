@@ -9,7 +9,7 @@ import numpy as np
 
 from estimation.aircraft import Aircraft
 from estimation.simulation.autopilot.equations import CONTROLS, KEYS, GazeboPlane, Hinged
-from estimation.simulation.autopilot.linear import Body, together, turned
+from estimation.simulation.autopilot.linear import Body, combined_body, rotated_body
 from estimation.simulation.bounded_xml import bounded_tree
 from estimation.simulation.oracle import Array, SimulationError
 
@@ -60,7 +60,7 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         raise SimulationError(
             f"{path}: the link of its AdvancedLiftDrag is turned in the model; x forward, y left, z up is read"
         )
-    total_body = together([_body(e, path) for e in model.iter("link")])
+    total_body = combined_body([_body(e, path) for e in model.iter("link")])
     cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - total_body.centre)
     surfaces, notes = _surfaces(model, plugin, path)
     unread = [k for k in UNREAD if plugin.find(k) is not None]
@@ -140,7 +140,7 @@ def _pose(element: ET.Element | None, path: Path) -> tuple[Array, Array]:
     if element is None:
         return np.zeros(3), np.eye(3)
     x, y, z, *angles = _vector(element, "pose", path, (0.0,) * 6)
-    return np.array([x, y, z]), turned(angles[0], angles[1], angles[2])
+    return np.array([x, y, z]), rotated_body(angles[0], angles[1], angles[2])
 
 
 def _body(link: ET.Element, path: Path) -> Body:

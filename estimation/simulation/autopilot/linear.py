@@ -176,13 +176,13 @@ class Body:
         return np.asarray(self.inertia + self.mass * (np.dot(d, d) * np.eye(3) - np.outer(d, d)))
 
 
-def together(bodies: Sequence[Body]) -> Body:
+def combined_body(bodies: Sequence[Body]) -> Body:
     mass = sum(b.mass for b in bodies)
     centre = np.asarray(sum(b.mass * b.centre for b in bodies)) / mass
     return Body(mass, centre, np.asarray(sum(b.about(centre) for b in bodies)))
 
 
-def rest_of(whole: Body, parts: Sequence[Body]) -> Body:
+def remaining_body(whole: Body, parts: Sequence[Body]) -> Body:
     """What has to be added to the parts so that they are the whole."""
     mass = whole.mass - sum(b.mass for b in parts)
     moment = whole.mass * whole.centre - sum(b.mass * b.centre for b in parts)
@@ -192,7 +192,7 @@ def rest_of(whole: Body, parts: Sequence[Body]) -> Body:
     return Body(mass, centre, np.asarray(inertia))
 
 
-def turned(roll: float, pitch: float, yaw: float) -> Array:
+def rotated_body(roll: float, pitch: float, yaw: float) -> Array:
     """(3, 3) rotation of a pose: from its axes to those it stands in, fixed-axis roll, pitch, yaw [rad]."""
     (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
     return np.array([

@@ -10,7 +10,7 @@ from daq.contract.outputs import write_json, write_text
 from estimation.simulation.autopilot import ardupilot, gazebo
 from estimation.simulation.autopilot.against import SimulatorProof, against_gazebo, against_sitl, against_text
 from estimation.simulation.autopilot.ardupilot import file_text, read_sitl_plane
-from estimation.simulation.autopilot.gathering import Gathered, Stated, gathered
+from estimation.simulation.autopilot.gathering import Gathered, Stated, gather_aircraft
 from estimation.simulation.autopilot.gazebo import FASTEST, FLAPS, NEEDS
 from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
 from estimation.simulation.autopilot.linear import LinearAircraft
@@ -111,7 +111,7 @@ def to_ardupilot(path: Path, out: Path, request: Request) -> ExportedSimulator:
     ardupilot.check_name(out)
     ardupilot.check_stall(request.stall)
     _check_free((out,), request)
-    gathered_aircraft = gathered(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
+    gathered_aircraft = gather_aircraft(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
     craft = gathered_aircraft.craft
     if not request.only_prove:
         omitted_terms = [(n, craft[n]) for n in ardupilot.left_out(craft)] + list(gathered_aircraft.beyond)
@@ -138,7 +138,7 @@ def to_gazebo(path: Path, out: Path, request: Request) -> ExportedSimulator:
         raise SimulationError(f"--alpha-stall {request.stall:g}: give 0.2 to {gazebo.STALL:g} rad (11 to 115 deg)")
     files = (out / "model.config", out / "model.sdf", out / airframe_name(name))
     _check_free(files, request)
-    gathered_aircraft = gathered(path, request.stated, "a Gazebo model", needs_thrust=True)
+    gathered_aircraft = gather_aircraft(path, request.stated, "a Gazebo model", needs_thrust=True)
     craft = gathered_aircraft.craft
     sdf = gazebo.model_sdf(name, craft, request.stall)
     if not request.only_prove:

@@ -20,7 +20,7 @@ from estimation.simulation.jsbsim.library import (
     SLUG_FOOT2,
     Surfaces,
     aircraft_file,
-    known,
+    knows_property,
     loaded,
     surfaces_of,
 )
@@ -129,7 +129,7 @@ def jsbsim_simulation(which: str) -> Simulation:
     surfaces = surfaces_of(path)
     fdm = loaded(path)
     for name in (*SWITCHED_OFF, "ic/terrain-elevation-ft", *surfaces.writes):
-        if not known(fdm, name):
+        if not knows_property(fdm, name):
             raise SimulationError(f"{path}: JSBSim knows no property {name}, which its aerodynamics reads")
     for name in SWITCHED_OFF:
         fdm[name] = 0

@@ -19,10 +19,10 @@ from estimation.simulation.jsbsim.coefficients import (
     AXES,
     WHOLE,
     Text,
+    coefficient_text,
     coefficients_of,
     named_terms,
     solved_lift,
-    written,
 )
 from estimation.simulation.jsbsim.library import INCH, Follows
 from estimation.simulation.jsbsim.reading import LIFT, Reader
@@ -86,7 +86,7 @@ class Imported:
         ]
 
 
-def imported(source: AircraftSource) -> Imported:
+def import_aircraft(source: AircraftSource) -> Imported:
     """The model. Raises SimulationError naming every function that has no exact form in our text."""
     skeleton = six_dof(source.aircraft)
     text = Text(taken=_reserved(skeleton))
@@ -104,9 +104,9 @@ def imported(source: AircraftSource) -> Imported:
         )
     sums = {axis: named_terms(AXES[axis], functions, text, source.spec) for axis, functions in parts.items()}
     force_terms = [t for axis in MADE_OF for t in sums.get(axis, [])]
-    used_lines = _used(text.lines, [*force_terms, *(n for t in force_terms for n in names_in(t))])
+    used_lines = _names_needed(text.lines, [*force_terms, *(n for t in force_terms for n in names_in(t))])
     rate_dependent = rate.products or any(ALPHA_RATE in t for t in (*force_terms, *(text.lines[n] for n in used_lines)))
-    model = _model(skeleton, text, sums, written(rate) if rate_dependent else "", source)
+    model = _model(skeleton, text, sums, coefficient_text(rate) if rate_dependent else "", source)
     standard = tuple(n for n in text.parameters if n.partition("_")[0] in AXES.values())
     lines = [n for n in model.definitions if n in text.lines and not re.fullmatch(r".*_\d+", n)]
     own_names = (*(n for n in text.parameters if n not in standard), *lines)
@@ -145,10 +145,12 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
         f"rho*V*c*(temperature_of_rho + {SUTHERLAND})/({number_text(air.viscosity)}*temperature_of_rho^1.5)"
     )
     lines |= aircraft_lines
-    used_lines = _used(lines, [*(f"{s}_dot" for s in skeleton.state_names), *skeleton.output_names, *AXES.values()])
+    used_lines = _names_needed(
+        lines, [*(f"{s}_dot" for s in skeleton.state_names), *skeleton.output_names, *AXES.values()]
+    )
     return replace(
         skeleton,
-        name=_word(source.name),
+        name=_file_word(source.name),
         title=f"JSBSim aircraft {source.name}, six degrees of freedom",
         description=f"Written from {source.spec}: coefficients as its file has them",
         parameters=tuple(text.parameters.values()),
@@ -157,7 +159,7 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     )
 
 
-def _used(lines: Mapping[str, str], todo: list[str]) -> set[str]:
+def _names_needed(lines: Mapping[str, str], todo: list[str]) -> set[str]:
     used_names: set[str] = set()
     while todo:
         name = todo.pop()
@@ -167,7 +169,7 @@ def _used(lines: Mapping[str, str], todo: list[str]) -> set[str]:
     return used_names
 
 
-def _word(name: str) -> str:
+def _file_word(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "-", name)
 
 

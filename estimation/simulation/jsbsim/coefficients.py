@@ -63,7 +63,7 @@ class Text:
     def line(self, wanted: str, terms: Sum) -> Sum:
         """A sum as a line; its symbol."""
         name = self.name(wanted)
-        self.lines[name] = written(terms)
+        self.lines[name] = coefficient_text(terms)
         return factor(name)
 
 
@@ -122,10 +122,10 @@ def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec
             terms += [text_of(text.line(function_name, value))] if value.products else []
             continue
         ending, regressor, unit = REGRESSORS.get(
-            single_product.key, ("", written(Sum((replace(single_product, number=1.0),))), "")
+            single_product.key, ("", coefficient_text(Sum((replace(single_product, number=1.0),))), "")
         )
         if text.lines.keys() & single_product.factors.keys():  # a table's line, whose size stands in it
-            terms.append(written(value))
+            terms.append(coefficient_text(value))
             continue
         standard = f"{coefficient}_{ending}"
         name = standard if ending and standard not in text.taken else text.name(function_name)
@@ -137,7 +137,7 @@ def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec
     return terms
 
 
-def written(terms: Sum) -> str:
+def coefficient_text(terms: Sum) -> str:
     """Text with what stayed whole written out."""
     text = text_of(collected(_hatted(p) for p in terms.products))
     for name, meaning in WHOLE.items():

@@ -40,7 +40,7 @@ def chains_of(
     chains: dict[str, str] = {}
     components: list[ET.Element] = []
     for column in SURFACES:
-        acting = [t for t in found.transforms if t.input == column and not _idle(t, values)]
+        acting = [t for t in found.transforms if t.input == column and not _changes_nothing(t, values)]
         names = [n for n, (c, _) in surfaces_of(source).writes.items() if c == column] or [USUAL[column]]
         for name in names if acting else ():
             if not name.endswith("-rad") or "mag-" in name:
@@ -60,7 +60,7 @@ def chains_of(
     return chains, components
 
 
-def _idle(transform: InputTransform, values: Mapping[str, float]) -> bool:
+def _changes_nothing(transform: InputTransform, values: Mapping[str, float]) -> bool:
     return values[transform.parameters[0]] == (1.0 if transform.kind == "scale" else 0.0)
 
 
@@ -87,7 +87,7 @@ def _component(t: InputTransform, size: float, at: str, sign: float, name: str, 
     if size < 0.0:
         raise SimulationError(f"{t.input}: a delay of {size:g} s is none that a simulation can have")
     whole_frames, part = divmod(size * rate, 1.0)
-    delays = [_late(made, "-early", int(whole_frames)), _late(made, "-late", int(whole_frames) + 1)]
+    delays = [_frame_delay(made, "-early", int(whole_frames)), _frame_delay(made, "-late", int(whole_frames) + 1)]
     gains = [
         _gain(f"{name}{end}-share", source.get("name", ""), share)
         for end, source, share in (("-early", delays[0], 1.0 - part), ("-late", delays[1], part))
@@ -95,7 +95,7 @@ def _component(t: InputTransform, size: float, at: str, sign: float, name: str, 
     return [*delays, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
 
 
-def _late(made: Maker, ending: str, frames: int) -> ET.Element:
+def _frame_delay(made: Maker, ending: str, frames: int) -> ET.Element:
     """A whole number of frames; an actuator's delay of n is one of n - 1."""
     if frames == 0:
         return made("pure_gain", ending, node("gain", "1"))

@@ -48,7 +48,7 @@ def export_aircraft(
     """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: steps per second it is meant for, in
     which delays are counted. Raises SimulationError for what cannot be written, before anything is."""
     increments = increments_of(model)
-    written_aircraft = written(increments, source, rate, lineage)
+    written_aircraft = write_aircraft(increments, source, rate, lineage)
     name = f"{source.stem}-{OURS}"
     target = folder / name
     if target.exists() and (target / f"{source.stem}.xml").resolve() == source:
@@ -67,7 +67,7 @@ def export_aircraft(
     )
 
 
-def written(found: Increments, source: Path, rate: float, lineage: str) -> Written:
+def write_aircraft(found: Increments, source: Path, rate: float, lineage: str) -> Written:
     root = inlined(source)
     aerodynamics = _child(root, "aerodynamics")
     strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {

@@ -31,7 +31,7 @@ TRIMMED = 1e-4  # g and rad/s2
 LIFTS = (0.4, 0.3, 0.5, 0.6, 0.8, 0.2)  # lift coefficients at which a glide is tried
 
 
-def flown(source: Path, root: ET.Element, components: bool, rate: float, plays: Mapping[str, float]) -> Flight:
+def fly_aircraft(source: Path, root: ET.Element, components: bool, rate: float, plays: Mapping[str, float]) -> Flight:
     """A flight of the aircraft whose text is `root`, made from `source`, every step recorded.
 
     components: whether there are any of our own; then the flight control runs, and the aerodynamics reads surfaces that nobody
@@ -53,7 +53,7 @@ def flown(source: Path, root: ET.Element, components: bool, rate: float, plays: 
     for k in range(round((SETTLE + DURATION) * rate)):
         time = k / rate - SETTLE
         if time >= 0.0:
-            rows.append(_seen(fdm, time, actual))
+            rows.append(_instrument_row(fdm, time, actual))
         command = trim + _pilot(fdm, time, steady)
         actual = actual + (command - actual) * min(1.0, 1.0 / (SERVO * rate))
         _write(fdm, surfaces, names, actual + (_centring(k, plays) if k < 2 * CENTRING else 0.0))
@@ -179,7 +179,7 @@ def _centring(k: int, plays: Mapping[str, float]) -> Array:
     return np.array([plays.get(n, 0.0) * (-2.0 if k < CENTRING else 0.5) for n in SURFACES])
 
 
-def _seen(fdm: Any, time: float, surfaces: Array) -> list[float]:
+def _instrument_row(fdm: Any, time: float, surfaces: Array) -> list[float]:
     mass = fdm["inertia/mass-slugs"] * SLUG
     return [
         time, fdm["velocities/vt-fps"] * FOOT, fdm["aero/alpha-rad"], fdm["aero/beta-rad"],

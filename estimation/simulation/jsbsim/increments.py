@@ -48,11 +48,11 @@ def increments_of(model: Model) -> Increments:
     coefficients = coefficients_in(built_in)
     lines, left_out, addends = dict(model.definitions), [], []
     for line in coefficients:
-        addends += [_named(line, text, model) for text in addends_of(model.definitions[line])]
+        addends += [_named_addend(line, text, model) for text in addends_of(model.definitions[line])]
     for line, text in built_in.definitions.items():
-        added_text = _more(model, line, text) if line not in coefficients else ""
+        added_text = _added_text(model, line, text) if line not in coefficients else ""
         if added_text and line in (*MOMENTS, "CX", "CZ"):
-            addends += [_named(line, part, model) for part in addends_of(added_text)]
+            addends += [_named_addend(line, part, model) for part in addends_of(added_text)]
         elif added_text and line in KINEMATIC:
             left_out.append(f"{added_text} in {line}: of the air's or the equations' motion")
             lines[line] = text
@@ -71,7 +71,7 @@ def increments_of(model: Model) -> Increments:
     physical = replace(
         model, transforms=ours, output_delays={}, equations=tuple(f"{n} = {text}" for n, text in lines.items())
     )
-    used_states = _used(addends, physical)
+    used_states = _states_used(addends, physical)
     states = tuple(n for n in states if n in used_states)
     return Increments(built_in, tuple(addends), ours, states, tuple(left_out), physical)
 
@@ -109,18 +109,18 @@ def _plain_of(model: Model) -> Model:
     )
 
 
-def _more(model: Model, line: str, text: str) -> str:
+def _added_text(model: Model, line: str, text: str) -> str:
     """What a line has beyond `text`."""
     return model.definitions[line].removeprefix(text).strip().removeprefix("+").strip()
 
 
-def _named(line: str, text: str, model: Model) -> Addend:
+def _named_addend(line: str, text: str, model: Model) -> Addend:
     names = {n.id for n in ast.walk(parse(text)) if isinstance(n, ast.Name)}
     own_parameters = [p for p in model.parameter_names if p in names]
     return Addend(line, text, "_".join(own_parameters) or line)
 
 
-def _used(addends: list[Addend], model: Model) -> set[str]:
+def _states_used(addends: list[Addend], model: Model) -> set[str]:
     """Symbols that addends are made of, through lines of the model."""
     used_names: set[str] = set()
     todo = [a.text for a in addends]

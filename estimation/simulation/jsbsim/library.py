@@ -113,7 +113,7 @@ def loaded(
     return fdm
 
 
-def known(fdm: Any, name: str) -> bool:
+def knows_property(fdm: Any, name: str) -> bool:
     """Whether a property exists. Asked before every first write: JSBSim creates an unknown one without a word."""
     return bool(fdm.get_property_manager().hasNode(name))
 

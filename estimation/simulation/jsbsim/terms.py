@@ -223,7 +223,11 @@ def looked_up(table: LookupTable, at: list[Sum], line: Line) -> Sum:
     parts = []
     for i, (a, b) in enumerate(pairwise(nodes)):
         low_point, high_point = float(table.points[i]), float(table.points[i + 1])
-        share_of = _above(x, low_point).plus(_above(x, high_point).scaled(-1.0)).scaled(1.0 / (high_point - low_point))
+        share_of = (
+            _ramp_above(x, low_point)
+            .plus(_ramp_above(x, high_point).scaled(-1.0))
+            .scaled(1.0 / (high_point - low_point))
+        )
         step = b.plus(a.scaled(-1.0))
         if step.products:
             parts.append(step.times(share_of) if len(step.products) == 1 else line(step).times(share_of))
@@ -245,11 +249,11 @@ def _kinked(points: Array, values: Array, x: Sum, line: Line) -> Sum:
     if np.all(values == values[0]):
         return constant(float(values[0]))
     slopes = np.concatenate([[0.0], np.diff(values) / np.diff(points), [0.0]])
-    kinks = [_above(x, p).scaled(float(d)) for p, d in zip(points, np.diff(slopes), strict=True)]
+    kinks = [_ramp_above(x, p).scaled(float(d)) for p, d in zip(points, np.diff(slopes), strict=True)]
     return _in_lines(constant(float(values[0])).plus(*kinks), line)
 
 
-def _above(x: Sum, point: float) -> Sum:
+def _ramp_above(x: Sum, point: float) -> Sum:
     """max(0, x - point)."""
     if point == 0.0:
         return factor(f"max(0, {text_of(x)})")

@@ -10,8 +10,8 @@ from estimation.campaign.aerodynamics.joint_tables import joint_model_rows
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.aerodynamics.terms import ConditionTerm, with_terms
+from estimation.campaign.groups import claims_of as told_to_a_person
 from estimation.campaign.groups import group_rows
-from estimation.campaign.groups import told as told_to_a_person
 from estimation.campaign.schema import RESULTS, arrow_schema
 from estimation.models import load_model
 from estimation.models.load import model_text

@@ -11,7 +11,14 @@ from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model, write_model
 from estimation.session.proof_of_match import predict
 from estimation.simulation import along_flight
-from estimation.simulation.attach import Free, attach, estimated_about_its_motion, renewed, settled, simulation_of
+from estimation.simulation.attach import (
+    Free,
+    attach,
+    estimated_about_its_motion,
+    motion_settled,
+    renewed_attachment,
+    simulation_of,
+)
 from estimation.simulation.oracle import VARIABLES, SimulationError, States
 from groundstation.flight import Flight, Provenance, read_flight
 from tests.studies import second_truth as truth
@@ -103,7 +110,7 @@ def test_a_linear_simulation_moves_as_the_model_it_is(which: str, short: Flight,
     write_model(plain, tmp_path / "own.toml")
     told = attach(str(tmp_path / "own.toml"), which, [short], free=Free.NOTHING)
     exact = predict(plain, short).predicted
-    for moving, share in ((told, 0.05), (renewed(told), 2e-3)):
+    for moving, share in ((told, 0.05), (renewed_attachment(told), 2e-3)):
         off = np.nanstd(predict(moving.model, moving.flights[0]).predicted - exact, axis=0)
         assert (off < share * np.nanstd(exact, axis=0)).all()
     assert told.model.parameter("k_Cl" if which != "longitudinal" else "k_Cm").start == 1.0
@@ -149,7 +156,10 @@ def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(short: Fl
     write_model(cubic, tmp_path / "cubic.toml")
     first = attach(str(tmp_path / "cubic.toml"), "lateral", [short], free=Free.NOTHING)
     exact = predict(cubic, short).predicted
-    off = [np.std(predict(a.model, a.flights[0]).predicted - exact) for a in (first, renewed(first), settled(first))]
+    off = [
+        np.std(predict(a.model, a.flights[0]).predicted - exact)
+        for a in (first, renewed_attachment(first), motion_settled(first))
+    ]
     assert np.std(exact) > 0.1
     assert off[0] > 0.01  # rad and rad/s, of what moves by tenths
     assert off[1] < 0.2 * off[0]
