@@ -58,7 +58,8 @@ class RecordConditions(_CampaignTable):
             return value.isoformat()
         if isinstance(value, str) and value:
             try:
-                return dt.datetime.fromisoformat(value).isoformat() if len(value) > 10 else _day(value)
+                kind = dt.datetime if len(value) > 10 else dt.date
+                return kind.fromisoformat(value).isoformat()
             except ValueError as error:
                 raise ValueError(f"{value!r} is no date; write it like 2026-03-01 or 2026-03-01T10:30:00") from error
         return value
@@ -87,10 +88,6 @@ def _as_value_error() -> Iterator[None]:
         yield
     except UserError as error:
         raise ValueError(str(error)) from error
-
-
-def _day(text: str) -> str:
-    return dt.date.fromisoformat(text).isoformat()
 
 
 class FlightEntry(RecordConditions):

@@ -155,15 +155,10 @@ class Campaign:
                     works.append(group_work)
                     self._about |= dict.fromkeys(group_work.pieces.values(), group_columns)
             for match in match_works(self._plan, label, members) if self._plan.match else ():
-                entry = self._work.by_key[self._flight_key(match)].entry
+                entry = next(p.entry for p in self._work.planned if p.work.subjects[0] is match.subjects[0])
                 works.append(match)
                 self._about |= {key: {**group_columns, **conditions_of(entry)} for key in match.pieces.values()}
         self._do(works, done, "groups")
-
-    def _flight_key(self, work: Work) -> str:
-        """Key of the flight's own first piece."""
-        sha256 = work.subjects[0]
-        return next(p.work.identity for p in self._work.planned if p.work.subjects[0] is sha256)
 
     def _publish(self, skipped: int) -> CampaignOutcome:
         import pyarrow as pa

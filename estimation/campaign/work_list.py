@@ -187,53 +187,31 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
             seeds[method] = seed_of(plan.seed, "joint", flight_keys)
     if not pieces:
         return None
-    joint_members = sorted(
-        (m for m in members if all(p in m.estimates for p in pieces)), key=lambda m: m.planned.work.identity
-    )
-    subjects = tuple(m.planned.work.subjects[0] for m in joint_members)
-    limit = _joint_time_limit(plan, len(subjects))
-    return Work(
-        "joint",
-        f"joint fit of {label}",
-        pieces,
-        subjects,
-        versions(),
-        False,
-        plan.bootstrap,
-        seeds,
-        {},
-        plan.each_segment,
-        limit,
-        label,
-    )
+    joint_members = [m for m in members if all(p in m.estimates for p in pieces)]
+    work = _group_work(plan, "joint", f"joint fit of {label}", label, pieces, joint_members)
+    return replace(work, bootstrap=plan.bootstrap, seeds=seeds)
 
 
-def _joint_time_limit(plan: CampaignPlan, flights: int) -> float:
-    """Seconds for work on several flights: as long as for one after the other, as far as clocks count."""
-    return min(plan.time_limit * flights, LONGEST_CLOCK)
+def _group_work(
+    plan: CampaignPlan, kind: str, name: str, label: str, pieces: Mapping[str, str], members: Sequence[Member]
+) -> Work:
+    """Work on several flights, in an order that no plan changes; as long as for one after the other, as far as clocks count."""
+    ordered = sorted(members, key=lambda m: m.planned.work.identity)
+    subjects = tuple(m.planned.work.subjects[0] for m in ordered)
+    limit = min(plan.time_limit * len(subjects), LONGEST_CLOCK)
+    segments = plan.each_segment
+    return Work(kind, name, pieces, subjects, versions(), False, each_segment=segments, limit_s=limit, group=label)
 
 
 def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Work | None:
     """All flights of a group, those with a usable estimate, in one model over the envelope; None for too few of them."""
     from estimation.campaign.aerodynamics.joint import FEWEST
 
-    ordered_members = sorted(members, key=lambda m: m.planned.work.identity)
-    if len(ordered_members) < FEWEST:
+    if len(members) < FEWEST:
         return None
     code = digest_of_files(("estimation/campaign/aerodynamics",))
-    pieces = {ENVELOPE_METHOD: key_of("envelope", code, [m.planned.work.identity for m in ordered_members])}
-    subjects = tuple(m.planned.work.subjects[0] for m in ordered_members)
-    return Work(
-        "envelope",
-        f"model over the envelope of {label}",
-        pieces,
-        subjects,
-        versions(),
-        False,
-        each_segment=plan.each_segment,
-        limit_s=_joint_time_limit(plan, len(subjects)),
-        group=label,
-    )
+    pieces = {ENVELOPE_METHOD: key_of("envelope", code, sorted(m.planned.work.identity for m in members))}
+    return _group_work(plan, "envelope", f"model over the envelope of {label}", label, pieces, members)
 
 
 def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Iterator[Work]:

@@ -9,7 +9,7 @@ from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, 
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
-    from estimation.estimators.result import Estimate, Result
+    from estimation.estimators.result import Result
     from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
 
@@ -24,50 +24,34 @@ def is_published(session: "EstimationSession") -> bool:
     return published.is_of(session.aircraft.name) and "CY_beta" in session.model.free_names
 
 
-def _has_beliefs(session: "EstimationSession") -> bool:
-    """Whether anything is believed of the parameters before flying."""
-    return any(p.reference is not None for p in session.model.parameters)
+ColumnGroup = tuple[str, tuple[str, ...], Callable[[str], list[str]]]
+"""Label of columns beside each other, their heads, and what fills them for a parameter."""
 
 
-Cells = Callable[[str], list[str]]
-"""Name of a parameter -> cells."""
-
-
-def _parameter_table(
-    session: "EstimationSession",
-    name: str,
-    caption: str,
-    parameters: Iterable[str],
-    methods: Mapping[str, Cells],
-    columns: tuple[str, ...],
-    beside: Sequence[tuple[str, tuple[str, ...], Cells]],
-    note: str,
+def grouped_table(
+    name: str, caption: str, parameters: Iterable[str], groups: Sequence[ColumnGroup], note: str
 ) -> ReportTable:
-    """Parameters by methods, with what was believed before. methods: what fills the `columns` of each; beside: groups of columns
-    after those, as (label, heads, what fills them)."""
-    has_beliefs = _has_beliefs(session)
-    groups = [*methods.items(), *((label, cells) for label, _, cells in beside)]
-    rows = tuple(
-        (n, *(_belief_cells(session, n) if has_beliefs else ()), *(cell for _, cells in groups for cell in cells(n)))
-        for n in parameters
-    )
-    heads = [*(columns for _ in methods), *(head for _, head, _ in beside)]
-    spans = [(label, len(head)) for (label, _), head in zip(groups, heads, strict=True)]
-    return ReportTable(
-        name,
-        caption,
-        ("", *(("value", "source") if has_beliefs else ()), *(h for head in heads for h in head)),
-        rows,
-        (("", 1), *([("before flying", 2)] if has_beliefs else []), *spans),
-        note=note,
-    )
+    """A row for each parameter, with the columns of each group."""
+    rows = tuple((n, *(cell for _, _, cells in groups for cell in cells(n))) for n in parameters)
+    head = ("", *(word for _, heads, _ in groups for word in heads))
+    spans = (("", 1), *((label, len(heads)) for label, heads, _ in groups))
+    return ReportTable(name, caption, head, rows, spans, note=note)
 
 
-def _fitted(result: "Result") -> Cells:
-    return lambda name: _estimate_cells(result.parameters.get(name))
+def _beliefs(session: "EstimationSession") -> list[ColumnGroup]:
+    """What is believed of the parameters before flying, where anything is."""
+    if all(p.reference is None for p in session.model.parameters):
+        return []
+    return [("before flying", ("value", "source"), partial(_belief_cells, session))]
 
 
-def _published(numbers: Callable[[str], tuple[float, float] | None]) -> Cells:
+def _estimates(results: "Mapping[str, Result]") -> list[ColumnGroup]:
+    """Estimates of each method with both bounds."""
+    heads = ("estimate", "bound", "corrected")
+    return [(method, heads, partial(_estimate_cells, result)) for method, result in results.items()]
+
+
+def published_cells(numbers: Callable[[str], tuple[float, float] | None]) -> Callable[[str], list[str]]:
     """A published number and its bound or scatter."""
 
     def cells(name: str) -> list[str]:
@@ -77,7 +61,7 @@ def _published(numbers: Callable[[str], tuple[float, float] | None]) -> Cells:
     return cells
 
 
-def _truth(session: "EstimationSession") -> list[tuple[str, tuple[str, ...], Cells]]:
+def _truth(session: "EstimationSession") -> list[ColumnGroup]:
     """What simulated flights were flown with, where that is known."""
     return [("simulated", ("truth",), lambda name: [number(session.truth.get(name))])] if session.truth else []
 
@@ -85,36 +69,25 @@ def _truth(session: "EstimationSession") -> list[tuple[str, tuple[str, ...], Cel
 def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> ReportTable:
     """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
     twin = published.counterpart(flight.flight.name) if is_published(session) else None
-    published_groups = [] if twin is None else [
-        (f"{twin}, {m} (published)", ("estimate", "bound"), _published(partial(published.estimate, twin, m)))
-        for m in ("ml", "ngn")
-    ]  # fmt: skip
-    return _parameter_table(
-        session,
-        f"estimates_{_file_part(flight.flight.name)}",
-        f"Estimates of {flight.flight.name}{_recommended_method(flight.verdict)}",
-        next(iter(flight.results.values())).parameters,
-        {method: _fitted(result) for method, result in flight.results.items()},
-        ("estimate", "bound", "corrected"),
-        published_groups,
-        _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if twin else ""),
-    )
+    groups = [*_beliefs(session), *_estimates(flight.results)]
+    for method in ("ml", "ngn") if twin else ():
+        cells = published_cells(partial(published.estimate, str(twin), method))
+        groups.append((f"{twin}, {method} (published)", ("estimate", "bound"), cells))
+    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in flight.flight.name)
+    caption = f"Estimates of {flight.flight.name}{_recommended_method(flight.verdict)}"
+    note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if twin else "")
+    parameters = next(iter(flight.results.values())).parameters
+    return grouped_table(f"estimates_{name}", caption, parameters, groups, note)
 
 
 def joint_table(session: "EstimationSession") -> ReportTable | None:
     if not session.joint:
         return None
-    return _parameter_table(
-        session,
-        "estimates_joint",
-        f"Joint estimate over {len(session.flights)} flights{_recommended_method(session.verdict)}",
-        next(iter(session.joint.values())).parameters,
-        {method: _fitted(result) for method, result in session.joint.items()},
-        ("estimate", "bound", "corrected"),
-        _truth(session),
-        f"{_recommended(session.verdict)}{BOUNDS} Constant coefficients are each flight's own: their line is the mean over"
-        " flights.",
-    )
+    caption = f"Joint estimate over {len(session.flights)} flights{_recommended_method(session.verdict)}"
+    constants = " Constant coefficients are each flight's own: their line is the mean over flights."
+    note = _recommended(session.verdict) + BOUNDS + constants
+    groups = [*_beliefs(session), *_estimates(session.joint), *_truth(session)]
+    return grouped_table("estimates_joint", caption, next(iter(session.joint.values())).parameters, groups, note)
 
 
 def _recommended_method(verdict: "Verdict | None") -> str:
@@ -136,20 +109,19 @@ def mean_table(session: "EstimationSession") -> ReportTable | None:
         s = session.mean[method].get(name)
         return [CANNOT_TELL, "", "", ""] if s is None else [*_bound_cells(s.mean, s.std, s.bound), str(s.count)]
 
-    paper = [
-        (f"{m} (published)", ("mean", "scatter"), _published(partial(published.mean, m)))
-        for m in (("ml", "ngn") if is_published(session) else ())
-    ]
-    return _parameter_table(
-        session,
+    groups = _beliefs(session)
+    for method in session.mean:
+        groups.append((method, ("mean", "scatter", "bound", "flights"), partial(cells, method)))
+    for method in ("ml", "ngn") if is_published(session) else ():
+        groups.append((f"{method} (published)", ("mean", "scatter"), published_cells(partial(published.mean, method))))
+    parameters = [n for n in session.model.free_names if any(n in means for means in session.mean.values())]
+    note = "scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
+    return grouped_table(
         "table5_means",
         "Mean and scatter over the flights that can tell",
-        [n for n in session.model.free_names if any(n in means for means in session.mean.values())],
-        {method: partial(cells, method) for method in session.mean},
-        ("mean", "scatter", "bound", "flights"),
-        [*paper, *_truth(session)],
-        "scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
-        + (published.COMPARISON if paper else ""),
+        parameters,
+        [*groups, *_truth(session)],
+        note + (published.COMPARISON if is_published(session) else ""),
     )
 
 
@@ -227,7 +199,8 @@ def _belief_cells(session: "EstimationSession", name: str) -> list[str]:
     return [number(parameter.reference), parameter.reference_source.replace("engineering estimate", "guess")]
 
 
-def _estimate_cells(e: "Estimate | None") -> list[str]:
+def _estimate_cells(result: "Result", name: str) -> list[str]:
+    e = result.parameters.get(name)
     if e is None:
         return ["", "", ""]
     cells = _bound_cells(e.estimate, e.std, e.std_coloured)
@@ -238,7 +211,3 @@ def _bound_cells(value: float, other: float, bound: float) -> list[str]:
     """Value, another spread and the bound to be believed: the value to the second figure of that bound."""
     text, bound_text = rounded(value, bound)
     return [text, rounded(other, other)[1], bound_text]
-
-
-def _file_part(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,9 @@ from markupsafe import Markup
 
 from estimation.report import published
 from estimation.report.drawing.figures import Picture, file_picture
-from estimation.report.estimate_tables import match_table
+from estimation.report.estimate_tables import ColumnGroup, grouped_table, match_table, published_cells
 from estimation.report.page import MARK, Page, Section, box, bullets, link_back, paragraph
-from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant, value_and_bound
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, value_and_bound
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 PAGES = (
@@ -157,75 +158,48 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
     means."""
     if not data:
         return None
-    source = data["joint"] or {}
-    methods = list(source or data["mean"])
-    names = (
-        list(next(iter((source[m]["parameters"] if source else data["mean"][m]) for m in methods))) if methods else []
-    )
+    joint = data["joint"] or {}
+    tables = {m: fit["parameters"] for m, fit in joint.items()} or data["mean"]
+    methods = list(tables)
+    recommended = data.get("recommended", {}).get("method") if joint else None
+    groups: list[ColumnGroup] = []
+    for method, entries in tables.items():
+        label = f"{method} (recommended)" if method == recommended else method
+        cells = partial(_estimate_cells, entries)
+        groups.append((label, ("estimate", "bound" if joint else "scatter"), cells))
+    if truth:
+        groups.append(("simulated", ("truth", "error [bounds]"), partial(_truth_cells, joint, methods, truth)))
     ours = published.is_of(data["aircraft"])
-    rows = []
-    for name in names:
-        row = [name]
-        for method in methods:
-            row += (
-                _pair(source[method]["parameters"].get(name)) if source else _mean_pair(data["mean"][method].get(name))
-            )
-        if truth:
-            row += [number(truth.get(name)), _error_in_bounds(source, methods, name, truth.get(name))]
-        if ours:
-            published_mean = published.mean("ml", name)
-            row += [
-                number(published.wind_tunnel(name)),
-                number(published_mean[0] if published_mean else None),
-                significant(published_mean[1] if published_mean else None, 2),
-            ]
-        rows.append(tuple(row))
-    spread = "bound" if source else "scatter"
-    recommended = data.get("recommended", {}).get("method") if source else None
-    truth_heads = ("truth", "error [bounds]") if truth else ()
-    head = [
-        "",
-        *(h for _ in methods for h in ("estimate", spread)),
-        *truth_heads,
-        *(("value", "mean", "scatter") if ours else ()),
-    ]
-    titles = [f"{m} (recommended)" if m == recommended else m for m in methods]
-    groups = [
-        ("", 1),
-        *((t, 2) for t in titles),
-        *((("simulated", 2),) if truth else ()),
-        *((("wind tunnel", 1), ("published, ml", 2)) if ours else ()),
-    ]
+    if ours:
+        groups.append(("wind tunnel", ("value",), lambda name: [number(published.wind_tunnel(name))]))
+        groups.append(("published, ml", ("mean", "scatter"), published_cells(partial(published.mean, "ml"))))
     notes = [ERROR.format(methods[0])] if truth and methods else []
     notes += [published.COMPARISON] if ours else []
-    caption = (
-        "Joint estimates over all flights, bounds corrected for coloured residuals"
-        if source
-        else "Means over the flights"
-    )
-    return ReportTable(
-        "derivatives", f"{caption} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes)
-    )
+    caption = "Means over the flights"
+    if joint:
+        caption = "Joint estimates over all flights, bounds corrected for coloured residuals"
+    parameters = list(next(iter(tables.values()), ()))
+    return grouped_table("derivatives", f"{caption} [1/rad]", parameters, groups, " ".join(notes))
 
 
-def _error_in_bounds(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
-    """How far the first method's joint estimate is from the truth, in its bounds."""
-    entry = source[methods[0]]["parameters"].get(name) if source else None
+def _truth_cells(joint: dict[str, Any], methods: list[str], truth: dict[str, float], name: str) -> list[str]:
+    """The true value, and how far the first method's joint estimate is from it, in its bounds."""
+    entry = joint[methods[0]]["parameters"].get(name) if joint else None
+    true = truth.get(name)
     if true is None or entry is None or name.endswith("_0") or not entry["identifiable"] or not entry["std_coloured"]:
-        return ""
-    return f"{(entry['estimate'] - true) / entry['std_coloured']:+.1f}"
+        return [number(true), ""]
+    return [number(true), f"{(entry['estimate'] - true) / entry['std_coloured']:+.1f}"]
 
 
-def _pair(entry: dict[str, Any] | None) -> list[str]:
+def _estimate_cells(entries: dict[str, Any], name: str) -> list[str]:
+    """An estimate and its bound, or a mean and its scatter."""
+    entry = entries.get(name)
     if entry is None:
         return ["", ""]
-    if not entry["identifiable"]:
-        return [value_and_bound(entry["estimate"], entry["std_coloured"])[0], CANNOT_TELL]
-    return value_and_bound(entry["estimate"], entry["std_coloured"])
-
-
-def _mean_pair(entry: dict[str, Any] | None) -> list[str]:
-    return ["", ""] if entry is None else value_and_bound(entry["mean"], entry["std"])
+    if "mean" in entry:
+        return value_and_bound(entry["mean"], entry["std"])
+    cells = value_and_bound(entry["estimate"], entry["std_coloured"])
+    return cells if entry["identifiable"] else [cells[0], CANNOT_TELL]
 
 
 def _match(data: dict[str, Any] | None) -> ReportTable | None:

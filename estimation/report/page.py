@@ -75,7 +75,8 @@ class Page:
             lstrip_blocks=True,
         )
         environment.filters.update(symbol=symbol, pieces=table_slices, words=word_columns, breakable=breakable)
-        environment.tests.update(report_table=_is_table, picture=_is_picture)
+        environment.tests["report_table"] = lambda part: isinstance(part, ReportTable)
+        environment.tests["picture"] = lambda part: isinstance(part, Picture)
         environment.globals["label"] = cell_label
         return environment.get_template("page.html.j2").render(
             page=self,
@@ -100,14 +101,6 @@ class Page:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
         return path
-
-
-def _is_table(part: object) -> bool:
-    return isinstance(part, ReportTable)
-
-
-def _is_picture(part: object) -> bool:
-    return isinstance(part, Picture)
 
 
 def breakable(text: str) -> Markup:

@@ -6,7 +6,7 @@ sentence, never the end of the campaign.
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from daq.contract.errors import UserError
@@ -16,11 +16,12 @@ from estimation.campaign.tasks import Row, Work
 from estimation.campaign.workers.subjects import CHECK, aircraft_of_subject, measured, model_of, read_subject
 from estimation.estimators.estimator import Extra, Extras
 from estimation.estimators.registry import find
-from estimation.estimators.result import Estimate, Result, finite
+from estimation.estimators.result import Result, finite
 from estimation.models.base import ParameterRole
 from estimation.threads import one_thread
 from groundstation.flight import Flight
 
+BOUNDS, FIT = ("estimate", "std", "std_coloured"), ("r2", "theil", "rms", "whiteness")
 FAILED, DOUBTFUL, OPEN, OK = "failed", "doubtful", "not converged", "ok"
 
 
@@ -44,7 +45,7 @@ def do_work(work: Work) -> list[Row]:
 
 def failed_rows(work: Work, why: str) -> list[Row]:
     """A row for each piece that says why it has no result."""
-    return [_run_row(work, piece, FAILED, why) for piece in work.pieces]
+    return [_row(work, piece, FAILED, why) for piece in work.pieces]
 
 
 def _refuse_other_software(wanted: Mapping[str, str]) -> None:
@@ -55,7 +56,8 @@ def _refuse_other_software(wanted: Mapping[str, str]) -> None:
             )
 
 
-def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
+def _row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
+    """A row of results, by default of the run as a whole. more: columns, which go before those of every row."""
     software_versions = versions()
     columns: Row = {
         "kind": "run",
@@ -88,7 +90,7 @@ def _flight(work: Work) -> Iterator[Row]:
         quality_problem = _bad_quality(part) if work.quality else ""
         for piece in work.pieces:
             if quality_problem:
-                yield _run_row(work, piece, FAILED, quality_problem, **conditions)
+                yield _row(work, piece, FAILED, quality_problem, **conditions)
             elif piece == CHECK:
                 yield from _checked(work, part, conditions)
             else:
@@ -117,29 +119,15 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
     try:
         check_result = compatibility(flight)
     except UserError as error:
-        yield _run_row(work, CHECK, FAILED, str(error), **about)
+        yield _row(work, CHECK, FAILED, str(error), **about)
         return
     status = OK if check_result.converged else OPEN
-    yield _run_row(
-        work,
-        CHECK,
-        status,
-        "" if check_result.converged else check_result.text,
-        iterations=check_result.iterations,
-        cpu=time.thread_time() - begin,
-        **about,
-    )
+    why = "" if check_result.converged else check_result.text
+    cpu = time.thread_time() - begin
+    yield _row(work, CHECK, status, why, iterations=check_result.iterations, cpu=cpu, **about)
     for place, (name, factor) in enumerate(check_result.factors.items()):
-        numbers = {n: finite(getattr(factor, n)) for n in ("estimate", "std", "std_coloured")}
-        row = _run_row(work, CHECK, status, factor.why, **about)
-        yield {
-            **row,
-            **numbers,
-            "kind": "check",
-            "parameter": name,
-            "identifiable": factor.identifiable,
-            "place": place,
-        }
+        columns = {**about, **_finite(factor, BOUNDS), "kind": "check", "parameter": name, "place": place}
+        yield _row(work, CHECK, status, factor.why, identifiable=factor.identifiable, **columns)
 
 
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
@@ -155,11 +143,11 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
             model, [flight], craft, [method], extras=_extras(work, method), structure=StructureWish.OFF
         )
     except UserError as error:
-        yield _run_row(work, method, FAILED, str(error), **about)
+        yield _row(work, method, FAILED, str(error), **about)
         return
     name = find(method).name
     if name in session.flights[0].failures:
-        yield _run_row(work, method, FAILED, session.flights[0].failures[name], **about)
+        yield _row(work, method, FAILED, session.flights[0].failures[name], **about)
         return
     result, doubts = session.flights[0].results[name], session.flights[0].doubts
     grave = [d.text for d in doubts if d.kind is not DoubtKind.UNEXPLAINED]
@@ -180,33 +168,22 @@ def _result_rows(
 ) -> Iterator[Row]:
     """The run, its parameters, and the fit of each channel."""
     cost = finite(result.cost)
-    yield _run_row(work, method, status, why, iterations=result.iterations, cost=cost, cpu=cpu, **about)
+    yield _row(work, method, status, why, iterations=result.iterations, cost=cost, cpu=cpu, **about)
     for name, e in result.parameters.items():
-        row = _run_row(work, method, status, e.why or why, **about)
-        yield {
-            **row,
-            "kind": kind,
-            "parameter": name,
-            **_numbers(e),
-            **_spread(result, name),
-            **_covariance(result, name),
-        }
+        columns = {**about, "kind": kind, "parameter": name, **_finite(e, BOUNDS)}
+        more = {**_spread(result, name), **_covariance(result, name)}
+        yield _row(
+            work, method, status, e.why or why, identifiable=e.identifiable, reference=e.reference, **columns, **more
+        )
     if len(result.flights) > 1:
         return
     for output, fit in result.flights[0].fit.items():
-        row = _run_row(work, method, status, why, **about)
-        numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
-        yield {**row, "kind": "fit", "parameter": output, **numbers}
+        yield _row(work, method, status, why, **about, kind="fit", parameter=output, **_finite(fit, FIT))
 
 
-def _numbers(e: Estimate) -> Row:
-    return {
-        "estimate": finite(e.estimate),
-        "std": finite(e.std),
-        "std_coloured": finite(e.std_coloured),
-        "identifiable": e.identifiable,
-        "reference": e.reference,
-    }
+def _finite(source: object, names: Sequence[str]) -> Row:
+    """Numbers of an estimate or a fit by name; None where one is not finite."""
+    return {name: finite(getattr(source, name)) for name in names}
 
 
 def _spread(result: Result, name: str) -> Row:
@@ -239,7 +216,7 @@ def _joint(work: Work) -> Iterator[Row]:
         try:
             result = run_method(method, model, flights, craft, extras=_extras(work, method))
         except UserError as error:
-            yield _run_row(work, method, FAILED, str(error), **columns)
+            yield _row(work, method, FAILED, str(error), **columns)
             continue
         status = OK if result.converged else OPEN
         reason = "" if result.converged else result.text
@@ -263,8 +240,8 @@ def _envelope(work: Work) -> Iterator[Row]:
     yield {**rows[0], "model_text": model_text(global_fit.model) if global_fit.result.converged else ""}
     yield from rows[1:]
     for place, gain in enumerate(global_fit.gains):
-        row = _run_row(work, method, status, "", **columns)
-        yield {**row, "kind": "term", "parameter": gain.name, "estimate": gain.gain, "std": gain.std, "place": place}
+        numbers = {"estimate": gain.gain, "std": gain.std, "place": place}
+        yield _row(work, method, status, "", **columns, kind="term", parameter=gain.name, **numbers)
 
 
 def _match(work: Work) -> Iterator[Row]:
@@ -279,11 +256,9 @@ def _match(work: Work) -> Iterator[Row]:
         proof = predict(model, flight, free=model.free_of(ParameterRole.CONSTANT))
         status = OK if proof.converged else OPEN
         columns: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
-        yield _run_row(work, piece, status, "" if proof.converged else proof.text, **columns)
+        yield _row(work, piece, status, "" if proof.converged else proof.text, **columns)
         for output, fit in proof.fit.items():
-            numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
-            row = _run_row(work, piece, status, "", **columns)
-            yield {**row, "kind": "match", "parameter": output, **numbers}
+            yield _row(work, piece, status, "", **columns, kind="match", parameter=output, **_finite(fit, FIT))
 
 
 _KINDS = {"flight": _flight, "joint": _joint, "envelope": _envelope, "match": _match}

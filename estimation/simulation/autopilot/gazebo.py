@@ -127,7 +127,7 @@ def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Eleme
         model.append(_servo(flap.joint))
     if thrust:
         model.append(_rotor(propeller, a.span))
-        model.append(_shaft())
+        model.append(_joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -1e16, 1e16, 0.0))
         model.append(_motor(thrust))
     model.append(_aerodynamics(craft, stall))
     ET.indent(root)
@@ -229,10 +229,6 @@ def _rotor(propeller: Body, span: float) -> ET.Element:
     upright = rotated_body(*FORWARD)
     turned_body = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
     return _link("rotor_puller", turned_body, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
-
-
-def _shaft() -> ET.Element:
-    return _joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -1e16, 1e16, 0.0)
 
 
 def _motor(thrust: float) -> ET.Element:
