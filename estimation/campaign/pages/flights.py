@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -34,31 +33,15 @@ SHOWN: Mapping[str, tuple[str, float]] = {
 """Conditions on a flight's page: unit and factor to it."""
 
 
-@dataclass(frozen=True)
-class FlightListEntry:
-    """A line of the list of flights. page: relative to the campaign's page, or empty."""
-
-    flight: str
-    page: str
-    date: str
-    group: str
-    status: str
-    speed: str
-    alpha: str
-    sentences: int
-
-
-def write_flight_pages(
-    results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path
-) -> list[FlightListEntry]:
-    """Pages in folder/flights and the list of all flights, in order of date and name."""
+def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path) -> Markup:
+    """Pages in folder/flights; gives the table of all flights with links to them, in order of date and name."""
     flights = _by_flight(results)
     sentences_by_flight = _sentences(groups)
     pooled = [r for r in groups if r["kind"] == "pooled"]
     pages = folder / FOLDER
     for old in pages.glob("*.html"):
         old.unlink()
-    entries = []
+    lines = []
     for rows in sorted(flights.values(), key=lambda rows: (rows[0]["date"] or "", rows[0]["flight"])):
         first = next((r for r in rows if r["kind"] == "run" and r["V"] is not None), rows[0])
         words = sentences_by_flight.get(first["flight"], [])
@@ -66,8 +49,10 @@ def write_flight_pages(
         page = _page_name(first) if len(flights) <= MOST_PAGES or troubled else ""
         if page:
             _write(pages / page, rows, first, words, _pooled_beside(pooled, first["date"] or ""), keys)
-        entries.append(_entry(first, rows, page, len(words), keys))
-    return entries
+        lines.append(_flight_line(first, rows, page, len(words), keys))
+    heads = ("flight", "group", "date", "V [m/s]", "alpha [deg]", "status", "sentences")
+    kinds = {"group": "text", "status": "word"}
+    return free_table([(kinds.get(head, ""), head) for head in heads], lines, "short", "Every flight, with its page")
 
 
 def _pooled_beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
@@ -106,18 +91,17 @@ def _page_name(row: Row) -> str:
     return f"{file_name(row['flight'])[:60]}-{digest}.html"
 
 
-def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]) -> FlightListEntry:
-    status = sorted({r["status"] for r in rows if r["kind"] == "run"})
-    return FlightListEntry(
-        first["flight"],
-        f"{FOLDER}/{page}" if page else "",
-        (first["date"] or "")[:16],
-        label_in(first, keys),
-        ", ".join(status),
-        number(first["V"], 1),
-        number(None if first["alpha"] is None else DEGREES * first["alpha"], 1),
-        sentences,
-    )
+def _flight_line(
+    first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Cells of a flight, each with its class. page: its file, empty for none."""
+    link = Markup('<a href="{}/{}">{}</a>').format(FOLDER, quote(page), first["flight"]) if page else first["flight"]
+    alpha = None if first["alpha"] is None else DEGREES * first["alpha"]
+    numbers = [("", number(first["V"], 1)), ("", number(alpha, 1))]
+    status = ", ".join(sorted({r["status"] for r in rows if r["kind"] == "run"}))
+    count = ("" if sentences else "none", str(sentences or ""))
+    group = ("text", breakable(label_in(first, keys)))
+    return [("", link), group, ("", (first["date"] or "")[:16]), *numbers, ("word", status), count]
 
 
 def _write(
@@ -160,19 +144,6 @@ def _write(
         [Section("", "", [head, *tables, paragraph(note, "note")])],
         back='<a href="../index.html">&larr; Campaign</a>',
     ).write(path)
-
-
-def flight_list(entries: Sequence[FlightListEntry]) -> Markup:
-    """Every flight, with its page, as a table."""
-    words = ("flight", "group", "date", "V [m/s]", "alpha [deg]", "status", "sentences")
-    kinds = {"group": "text", "status": "word"}
-    rows = []
-    for f in entries:
-        link = Markup('<a href="{}">{}</a>').format(quote(f.page), f.flight) if f.page else f.flight
-        count = ("" if f.sentences else "none", str(f.sentences or ""))
-        numbers = [("", f.date), ("", f.speed), ("", f.alpha)]
-        rows.append([("", link), ("text", breakable(f.group)), *numbers, ("word", f.status), count])
-    return free_table([(kinds.get(word, ""), word) for word in words], rows, "short", "Every flight, with its page")
 
 
 def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> ReportTable:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from estimation.campaign.groups import claims_of
 from estimation.campaign.pages.figures import bounds_figure, envelope_figure, scatter_figure, trend_figures
-from estimation.campaign.pages.flights import flight_list, write_flight_pages
+from estimation.campaign.pages.flights import write_flight_pages
 from estimation.campaign.pages.points import points_of
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.run import CampaignOutcome
@@ -58,7 +58,7 @@ def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Pa
             [failures if outcome.failed else paragraph("None.")],
             "Failed",
         ),
-        Section("flights", "Flights", [flight_list(flights)], "Flights"),
+        Section("flights", "Flights", [flights], "Flights"),
     ]
     lead = f"Model {plan.model}; methods: {', '.join(plan.methods)}; groups by {', '.join(plan.groups) or 'nothing'}."
     return Page("Campaign", lead, sections, beside=[failures]).write(folder / "index.html", folder / "tables")
