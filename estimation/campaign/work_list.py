@@ -132,12 +132,13 @@ class _Subjects:
 def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     quality = plan.check != "none"
     data = [VERSION, subject.source.sha256, subject.segments, plan.each_segment, quality, dict(versions())]
+    model = [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
     pieces, seeds = {}, {}
     for method in dict.fromkeys(plan.methods):
         able = find(method).supports
         replicates = plan.bootstrap if Extra.BOOTSTRAP in able else 0
         seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in able else 0
-        pieces[method] = key_of("flight", data, _model_of(subject), method, replicates, seeds[method])
+        pieces[method] = key_of("flight", data, model, method, replicates, seeds[method])
     if plan.check == "full":
         pieces[CHECK] = key_of("check", data)
     return Work(
@@ -152,10 +153,6 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
         each_segment=plan.each_segment,
         limit_s=plan.time_limit,
     )
-
-
-def _model_of(subject: Subject) -> list[str | float | None]:
-    return [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
 
 
 def left_to_do(works: Iterable[Work], done: set[str]) -> Iterator[Work]:

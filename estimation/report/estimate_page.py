@@ -62,20 +62,20 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         for section, section_figures in _figures(session, proofs).items()
     }
     flight_tables = [estimate_table(session, f) for f in estimated_flights]
-    flight_tables = [
-        *(replace(t, note="") for t in flight_tables[:-1]),
-        *flight_tables[-1:],
-    ]  # one note on what the columns mean is enough
+    # one note on what the columns mean is enough
+    flight_tables = [*(replace(t, note="") for t in flight_tables[:-1]), *flight_tables[-1:]]
     rerun = [path.relative_to(folder).as_posix() for path in write_flights(session, folder / "flights", SHOWN)]
     named_aircraft = session.aircraft if session.aircraft.name != UNNAMED else None
     joint, mean, proof = joint_table(session), mean_table(session), _proof_table(session, proofs())
     modes = _modes(session) or paragraph("No usable estimate to linearise about.")
     mapped_result, _ = _shown_as_map(session)
+    comparison = paragraph(published.COMPARISON, "note") if is_published(session) else None
+    notes = notes_table((f.flight.name, note) for f in estimated_flights for note in f.notes)
     sections = [
         Section("", "", [_status_box(session, flights)]),
         Section("verdict", "Whom to believe", [_verdict_table(session)], "Whom to believe"),
         Section("card", "Flight card", [flight_card(flights, named_aircraft)], "Flight card"),
-        Section("scatter", "Each derivative over flights and methods", [*figures["scatter"], _comparison(session)])
+        Section("scatter", "Each derivative over flights and methods", [*figures["scatter"], comparison])
         if estimated_flights
         else None,
         Section("joint", "All flights together", [joint], "Joint") if joint else None,
@@ -92,7 +92,7 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         Section("proof", "Proof of match", [*figures["proof"], proof], "Proof of match") if proof else None,
         Section("modes", "Modes", [modes], "Modes"),
         Section("correlation", "Correlations", [*figures["correlation"], _collinear(mapped_result)], "Correlations"),
-        Section("runs", "How each fit ended", [_runs(session), _notes(estimated_flights)]),
+        Section("runs", "How each fit ended", [_runs(session), notes]),
         Section("conventions", "Conventions", [conventions_table(session)], "Conventions"),
         Section("provenance", "Provenance", [provenance_table(flights), _equations(session.model)], "Provenance"),
     ]
@@ -150,10 +150,6 @@ def _status_box(session: "EstimationSession", flights: Sequence["Flight"]) -> Ma
     return box(lines, warn=not session.converged)
 
 
-def _comparison(session: "EstimationSession") -> Markup | None:
-    return paragraph(published.COMPARISON, "note") if is_published(session) else None
-
-
 def _rerun_note(paths: Sequence[str]) -> Markup:
     commands = Markup(", ").join(Markup("<code>sideslip view {}</code>").format(path) for path in paths)
     return paragraph(Markup("The same in rerun: {}{}").format(commands, "." if paths else ""), "note")
@@ -169,10 +165,6 @@ def _collinear(best: "Result | None") -> Markup | None:
         return None
     pairs = [Markup("{} and {} ({})").format(html(a), html(b), f"{rho:+.3f}") for a, b, rho in best.collinear]
     return paragraph(Markup("Beyond 0.9: {}.").format(Markup("; ").join(pairs)))
-
-
-def _notes(used: "Sequence[FlightEstimates]") -> ReportTable | None:
-    return notes_table((f.flight.name, note) for f in used for note in f.notes)
 
 
 def _equations(model: "Model") -> Markup:

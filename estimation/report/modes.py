@@ -134,15 +134,14 @@ def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> ReportTable:
     rows = []
     for source, method, spread_modes in entries:
         for m in spread_modes:
-            aperiodic = math.isnan(m.mode.damping)
-            period = (
-                ""
-                if aperiodic or m.mode.damping >= 1
-                else significant(2 * math.pi / (m.mode.speed * math.sqrt(1 - m.mode.damping**2)))
-            )
-            rows.append((source, method, m.mode.name, "" if aperiodic else _pm(m.mode.speed, m.speed_spread),
-                         "" if aperiodic else _pm(m.mode.damping, m.damping_spread), period,
-                         _pm(-m.mode.speed, m.speed_spread) if aperiodic else "", _percent(m.unstable)))  # fmt: skip
+            speed, damping = m.mode.speed, m.mode.damping
+            if math.isnan(damping):
+                cells = ["", "", "", _pm(-speed, m.speed_spread)]
+            else:
+                period = "" if damping >= 1 else significant(2 * math.pi / (speed * math.sqrt(1 - damping**2)))
+                cells = [_pm(speed, m.speed_spread), _pm(damping, m.damping_spread), period, ""]
+            unstable = "" if math.isnan(m.unstable) else f"{100 * m.unstable:.0f} %"
+            rows.append((source, method, m.mode.name, *cells, unstable))
     return ReportTable(
         "modes", "Natural modes at the flights' median speed and incidence",
         ("estimates of", "method", "mode", "natural frequency [rad/s]", "damping ratio", "period [s]", "eigenvalue [1/s]",
@@ -150,10 +149,6 @@ def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> ReportTable:
         note=f"± is half the middle 68 % over {DRAWS} draws from the corrected covariance of the derivatives. Measured inputs "
         "are held: a model that is driven by dynamic pressure or sideslip shows its own modes, not all those of the aircraft.",
     )  # fmt: skip
-
-
-def _percent(share: float) -> str:
-    return "" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
 def _pm(value: float, spread: float) -> str:

@@ -153,13 +153,10 @@ def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str |
 def without_simulation(model: Model) -> Model:
     """A model with nothing for coefficients: it decides which variables are known and which columns a flight must have."""
     inputs = tuple(s for s in model.inputs if not s.computed)
-    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _coefficient_lines(model) else f"{n} = {text}"
+    coefficients = [c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions]
+    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in coefficients else f"{n} = {text}"
                for n, text in model.definitions.items()]  # fmt: skip
     return replace(model, inputs=inputs, equations=tuple(zero_lines))
-
-
-def _coefficient_lines(model: Model) -> tuple[str, ...]:
-    return tuple(c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions)
 
 
 def _standing_on(which: str) -> Model:

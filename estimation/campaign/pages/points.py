@@ -75,8 +75,8 @@ def faired(database: Sequence[Row], kind: str, method: str, parameter: str, alon
     for r in database:
         if (r["kind"], r["method"], r["parameter"], r["along"]) == (kind, method, parameter, along):
             rows_by_side.setdefault((r["group"], r.get("since") or ""), []).append(r)
-    return [(group, _faired(rows, along)) for (group, _), rows in sorted(rows_by_side.items())]
-
-
-def _faired(rows: Sequence[Row], along: str) -> Faired:
-    return Faired(*(np.array([r.get(n, np.nan) for r in rows], float) for n in (along, "estimate", "low", "high")))
+    curves = []
+    for (group, _), rows in sorted(rows_by_side.items()):
+        columns = (np.array([r.get(n, np.nan) for r in rows], float) for n in (along, "estimate", "low", "high"))
+        curves.append((group, Faired(*columns)))
+    return curves

@@ -38,14 +38,11 @@ def measured(flight: Flight) -> Row:
     """Samples, duration [s], and means and ranges of motion and air; None for what was not measured."""
     row: Row = {"samples": len(flight), "duration": float(flight.time[-1] - flight.time[0])}
     for name, (column, statistic) in STATISTICS.items():
-        row[name] = statistic(_finite_values(flight[column])) if flight.measured(column) else None
+        values = flight[column] if flight.measured(column) else None
+        row[name] = None if values is None else statistic(values[np.isfinite(values)])
     pressure_known = row["V"] is not None and row["rho"] is not None
     row["dynamic_pressure"] = 0.5 * float(np.nanmean(flight["rho"] * flight["V"] ** 2)) if pressure_known else None
     return row
-
-
-def _finite_values(values: Array) -> Array:
-    return values[np.isfinite(values)]
 
 
 def read_subject(subject: Subject) -> Flight:

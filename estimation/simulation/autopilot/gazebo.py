@@ -123,7 +123,8 @@ def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Eleme
             else (0.1 * a.chord, 0.01 * a.span, 0.1 * a.span)
         )
         model.append(_link(flap.link, Body(body.mass, np.zeros(3), body.inertia), size, body.centre))
-        model.append(_hinge(flap, throws[flap.delta]))
+        throw = throws[flap.delta]
+        model.append(_joint(flap.joint, flap.link, flap.axis, -throw, throw, SERVO_DAMPING))
         model.append(_servo(flap.joint))
     if thrust:
         model.append(_rotor(propeller, a.span))
@@ -198,10 +199,6 @@ def _joint(name: str, child: str, axis: tuple[int, int, int], low: float, high: 
     _text_element(limit, "upper", _number_text(high))
     _text_element(ET.SubElement(turning, "dynamics"), "damping", _number_text(damping))
     return joint
-
-
-def _hinge(flap: Flap, throw: float) -> ET.Element:
-    return _joint(flap.joint, flap.link, flap.axis, -throw, throw, SERVO_DAMPING)
 
 
 def _plugin(system: str, words: Mapping[str, str]) -> ET.Element:

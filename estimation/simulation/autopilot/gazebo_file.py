@@ -39,7 +39,7 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
     """The aeroplane of a model.sdf. Raises SimulationError where Gazebo would not fly it, or it is beyond the bounds."""
     root = bounded_tree(path, "model of Gazebo")
     plugin = _plugin(root, path)
-    model = _model_of(root, plugin)
+    model = next((m for m in root.iter("model") if plugin in list(m)), root)
     values = {key: _number(plugin, key, path, default) for key, default in KEYS.items()}
     _check(values, path)
     link = next((e for e in model.iter("link") if e.get("name") == _word(plugin, "link_name")), None)
@@ -81,10 +81,6 @@ def _plugin(root: ET.Element, path: Path) -> ET.Element:
             f"{path}: has {len(plugins)} plugins {SYSTEM}, and one aeroplane with one is read; the simple LiftDrag is not"
         )
     return plugins[0]
-
-
-def _model_of(root: ET.Element, plugin: ET.Element) -> ET.Element:
-    return next((m for m in root.iter("model") if plugin in list(m)), root)
 
 
 def _check(values: dict[str, float], path: Path) -> None:

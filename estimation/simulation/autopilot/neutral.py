@@ -180,7 +180,7 @@ def whole_model(path: Path, stated: Stated) -> tuple[BuildUp, Aircraft, dict[str
     missing += [n for line in missing_coefficients for n in NEEDED[line] if n not in beliefs]
     if missing:
         raise MissingPartsError(asked_for(path, "a whole aircraft", missing, stated_aircraft))
-    stated_by = (stated_aircraft or body).with_values(**_numbers(body))
+    stated_by = (stated_aircraft or body).with_values(**{name: getattr(body, name) for name in FIELDS})
     base = stated_terms(six_dof(stated_by), stated_by)
     zero = [n for line in missing_coefficients for n in MINOR[line] if n not in beliefs]
     added_numbers = {
@@ -199,10 +199,6 @@ def whole_model(path: Path, stated: Stated) -> tuple[BuildUp, Aircraft, dict[str
 def _notes(zero: list[str], strange: list[str]) -> list[str]:
     notes = [f"nobody states, so zero: {', '.join(zero)}"] if zero else []
     return [*notes, f"left out, for no form of them is known: {', '.join(strange)}"] if strange else notes
-
-
-def _numbers(body: Aircraft) -> dict[str, float]:
-    return {f: getattr(body, f) for f in FIELDS}
 
 
 def _thrust(beside: Aircraft | None, stated: Stated) -> float | None:

@@ -150,7 +150,7 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     )
     return replace(
         skeleton,
-        name=_file_word(source.name),
+        name=re.sub(r"[^A-Za-z0-9_.-]", "-", source.name),
         title=f"JSBSim aircraft {source.name}, six degrees of freedom",
         description=f"Written from {source.spec}: coefficients as its file has them",
         parameters=tuple(text.parameters.values()),
@@ -167,10 +167,6 @@ def _names_needed(lines: Mapping[str, str], todo: list[str]) -> set[str]:
             used_names.add(name)
             todo += names_in(lines[name])
     return used_names
-
-
-def _file_word(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", name)
 
 
 def arm_of(of: Callable[[str], float]) -> tuple[float, float, float]:
