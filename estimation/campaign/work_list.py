@@ -55,7 +55,7 @@ def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Pat
             subjects.aircraft_text(entry)  # a wrong name is refused whether or not the flight is there
             unreadable.append(entry)
             continue
-        work = _flight_work(plan, subjects.of(entry))
+        work = _flight_work(plan, subjects.subject_of(entry))
         if work.identity in first:
             duplicates.append((entry, first[work.identity]))
             continue
@@ -73,7 +73,7 @@ class _Subjects:
         self._judged = False
         self._text = self._model_text()
 
-    def of(self, entry: CampaignFlight) -> Subject:
+    def subject_of(self, entry: CampaignFlight) -> Subject:
         """The flight with its model and aircraft."""
         if entry.source is None:
             raise ValueError(f"{entry.location} has no source")

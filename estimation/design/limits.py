@@ -28,7 +28,7 @@ class Condition:
     values: Mapping[str, float]
     notes: tuple[str, ...] = ()
 
-    def of(self, name: str) -> float:
+    def trim_value(self, name: str) -> float:
         """Trim value of a signal; 0 for what rests."""
         return self.values.get(name, 0.0)
 

@@ -50,7 +50,7 @@ def expected_errors(
     rng = np.random.default_rng([seed, 21])
     simulator = Simulator.build(bench.model)
     values = {**bench.model.starts(), **bench.values}
-    x0 = np.array([bench.condition.of(s.name) for s in bench.model.states])
+    x0 = np.array([bench.condition.trim_value(s.name) for s in bench.model.states])
     run = simulator.run(_flight(bench, motion, None).segments[0], values, x0, sensitivities=True)
     if run.dy is None or not run.finite:
         raise EstimationError(
@@ -94,7 +94,9 @@ def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Genera
     columns = {}
     for signal in (*bench.model.inputs, *bench.model.states, *bench.model.outputs):
         values = motion.surfaces.get(signal.name, motion.signals.get(signal.name))
-        columns[signal.source] = np.full(keep.size, bench.condition.of(signal.name)) if values is None else values[keep]
+        columns[signal.source] = (
+            np.full(keep.size, bench.condition.trim_value(signal.name)) if values is None else values[keep]
+        )
     if rng is not None:
         for signal in bench.model.inputs:
             columns[signal.source] = columns[signal.source] + input_noise(bench, signal) * rng.standard_normal(

@@ -135,18 +135,18 @@ def _holding(bench: DesignSetting, control: str) -> str:
     if not bench.held or hold is None or hold[0] not in bench.model.state_names:
         return ""
     signal, gain = hold
-    return f" + {gain}*({signal} - ({bench.condition.of(signal)!r}))"
+    return f" + {gain}*({signal} - ({bench.condition.trim_value(signal)!r}))"
 
 
 def fly(bench: DesignSetting, commands: Array, duration: float) -> PredictedMotion:
     """The motion that commands (N, nu) [rad], increments at INTEGRATION_STEP over `duration` [s], would cause."""
     model = driven_model(bench)
     time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
-    u = np.tile([bench.condition.of(s.name) for s in model.inputs], (len(time), 1))
+    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))
     first = len(model.inputs) - len(bench.controls)
-    trim = np.array([bench.condition.of(c) for c in bench.controls])
+    trim = np.array([bench.condition.trim_value(c) for c in bench.controls])
     u[:, first:] = trim + commands
-    x0 = np.array([bench.condition.of(s.name) for s in model.states])
+    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
     z = np.full((len(time), len(model.outputs)), np.nan)
     simulator = Simulator.build(model, (), hold="linear")
     motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **bench.values}, x0)
@@ -165,11 +165,11 @@ def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformat
     """What samples of this motion at the bench's rate would tell of the free parameters."""
     keep = sampled(bench, motion)
     model = bench.model
-    u = np.tile([bench.condition.of(s.name) for s in model.inputs], (keep.size, 1))
+    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (keep.size, 1))
     for i, signal in enumerate(model.inputs):
         if signal.name in motion.surfaces:
             u[:, i] = motion.surfaces[signal.name][keep]
-    x0 = np.array([bench.condition.of(s.name) for s in model.states])
+    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
     z = np.full((keep.size, len(model.outputs)), np.nan)
     simulator = Simulator.build(model)
     run = simulator.run(

@@ -60,7 +60,7 @@ def differences(both: GroupFlights, second: NDArray[np.bool_]) -> tuple[Differen
     curves = envelope(both, second.astype(float)[:, None])
     if curves is None:
         return ()
-    compared_parameters = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, 0)) is not None]
+    compared_parameters = [(j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, 0)) is not None]
     return tuple(
         _difference(curves, j, change, std, len(compared_parameters)) for j, (change, std) in compared_parameters
     )
@@ -68,13 +68,13 @@ def differences(both: GroupFlights, second: NDArray[np.bool_]) -> tuple[Differen
 
 def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: int) -> Difference:
     first = curves.shifts[:, 0] <= 0.0
-    usual_conditions = np.median(np.nan_to_num(curves.of.conditions[first]), axis=0)[None, :]
+    usual_conditions = np.median(np.nan_to_num(curves.group.conditions[first]), axis=0)[None, :]
     value, value_std = curves.at(j, usual_conditions)
     lowest = float(curves.shifts[:, 0].min())
     freedom = int(curves.fit.freedom[j])
     return Difference(
-        curves.of.parameters[j],
-        int(curves.of.data.known[curves.sound, j].sum()),
+        curves.group.parameters[j],
+        int(curves.group.data.known[curves.sound, j].sum()),
         float(value[0]) + lowest * change,
         float(value_std[0]),
         change,
@@ -101,7 +101,7 @@ def step_rows(found: Sequence[Curves]) -> Iterator[Row]:
 
 
 def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: Sequence[str]) -> Row:
-    group_flights = curves.envelope.of
+    group_flights = curves.envelope.group
     first, last = step.dates
     date_text = f"with {group_flights.flights[step.first]} of {group_flights.dates[step.first]} (95 %: after {first}, by {last})"
     row: Row = {

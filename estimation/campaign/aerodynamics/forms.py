@@ -29,7 +29,7 @@ class ConditionScale:
     changed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, conditions: Array) -> "ConditionScale":
+    def from_conditions(cls, conditions: Array) -> "ConditionScale":
         """From the conditions of the flights, (flights, 4), NaN where not measured; such a condition counts as unchanged."""
         measured = np.isfinite(conditions).all(axis=0)
         low = np.where(measured, np.nan_to_num(conditions).min(axis=0), 0.0)

@@ -49,7 +49,7 @@ class MixedDesign:
     penalty: NDArray[np.intp]
 
     @classmethod
-    def of(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "MixedDesign":
+    def from_columns(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "MixedDesign":
         """From (flights, terms) and penalties of each parameter's form."""
         count = sum(c.shape[1] for c in columns)
         X = np.zeros((*known.shape, count))

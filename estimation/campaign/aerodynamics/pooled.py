@@ -43,7 +43,7 @@ class PooledCurves:
     each parameter those that its flights can tell; distance, limit: (flights,) of each flight from what the others say, and
     the distance that one sound flight of so many exceeds with the usual level; sound: flights that enter the curves."""
 
-    of: GroupFlights
+    group: GroupFlights
     scale: ConditionScale
     forms: tuple[PolynomialForm, ...]
     shifts: Array
@@ -57,7 +57,7 @@ class PooledCurves:
     @cached_property
     def x(self) -> Array:
         """(sound flights, 4) scaled conditions."""
-        return self.scale.scaled(self.of.conditions[self.sound])
+        return self.scale.scaled(self.group.conditions[self.sound])
 
     def columns(self, parameter: int, conditions: Array, shifts: Array | None = None) -> Array:
         """(points, terms) of a parameter's form. shifts: (effects,), by default at their mean, which is zero."""
@@ -80,7 +80,7 @@ class PooledCurves:
 
     def of_flight(self, parameter: int, flight: int) -> tuple[float, float]:
         """Value and standard error of a parameter in one flight, with what moved it."""
-        form_columns = self.forms[parameter].columns(self.scale.scaled(self.of.conditions[flight : flight + 1]))
+        form_columns = self.forms[parameter].columns(self.scale.scaled(self.group.conditions[flight : flight + 1]))
         row = np.column_stack([form_columns, self.shifts[flight : flight + 1, self.shifted[parameter]]])
         value, std = mixed.predicted(self.fit, row, self.design.owner, parameter)
         return float(value[0]), float(std[0])
@@ -105,46 +105,46 @@ class PooledCurves:
         return form.formula(self.scale, free)
 
 
-def envelope(of: GroupFlights, shifts: Array | None = None) -> PooledCurves | None:
+def envelope(group: GroupFlights, shifts: Array | None = None) -> PooledCurves | None:
     """Curves of all parameters that enough flights tell; None where there is none.
 
     shifts: (flights, effects) that may move every parameter by amounts of their own, whatever the conditions: a configuration,
     a date. They are taken about their means, so that the curves are those of the mean flight.
     """
-    usable_columns = np.flatnonzero(of.data.known.sum(axis=0) >= CONSTANT.size + SPARE_FLIGHTS)
+    usable_columns = np.flatnonzero(group.data.known.sum(axis=0) >= CONSTANT.size + SPARE_FLIGHTS)
     if not usable_columns.size:
         return None
-    names = tuple(of.parameters[j] for j in usable_columns)
+    names = tuple(group.parameters[j] for j in usable_columns)
     data = MixedData(
-        of.data.y[:, usable_columns],
-        of.data.V[:, usable_columns][:, :, usable_columns],
-        of.data.known[:, usable_columns],
+        group.data.y[:, usable_columns],
+        group.data.V[:, usable_columns][:, :, usable_columns],
+        group.data.known[:, usable_columns],
     )
     flights_known: Mask = data.known.sum(axis=1) > 0
-    of = GroupFlights(
+    group = GroupFlights(
         names,
-        tuple(f for f, t in zip(of.flights, flights_known, strict=True) if t),
-        tuple(d for d, t in zip(of.dates, flights_known, strict=True) if t),
-        of.conditions[flights_known],
+        tuple(f for f, t in zip(group.flights, flights_known, strict=True) if t),
+        tuple(d for d, t in zip(group.dates, flights_known, strict=True) if t),
+        group.conditions[flights_known],
         data.part(flights_known),
     )
     centred_shifts = np.zeros((len(flights_known), 0)) if shifts is None else shifts
     centred_shifts = (centred_shifts - centred_shifts.mean(axis=0))[flights_known]
-    scale = ConditionScale.of(of.conditions)
-    x = scale.scaled(of.conditions)
-    sound_flights = _not_plainly_off(of.data, np.column_stack([x[:, scale.changed], centred_shifts]))
+    scale = ConditionScale.from_conditions(group.conditions)
+    x = scale.scaled(group.conditions)
+    sound_flights = _not_plainly_off(group.data, np.column_stack([x[:, scale.changed], centred_shifts]))
     for number in range(ROUNDS):
-        sound_data = of.data.part(sound_flights)
+        sound_data = group.data.part(sound_flights)
         shifted = tuple(_told_shifts(centred_shifts[sound_flights][sound_data.known[:, j]]) for j in range(len(names)))
         forms = tuple(
             choose(sound_data.one(j), x[sound_flights], scale.changed, centred_shifts[sound_flights][:, shifted[j]])
             for j in range(len(names))
         )
-        full_design = _design(of.data, forms, x, centred_shifts, shifted)
+        full_design = _design(group.data, forms, x, centred_shifts, shifted)
         design = full_design.part(sound_flights)
         mixed_fit = mixed.fit(sound_data, design)
-        distance = _distances(of.data, full_design, sound_flights, mixed_fit)
-        limit = np.array([_limit(int(c), len(flights_known)) for c in of.data.known.sum(axis=1)])
+        distance = _distances(group.data, full_design, sound_flights, mixed_fit)
+        limit = np.array([_limit(int(c), len(flights_known)) for c in group.data.known.sum(axis=1)])
         still_sound = distance <= limit
         if (
             np.array_equal(still_sound, sound_flights)
@@ -153,7 +153,7 @@ def envelope(of: GroupFlights, shifts: Array | None = None) -> PooledCurves | No
         ):
             break
         sound_flights = still_sound
-    return PooledCurves(of, scale, forms, centred_shifts, shifted, mixed_fit, design, sound_flights, distance, limit)
+    return PooledCurves(group, scale, forms, centred_shifts, shifted, mixed_fit, design, sound_flights, distance, limit)
 
 
 def choose(data: MixedData, x: Array, changed: Mask, shifts: Array) -> PolynomialForm:
@@ -185,7 +185,7 @@ def choose(data: MixedData, x: Array, changed: Mask, shifts: Array) -> Polynomia
 
 def bootstrap(envelope: PooledCurves, count: int, seed: int) -> Array:
     """(replicates, coefficients) with the flights drawn again."""
-    data = envelope.of.data.part(envelope.sound)
+    data = envelope.group.data.part(envelope.sound)
     return mixed.replicates(data, envelope.design, envelope.fit, count, np.random.default_rng(seed))
 
 
@@ -225,7 +225,7 @@ def _design(
 ) -> MixedDesign:
     columns = [np.column_stack([f.columns(x), shifts[:, effects]]) for f, effects in zip(forms, shifted, strict=True)]
     penalties = [(*f.penalty, *(-1 for _ in effects)) for f, effects in zip(forms, shifted, strict=True)]
-    return MixedDesign.of(columns, penalties, data.known)
+    return MixedDesign.from_columns(columns, penalties, data.known)
 
 
 def _told_shifts(shifts: Array) -> tuple[int, ...]:

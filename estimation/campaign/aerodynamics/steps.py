@@ -48,18 +48,18 @@ class DateStep:
     freedom: int
 
 
-def with_steps(of: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[DateStep, ...]]:
-    """The curves of a group with the steps in time that its flights show. of: in order of date."""
-    shifts = np.zeros((len(of.flights), 0))
-    curves = envelope(of)
+def with_steps(group: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[DateStep, ...]]:
+    """The curves of a group with the steps in time that its flights show. group: in order of date."""
+    shifts = np.zeros((len(group.flights), 0))
+    curves = envelope(group)
     located_steps: list[tuple[int, tuple[str, str], float]] = []
     while curves is not None and len(located_steps) < MOST_STEPS:
         step = _search(curves, [f for f, _, _ in located_steps], np.random.default_rng([seed, len(located_steps)]))
         if step is None:
             break
-        first = of.flights.index(curves.of.flights[step[0]])
-        after_step = (np.arange(len(of.flights)) >= first).astype(float)
-        shifted_curves = envelope(of, np.column_stack([shifts, after_step]))
+        first = group.flights.index(curves.group.flights[step[0]])
+        after_step = (np.arange(len(group.flights)) >= first).astype(float)
+        shifted_curves = envelope(group, np.column_stack([shifts, after_step]))
         if shifted_curves is None:
             break
         shifts, curves = np.column_stack([shifts, after_step]), shifted_curves
@@ -71,12 +71,12 @@ def with_steps(of: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[
 
 def _described(curves: PooledCurves, number: int, first: int, dates: tuple[str, str], probability: float) -> DateStep:
     """Sizes of a step, with all steps that were found and the variances that are left."""
-    told_shifts = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, number)) is not None]
+    told_shifts = [(j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, number)) is not None]
     freedom = int(min((curves.fit.freedom[j] for j, _ in told_shifts), default=1))
     parameter_steps = []
     for j, (change, std) in told_shifts:
         p = pooling.two_sided(change / std, int(curves.fit.freedom[j]))
-        parameter_steps.append(ParameterStep(curves.of.parameters[j], change, std, min(1.0, p * len(told_shifts))))
+        parameter_steps.append(ParameterStep(curves.group.parameters[j], change, std, min(1.0, p * len(told_shifts))))
     return DateStep(first, dates, probability, tuple(parameter_steps), freedom)
 
 
@@ -87,15 +87,15 @@ def _search(
 
     before: steps that were found already; between two there are as many flights as beside one.
     """
-    known_mask = curves.of.data.known[curves.sound]
-    dates = [d for d, s in zip(curves.of.dates, curves.sound, strict=True) if s]
+    known_mask = curves.group.data.known[curves.sound]
+    dates = [d for d, s in zip(curves.group.dates, curves.sound, strict=True) if s]
     places = _places(dates)
     sound_indices = np.flatnonzero(curves.sound)
     places = np.array([k for k in places if all(abs(sound_indices[k] - b) >= FEWEST_BESIDE for b in before)], np.intp)
     if not places.size:
         return None
     statistics = _Statistics(curves, known_mask, places)
-    chi2 = statistics.of(np.where(known_mask, curves.fit.residual, 0.0)[None])[0]
+    chi2 = statistics.chi_square(np.where(known_mask, curves.fit.residual, 0.0)[None])[0]
     largest = statistics.by_chance(rng)
     probability = (1.0 + float(np.sum(largest >= chi2.max()))) / (1.0 + largest.size)
     if probability > pooling.LEVEL:
@@ -135,7 +135,7 @@ class _Statistics:
         information = later_information - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
         self.inverse = np.array([np.linalg.pinv(i, rcond=1e-9, hermitian=True) for i in information])
 
-    def of(self, residual: Array) -> Array:
+    def chi_square(self, residual: Array) -> Array:
         """(draws, places) from (draws, flights, k) residuals."""
         score = np.stack([_sums_from(r, self.places) for r in np.einsum("nkl,dnl->dnk", self.W, residual)])
         chi2: Array = np.einsum("dck,ckl,dcl->dc", score, self.inverse, score, optimize=True)
@@ -151,7 +151,7 @@ class _Statistics:
             y = np.where(self.known, np.einsum("nkl,dnl->dnk", root, rng.standard_normal((count, n, k))), 0.0)
             b = y.reshape(count, -1) @ self.to_b.T
             residual = np.where(self.known, y - np.einsum("nkp,dp->dnk", self.X, b, optimize=True), 0.0)
-            largest += self.of(residual).max(axis=1).tolist()
+            largest += self.chi_square(residual).max(axis=1).tolist()
         return np.array(largest)
 
 
@@ -193,16 +193,18 @@ def moved_by(steps: Sequence[DateStep], parameter: str) -> list[int]:
 def sides(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> Iterator[Side]:
     """The stretches of time that have curves of their own, in order."""
     step_numbers = moved_by(steps, parameter)
-    count = len(curves.of.flights)
+    count = len(curves.group.flights)
     edges = [0, *(steps[n].first for n in step_numbers), count]
     place = np.arange(count)
     for first, end in zip(edges, edges[1:], strict=False):
         shifts = np.zeros(curves.shifts.shape[1])
         shifts[step_numbers] = curves.shifts[first, step_numbers]
-        dates = (curves.of.dates[first], curves.of.dates[end - 1]) if step_numbers else ("", "")
+        dates = (curves.group.dates[first], curves.group.dates[end - 1]) if step_numbers else ("", "")
         yield Side(*dates, shifts, (place >= first) & (place < end))
 
 
 def starts_of(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> list[tuple[str, str]]:
     """Date and name of the first flight after each step that moved a parameter."""
-    return [(curves.of.dates[i], curves.of.flights[i]) for i in (steps[n].first for n in moved_by(steps, parameter))]
+    return [
+        (curves.group.dates[i], curves.group.flights[i]) for i in (steps[n].first for n in moved_by(steps, parameter))
+    ]

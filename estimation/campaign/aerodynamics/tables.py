@@ -67,7 +67,7 @@ def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
     for group_curves in found:
         curves = group_curves.envelope
         replicates = pooled.bootstrap(curves, REPLICATES, seed)
-        for j, name in enumerate(curves.of.parameters):
+        for j, name in enumerate(curves.group.parameters):
             if group_curves.about["method"] == INSTRUMENTS:
                 continue
             parameter_replicates = replicates[:, curves.design.owner == j]
@@ -76,7 +76,7 @@ def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
                     **group_curves.about,
                     "kind": "pooled",
                     "parameter": name,
-                    "flights": int(curves.of.data.known[curves.sound & side.flights, j].sum()),
+                    "flights": int(curves.group.data.known[curves.sound & side.flights, j].sum()),
                     "between": math.sqrt(curves.fit.tau2[j]),
                     "form": curves.forms[j].words,
                     "formula": curves.formula(j, side.shifts),
@@ -93,7 +93,7 @@ def starts_in(found: Sequence[Curves]) -> Starts:
     return {
         (group_curves.about["group"], group_curves.about["method"], name): starts
         for group_curves in found
-        for name in group_curves.envelope.of.parameters
+        for name in group_curves.envelope.group.parameters
         if (starts := starts_of(group_curves.envelope, group_curves.steps, name))
     }
 
@@ -106,7 +106,7 @@ def flight_rows(found: Sequence[Curves]) -> Iterator[Row]:
 
 
 def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
-    group = curves.of
+    group = curves.group
     distances = []
     for j in np.flatnonzero(group.data.known[i]):
         value, std = curves.of_flight(int(j), i)
@@ -179,7 +179,7 @@ def _correlate(into: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[s
 
 def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
     """(what changes, (points, 4) conditions); where nothing changed there is one point."""
-    flights = curves.of.conditions[curves.sound]
+    flights = curves.group.conditions[curves.sound]
     middle, scale = np.median(flights, axis=0), curves.scale
     changed = [c for c, is_changed in zip(CONDITIONS, scale.changed, strict=True) if is_changed]
     if not changed:

@@ -124,7 +124,7 @@ def states_of(found: Increments, translator: Translator, rate: float, known: dic
             case ast.BinOp(
                 left=ast.BinOp(left=given, op=ast.Sub(), right=ast.Name(id=name)), op=ast.Div(), right=tau
             ) if name == state:
-                seconds = translator.of(tau, ())
+                seconds = translator.translated(tau, ())
             case _:
                 seconds = math.nan
         if not isinstance(seconds, float | int) or not seconds > 0.0:
@@ -133,7 +133,7 @@ def states_of(found: Increments, translator: Translator, rate: float, known: dic
                 " can be written for JSBSim"
             )
         function = ET.Element("fcs_function", name=f"fcs/{OURS}/{state}-input")
-        function.append(node("function", carried_translator.of(given, ())))
+        function.append(node("function", carried_translator.translated(given, ())))
         lag = ET.Element("lag_filter", name=f"fcs/{OURS}/{state}")
         lag.extend([node("input", f"fcs/{OURS}/{state}-input"), node("c1", repr(1.0 / seconds))])
         filters += [function, lag]

@@ -94,14 +94,14 @@ class Reader:
             parts = [e for e in element if e.tag not in WORDS]
             if len(parts) != 1:
                 raise NotExact("is not made of one operation")
-            value = self.of(parts[0])
+            value = self.sum_of(parts[0])
         finally:
             self._path = outer_path
         if name:
             self._done[name] = value
         return value
 
-    def of(self, element: ET.Element) -> Sum:
+    def sum_of(self, element: ET.Element) -> Sum:
         """The value of any operation. Raises NotExact."""
         text = (element.text or "").strip()
         match element.tag:
@@ -115,7 +115,7 @@ class Reader:
                 return self.function(element)
         if element.tag not in OPERATIONS:
             raise NotExact(f"has <{element.tag}>, which our text has no form for")
-        parts = [self.of(e) for e in element if e.tag not in WORDS]
+        parts = [self.sum_of(e) for e in element if e.tag not in WORDS]
         if not parts:
             raise NotExact(f"has <{element.tag}> with nothing in it")
         return _operated(element.tag, parts)
