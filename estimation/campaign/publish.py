@@ -26,13 +26,13 @@ FOUND = ("aircraft", "manoeuvre", "group")
 """Columns in which what the worker found goes before what the plan says."""
 
 
-def planned_rows(table: "pa.Table", about: Mapping[str, Row]) -> "tuple[pa.Table, pa.Table]":
-    """(rows of the plan with what it says of each flight, rows of other plans). about: key of today's work -> conditions."""
+def planned_rows(table: "pa.Table", conditions_by_key: Mapping[str, Row]) -> "tuple[pa.Table, pa.Table]":
+    """(rows of the plan with what it says of each flight, rows of other plans). conditions_by_key: by today's keys of work."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    is_planned = pc.is_in(table["key"], value_set=pa.array(list(about), pa.string()))
-    planned = _with_conditions(table.filter(is_planned), about)
+    is_planned = pc.is_in(table["key"], value_set=pa.array(list(conditions_by_key), pa.string()))
+    planned = _with_conditions(table.filter(is_planned), conditions_by_key)
     has_content = pc.or_(
         pc.is_valid(table["sha256"]), pc.is_valid(table["group"])
     )  # others are of bytes that could not be had
@@ -44,13 +44,13 @@ def ordered(table: "pa.Table") -> "pa.Table":
     return table.sort_by([(name, "ascending") for name in ORDER])
 
 
-def _with_conditions(table: "pa.Table", about: Mapping[str, Row]) -> "pa.Table":
+def _with_conditions(table: "pa.Table", conditions_by_key: Mapping[str, Row]) -> "pa.Table":
     """Names and conditions are of today's plan, not of the day the flight was worked on."""
     import pyarrow as pa
 
     keys = table["key"].to_pylist()
     for name in ("flight", "source", "manoeuvre", "aircraft", "configuration", "date", "day", "mass", "cg", "group"):
-        pairs = list(zip([about[key].get(name) for key in keys], table[name].to_pylist(), strict=True))
+        pairs = list(zip([conditions_by_key[key].get(name) for key in keys], table[name].to_pylist(), strict=True))
         values = [
             (worker_value if worker_value is not None else planned_value) if name in FOUND else planned_value
             for planned_value, worker_value in pairs

@@ -74,17 +74,18 @@ def _sensor_noise(bench: DesignSetting, y: Array, shown: Array) -> Array:
     return np.diag(np.maximum(variance - shown, LEAST_OWN * variance) if bench.noise_of_residuals else variance)
 
 
-def _scatter(sensitivities: Array, own: Array, within: Array, shown: list[Array]) -> Array:
-    """Standard deviation of each unknown. sensitivities (N, ny, n); own, within (ny, ny): R, D_0; shown: (N, ny) draws of d."""
-    weight = np.linalg.inv(own + within)
+def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array, output_errors: list[Array]) -> Array:
+    """Standard deviation of each unknown. sensitivities (N, ny, n); sensor_noise, error_covariance (ny, ny): R, D_0;
+    output_errors: (N, ny) draws of d."""
+    weight = np.linalg.inv(sensor_noise + error_covariance)
     weighted = np.einsum("tyn,yz->tzn", sensitivities, weight)
     scale = np.sqrt(np.maximum(np.einsum("tyn,tyn->n", weighted, sensitivities), 1e-300))
     weighted = weighted / scale
     inverse = np.linalg.pinv(np.einsum("tyn,tym->nm", weighted, sensitivities / scale), rcond=1e-12, hermitian=True)
-    middle = np.einsum("tyn,yz,tzm->nm", weighted, own, weighted)
-    for d in shown:
+    middle = np.einsum("tyn,yz,tzm->nm", weighted, sensor_noise, weighted)
+    for d in output_errors:
         slope = np.einsum("tyn,ty->n", weighted, d)
-        middle += np.outer(slope, slope) / len(shown)
+        middle += np.outer(slope, slope) / len(output_errors)
     return np.sqrt(np.diag(inverse @ middle @ inverse)) / scale
 
 

@@ -139,20 +139,20 @@ def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band:
     return Harmonics(np.array(controls), np.array(matrices), np.array(power), names)
 
 
-def allocate(found: Harmonics, scale: Array, criterion: Criterion) -> Array:
+def allocate(harmonics: Harmonics, scale: Array, criterion: Criterion) -> Array:
     """(K,) power of each harmonic at which the criterion of the relative covariance is least, no limited signal above 1."""
-    weights = 1.0 / found.power.sum(axis=1)
-    weights /= float((weights @ found.power).max())
-    multipliers = np.full(found.power.shape[1], 1.0 / found.power.shape[1])
-    relative = found.information * scale[None, :, None] * scale[None, None, :]
+    weights = 1.0 / harmonics.power.sum(axis=1)
+    weights /= float((weights @ harmonics.power).max())
+    multipliers = np.full(harmonics.power.shape[1], 1.0 / harmonics.power.shape[1])
+    relative = harmonics.information * scale[None, :, None] * scale[None, None, :]
     last = math.inf
     for _ in range(ROUNDS):
         total_information = np.tensordot(weights, relative, axes=1)
         covariance = np.linalg.pinv(total_information, rcond=1e-12, hermitian=True)
         value, slope = criterion(covariance)
         gain = np.einsum("ij,kji->k", covariance @ slope @ covariance, relative)
-        weights = weights * np.sqrt(np.maximum(gain, 0.0) / (found.power @ multipliers))
-        share = weights @ found.power
+        weights = weights * np.sqrt(np.maximum(gain, 0.0) / (harmonics.power @ multipliers))
+        share = weights @ harmonics.power
         weights /= float(share.max())
         multipliers = multipliers * np.sqrt(share / share.max())
         multipliers /= multipliers.sum()

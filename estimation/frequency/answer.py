@@ -62,9 +62,9 @@ def judged(fit: TransferFunction) -> str:
     return f"the form describes the data (cost {fit.cost:.1f}, acceptable up to {ACCEPTABLE:g})"
 
 
-def response_lines(found: FrequencyResult) -> Iterator[str]:
+def response_lines(result: FrequencyResult) -> Iterator[str]:
     """What a person reads on the terminal."""
-    r = found.response
+    r = result.response
     conditioned_text = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     yield (
         f"{r.output} to {r.input}{conditioned_text}: {r.omega.size} frequencies from {r.omega[0]:.3g} to "
@@ -80,35 +80,35 @@ def response_lines(found: FrequencyResult) -> Iterator[str]:
         yield f"  left out for low coherence or large error: {len(r.left_out)} frequencies"
     for note in r.notes:
         yield f"  note: {note}"
-    if found.fit is not None:
-        yield from _fit_lines(found, found.fit)
+    if result.fit is not None:
+        yield from _fit_lines(result, result.fit)
 
 
-def _fit_lines(found: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
+def _fit_lines(result: FrequencyResult, fit: TransferFunction) -> Iterator[str]:
     yield ""
     yield f"fit {fit.form.name}, {fit.points} frequencies from {fit.omega[0]:.3g} to {fit.omega[1]:.3g} rad/s: {judged(fit)}"
     yield f"  H = {fit.form.equation}"
     yield f"  {'parameter':<12}{'estimate':>11}{'bound':>10}{'CIFER cost':>12}"
     for name, p in fit.parameters.items():
         yield f"  {name:<12}{p.estimate:11.4g}{p.std:10.2g}{fit.cifer[name]:12.4g}  {p.unit}"
-    for n in found.numbers:
+    for n in result.numbers:
         bound = f" +- {n.std:.2g}" if n.std == n.std else ""
         level = "" if n.level is None else ", beyond level 3" if n.level > 3 else f", level {n.level}"
         unit = "" if n.unit == "1" else f" {n.unit}"
         yield f"  {n.name} = {n.value:.4g}{bound}{unit}: {n.definition} ({n.source}){level}"
-    if found.craft.why_no_level:
-        yield f"  {found.craft.why_no_level}"
+    if result.craft.why_no_level:
+        yield f"  {result.craft.why_no_level}"
 
 
-def write_frequency_report(found: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
+def write_frequency_report(result: FrequencyResult, flights: Sequence[Flight], folder: Path) -> Path:
     """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page."""
-    r = found.response
+    r = result.response
     warnings = box((paragraph(f"{note[:1].upper()}{note[1:]}") for note in r.notes), warn=True) if r.notes else None
-    picture, numbers = [response_picture(r, found.fit)], [response_table(found)]
+    picture, numbers = [response_picture(r, result.fit)], [response_table(result)]
     sections = [
         Section("", "", [warnings]),
         Section("frequency_response_figure", "Response", picture, "Response"),
-        *_fit_sections(found),
+        *_fit_sections(result),
         Section("table", "Response in numbers", numbers, "Table"),
         Section("provenance_of_flights", "Provenance", [provenance_table(flights)], "Provenance"),
     ]
@@ -119,14 +119,14 @@ def write_frequency_report(found: FrequencyResult, flights: Sequence[Flight], fo
     return page.write(folder / "index.html", folder / "tables")
 
 
-def _fit_sections(found: FrequencyResult) -> list[Section]:
+def _fit_sections(result: FrequencyResult) -> list[Section]:
     """The transfer function and what it says of handling qualities, where one was fitted."""
-    if found.fit is None:
+    if result.fit is None:
         return []
-    no_level = found.craft.why_no_level
+    no_level = result.craft.why_no_level
     note = paragraph(sentence(no_level), "note") if no_level else None
-    fit: list[Part] = [paragraph(sentence(judged(found.fit))), _fit_table(found.fit)]
-    handling = _handling_table(found)
+    fit: list[Part] = [paragraph(sentence(judged(result.fit))), _fit_table(result.fit)]
+    handling = _handling_table(result)
     if handling is None:
         return [Section("fit", "Transfer function", [*fit, note], "Fit")]
     return [
@@ -135,9 +135,9 @@ def _fit_sections(found: FrequencyResult) -> list[Section]:
     ]
 
 
-def response_table(found: FrequencyResult) -> ReportTable:
+def response_table(result: FrequencyResult) -> ReportTable:
     """Every frequency kept."""
-    r = found.response
+    r = result.response
     rows = tuple(
         (
             significant(float(r.omega[k]), 4),
@@ -172,8 +172,8 @@ def _fit_table(fit: TransferFunction) -> ReportTable:
     )
 
 
-def _handling_table(found: FrequencyResult) -> ReportTable | None:
-    if not found.numbers:
+def _handling_table(result: FrequencyResult) -> ReportTable | None:
+    if not result.numbers:
         return None
     rows = tuple(
         (
@@ -184,7 +184,7 @@ def _handling_table(found: FrequencyResult) -> ReportTable | None:
             n.definition,
             n.source,
         )
-        for n in found.numbers
+        for n in result.numbers
     )
     head = ("number", "value", "bound", "unit", "level", "definition", "source")
     note = "Of the response to the measured surface: the servo before it is not in them."

@@ -187,26 +187,26 @@ def _grid(low: float, high: float, points: int) -> FrequencyGrid:
 
 
 def _composed(
-    signals: Signals, found: Sequence[WindowResponse], grid: FrequencyGrid, names: tuple[str, ...]
+    signals: Signals, window_responses: Sequence[WindowResponse], grid: FrequencyGrid, names: tuple[str, ...]
 ) -> FrequencyResponse:
     omega = grid.omega
-    holds = np.stack([omega >= (1.0 - 1e-9) * 2 * np.pi * PERIODS / r.length for r in found])
+    holds = np.stack([omega >= (1.0 - 1e-9) * 2 * np.pi * PERIODS / r.length for r in window_responses])
     omega, holds = omega[holds.any(axis=0)], holds[:, holds.any(axis=0)]
     if not omega.size:
         raise DataError(_too_short(signals))
     part = slice(len(grid.omega) - len(omega), None)
-    bias = _bias(found, part)
-    error = np.where(holds, np.hypot(np.stack([r.std[part] for r in found]), bias), np.inf)
+    bias = _bias(window_responses, part)
+    error = np.where(holds, np.hypot(np.stack([r.std[part] for r in window_responses]), bias), np.inf)
     weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** -4.0
     weight /= weight.sum(axis=0)
 
     def mean(values: Sequence[Any]) -> Any:
         return np.sum(weight * np.stack([v[part] for v in values]), axis=0)
 
-    H, std = mean([r.H for r in found]), np.sum(weight * np.where(holds, error, 0.0), axis=0)
-    coherence, power = mean([r.coherence for r in found]), mean([r.power for r in found])
-    length = mean([np.full(grid.omega.shape, r.length) for r in found])
-    coherent = _coherent_points(H, std, coherence, mean([r.freedom for r in found]))
+    H, std = mean([r.H for r in window_responses]), np.sum(weight * np.where(holds, error, 0.0), axis=0)
+    coherence, power = mean([r.coherence for r in window_responses]), mean([r.power for r in window_responses])
+    length = mean([np.full(grid.omega.shape, r.length) for r in window_responses])
+    coherent = _coherent_points(H, std, coherence, mean([r.freedom for r in window_responses]))
     omitted = tuple((float(w), float(c)) for w, c in zip(omega[~coherent], coherence[~coherent], strict=True))
     if not coherent.any():
         raise DataError(
@@ -214,11 +214,11 @@ def _composed(
             f"{omega[-1]:.3g} rad/s (coherence at most {float(coherence.max()):.2f}); is it the right output, and was the "
             "input moved on purpose?"
         )
-    notes = (*signals.notes, *_notes(signals, found, power[coherent]))
+    notes = (*signals.notes, *_notes(signals, window_responses, power[coherent]))
     return FrequencyResponse(
         signals.names, signals.output, omega[coherent], H[coherent], std[coherent], coherence[coherent], length[coherent],
         omitted,
-        tuple(r.length for r in found), signals.duration, signals.speed, notes, names,
+        tuple(r.length for r in window_responses), signals.duration, signals.speed, notes, names,
     )  # fmt: skip
 
 
@@ -229,15 +229,15 @@ def _coherent_points(H: Complex, std: Array, coherence: Array, freedom: Array) -
     return np.asarray(np.all(median_filter(spare, (1, BESIDE)) >= 0.0, axis=0) & (std <= np.abs(H)))
 
 
-def _bias(found: Sequence[WindowResponse], part: slice) -> Array:
+def _bias(window_responses: Sequence[WindowResponse], part: slice) -> Array:
     """(lengths, frequencies) what the window's shape may still do to each response.
 
     Where it was taken off, what is left goes with its square; where not, it is that of the next shorter window less
     by length squared.
     """
     biases = []
-    for k, r in enumerate(found):
-        shifted_response = next((f for f in found[k:] if f.shift is not None), None)
+    for k, r in enumerate(window_responses):
+        shifted_response = next((f for f in window_responses[k:] if f.shift is not None), None)
         if shifted_response is None or shifted_response.shift is None:
             biases.append(np.zeros(r.H[part].shape))
             continue
@@ -247,7 +247,7 @@ def _bias(found: Sequence[WindowResponse], part: slice) -> Array:
     return np.stack(biases)
 
 
-def _notes(signals: Signals, found: Sequence[WindowResponse], power: Array) -> list[str]:
+def _notes(signals: Signals, window_responses: Sequence[WindowResponse], power: Array) -> list[str]:
     notes = []
     noise = signals.noise**2 * signals.step / np.maximum(power, 1e-300)
     if np.any(noise > NOISY_INPUT):
@@ -256,7 +256,7 @@ def _notes(signals: Signals, found: Sequence[WindowResponse], power: Array) -> l
             f"{100 * float(noise.max()):.0f} % low where the "
             "control moved least"
         )
-    if not any(r.corrected for r in found):
+    if not any(r.corrected for r in window_responses):
         notes.append(
             "too few windows to correct for their shape: a lightly damped peak comes out low and broad, by up to "
             "6.6 (decay time / window)^2; "

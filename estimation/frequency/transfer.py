@@ -99,24 +99,26 @@ def fit_transfer(response: FrequencyResponse, form: str | TransferForm = "auto")
     return _fitted(response, coherent, transfer_form)
 
 
-def _information(found: TransferFunction) -> float:
+def _information(transfer_function: TransferFunction) -> float:
     """Bayes's criterion: misfit and what every unknown must earn."""
-    return 2.0 * found.points * found.misfit**2 + len(found.parameters) * math.log(2.0 * found.points)
+    return 2.0 * transfer_function.points * transfer_function.misfit**2 + len(transfer_function.parameters) * math.log(
+        2.0 * transfer_function.points
+    )
 
 
-def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: TransferForm) -> TransferFunction:
+def _fitted(response: FrequencyResponse, coherent: NDArray[np.bool_], form: TransferForm) -> TransferFunction:
     names = form.names
-    if 2 * int(good.sum()) < len(names) + SPARE:
+    if 2 * int(coherent.sum()) < len(names) + SPARE:
         raise DataError(
-            f"{int(good.sum())} frequencies with a coherence of {GOOD:g} or more cannot settle the {len(names)} "
+            f"{int(coherent.sum())} frequencies with a coherence of {GOOD:g} or more cannot settle the {len(names)} "
             f"unknowns of form {form.name}: "
             "fly longer or with more input, or fit a smaller form"
         )
-    omega, H, g2 = response.omega[good], response.H[good], response.coherence[good]
-    std = np.maximum(response.std[good], 1e-9 * np.abs(H).max())
+    omega, H, g2 = response.omega[coherent], response.H[coherent], response.coherence[coherent]
+    std = np.maximum(response.std[coherent], 1e-9 * np.abs(H).max())
     classic = _best_search(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
     likelihood_fit = least_squares(lambda x: _errors(form, x, omega, H, std), classic.x, x_scale=_scale(classic.x))
-    covariance, misfit = _covariance(likelihood_fit.jac, likelihood_fit.fun, omega, response.length[good])
+    covariance, misfit = _covariance(likelihood_fit.jac, likelihood_fit.fun, omega, response.length[coherent])
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     units = form.units
     parameters = {
@@ -129,7 +131,7 @@ def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Transfer
         dict(zip(names, classic.x.tolist(), strict=True)),
         float(np.sum(classic.fun**2)),
         misfit,
-        int(good.sum()),
+        int(coherent.sum()),
         (float(omega[0]), float(omega[-1])),
         covariance,
     )
@@ -192,8 +194,8 @@ def _errors(form: TransferForm, x: Array, omega: Array, H: Complex, std: Array) 
     return np.concatenate([scaled_error.real, scaled_error.imag])
 
 
-def _covariance(jacobian: Array, off: Array, omega: Array, length: Array) -> tuple[Array, float]:
-    """(covariance of the unknowns, rms of `off`). Neighbouring points share noise as far as their windows cannot
+def _covariance(jacobian: Array, scaled_errors: Array, omega: Array, length: Array) -> tuple[Array, float]:
+    """(covariance of the unknowns, rms of `scaled_errors`). Neighbouring points share noise as far as their windows cannot
     tell them apart."""
     size = np.maximum(np.linalg.norm(jacobian, axis=0), SMALLEST_STEP)
     J = jacobian / size
@@ -201,8 +203,8 @@ def _covariance(jacobian: Array, off: Array, omega: Array, length: Array) -> tup
     half = len(omega)
     middle = J[:half].T @ shared @ J[:half] + J[half:].T @ shared @ J[half:]
     inverse = np.linalg.pinv(J.T @ J, rcond=1e-10)
-    misfit = math.sqrt(float(np.mean(off**2)))
-    freedom = off.size / max(off.size - len(size), 1)
+    misfit = math.sqrt(float(np.mean(scaled_errors**2)))
+    freedom = scaled_errors.size / max(scaled_errors.size - len(size), 1)
     return inverse @ middle @ inverse * max(1.0, misfit**2 * freedom) / np.outer(size, size), misfit
 
 

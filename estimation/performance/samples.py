@@ -112,9 +112,9 @@ def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
     return closed & (time - last_open > RUNS_OUT)
 
 
-def _runs(told: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
+def _runs(usable: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
     """Stretches of enough samples in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], told[start:stop], [False]]).astype(int)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[start:stop], [False]]).astype(int)))
     return [slice(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]
 
 

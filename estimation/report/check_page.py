@@ -57,8 +57,8 @@ def published_lines() -> Iterator[str]:
         yield f"{factor:<17}" + "".join(f"{_published(s):>21}" for s in published_factors)
 
 
-def _published(said: tuple[float, float] | None) -> str:
-    return "" if said is None else f"{said[0]:+.4f} ({said[1]:.4f})"
+def _published(number_and_bound: tuple[float, float] | None) -> str:
+    return "" if number_and_bound is None else f"{number_and_bound[0]:+.4f} ({number_and_bound[1]:.4f})"
 
 
 def _cell(factor: FactorEstimate) -> str:
@@ -252,15 +252,15 @@ def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[Recons
     return [flights[start : start + COLUMNS] for start in range(0, len(flights), COLUMNS)]
 
 
-def motion_figure(shown: Sequence[ReconstructedFlight], number: int) -> Picture:
-    """One part of Figure 7, the number-th from 0; shown: the flights beside each other."""
+def motion_figure(flights: Sequence[ReconstructedFlight], number: int) -> Picture:
+    """One part of Figure 7, the number-th from 0; flights: the flights beside each other."""
     from matplotlib.figure import Figure
 
-    names = shown[0].outputs
+    names = flights[0].outputs
     with styled():
         figure = Figure(figsize=(11.6, 1.25 * len(names) + 0.7), layout="constrained")
-        axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
-        for column, flight in enumerate(shown):
+        axes = figure.subplots(len(names), len(flights), squeeze=False, sharex="col")
+        for column, flight in enumerate(flights):
             for row, name in enumerate(names):
                 axis = axes[row][column]
                 factor, unit = face(name, UNITS.get(name, "rad"))
@@ -274,6 +274,6 @@ def motion_figure(shown: Sequence[ReconstructedFlight], number: int) -> Picture:
             axes[-1][column].set_xlabel("time [s]")
         axes[0][0].legend(ncols=2, **ABOVE)
         figure.align_ylabels()
-    caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in shown)} (Figure 7 of the paper)."
-    points = sum(2 * f.time.size * len(names) for f in shown)
+    caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in flights)} (Figure 7 of the paper)."
+    points = sum(2 * f.time.size * len(names) for f in flights)
     return picture(figure, f"figure7_{number + 1}", caption, points)

@@ -159,11 +159,11 @@ def _left_out(count: int) -> Markup | None:
     return paragraph(f"{count} more flights are in the tables only.", "note") if count > 0 else None
 
 
-def _collinear(best: "Result | None") -> Markup | None:
+def _collinear(result: "Result | None") -> Markup | None:
     """Pairs of estimates that the data hardly tells apart."""
-    if best is None or not best.collinear:
+    if result is None or not result.collinear:
         return None
-    pairs = [Markup("{} and {} ({})").format(html(a), html(b), f"{rho:+.3f}") for a, b, rho in best.collinear]
+    pairs = [Markup("{} and {} ({})").format(html(a), html(b), f"{rho:+.3f}") for a, b, rho in result.collinear]
     return paragraph(Markup("Beyond 0.9: {}.").format(Markup("; ").join(pairs)))
 
 
@@ -303,13 +303,13 @@ def _untold_table(session: "EstimationSession") -> ReportTable:
     return ReportTable("untold", "What could not be told", head, rows, texts=(2, 3, 4))
 
 
-def _ellipses(session: "EstimationSession", first: "Sequence[FlightEstimates]", whose: str) -> Picture | None:
+def _ellipses(session: "EstimationSession", first: "Sequence[FlightEstimates]", label: str) -> Picture | None:
     """Ellipses of the joint estimates of all methods, the leading one first; without these, of the first flight's."""
     leading = session.leading
     if leading is not None:
         rest = [r for r in session.joint.values() if r is not leading]
         return ellipse_figure([leading, *rest], "all flights together", session.truth)
-    return ellipse_figure([r for f in first for r in f.results.values()], whose.partition(",")[0], session.truth)
+    return ellipse_figure([r for f in first for r in f.results.values()], label.partition(",")[0], session.truth)
 
 
 def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfMatch"]]) -> ReportTable | None:

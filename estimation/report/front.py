@@ -72,13 +72,13 @@ def write_front_page(folder: Path) -> Path:
     return page_path
 
 
-def _key_numbers(found: dict[str, dict[str, Any] | None]) -> Markup | None:
+def _key_numbers(contents: dict[str, dict[str, Any] | None]) -> Markup | None:
     """Numbers in large letters, red where they are beyond their limit."""
     keys = [
         Markup('<div class="key"><b{}>{}</b><span>{}</span></div>').format(
             Markup(' class="fail"') if failed else "", value, label
         )
-        for value, label, failed in _keys(found)
+        for value, label, failed in _keys(contents)
     ]
     return Markup('<div class="figures">{}</div>').format(Markup().join(keys)) if keys else None
 
@@ -120,10 +120,10 @@ def _limit(match: dict[str, Any]) -> float:
     return float(match.get("limit", THEIL_LIMIT))
 
 
-def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
+def _keys(contents: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
     """(value, what it is, whether it is beyond its limit)."""
     keys = []
-    if (check := found["check"]) is not None:
+    if (check := contents["check"]) is not None:
         verdicts = [q["verdict"] for f in check["flights"] for q in f["quality"]]
         failed_counts = f"{verdicts.count('fail')} failed, {verdicts.count('warn')} warned"
         keys.append(
@@ -133,7 +133,7 @@ def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]
                 "fail" in verdicts,
             )
         )
-    if (match := found["match"]) is not None:
+    if (match := contents["match"]) is not None:
         theil = [c["theil"] for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
         if theil:
             keys.append(
@@ -143,7 +143,7 @@ def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]
                     max(theil) > _limit(match),
                 )
             )
-    if (gap := found["gap"]) is not None:
+    if (gap := contents["gap"]) is not None:
         keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow", False))
         for step in gap["steps"][:2]:
             closed = (step["holdout"] or step["gap"])["closed"]

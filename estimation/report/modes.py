@@ -110,14 +110,14 @@ def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) 
     ]
 
 
-def _unstable(drawn: list[EigenMode]) -> float:
+def _unstable(draws: list[EigenMode]) -> float:
     """Share of draws that diverge."""
-    unstable_count = sum((d.speed if math.isnan(d.damping) else d.damping) < 0 for d in drawn)
-    return unstable_count / len(drawn) if drawn else math.nan
+    unstable_count = sum((d.speed if math.isnan(d.damping) else d.damping) < 0 for d in draws)
+    return unstable_count / len(draws) if draws else math.nan
 
 
-def _square_root(covariance: Array, told: NDArray[np.bool_]) -> Array:
-    safe = np.where(told[:, None] & told[None, :] & np.isfinite(covariance), covariance, 0.0)
+def _square_root(covariance: Array, identifiable: NDArray[np.bool_]) -> Array:
+    safe = np.where(identifiable[:, None] & identifiable[None, :] & np.isfinite(covariance), covariance, 0.0)
     values, vectors = np.linalg.eigh(0.5 * (safe + safe.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 

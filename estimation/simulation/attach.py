@@ -179,12 +179,12 @@ def computed(model: Model) -> tuple[str, ...]:
     return tuple(s.name for s in model.inputs if s.computed)
 
 
-def carrying(flights: Sequence[Flight], told: Along) -> tuple[Flight, ...]:
-    return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, told.columns, strict=True))
+def carrying(flights: Sequence[Flight], along_flights: Along) -> tuple[Flight, ...]:
+    return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, along_flights.columns, strict=True))
 
 
-def _unmeasured(told: Along) -> tuple[str, ...]:
-    surfaces = [v for v in told.unmeasured if v != "thrust"]
+def _unmeasured(along_flights: Along) -> tuple[str, ...]:
+    surfaces = [v for v in along_flights.unmeasured if v != "thrust"]
     return (f"no flight measures {', '.join(surfaces)}: the simulation has them at zero",) if surfaces else ()
 
 
@@ -198,7 +198,5 @@ def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
     return {n: model_outputs[n] for n in model.state_names if n in VARIABLES and n in model_outputs}
 
 
-def _same_motion(before: Mapping[str, Array], after: Mapping[str, Array]) -> bool:
-    return before.keys() == after.keys() and all(
-        np.nanstd(after[n] - before[n]) <= SETTLED * np.nanstd(after[n]) for n in after
-    )
+def _same_motion(old: Mapping[str, Array], new: Mapping[str, Array]) -> bool:
+    return old.keys() == new.keys() and all(np.nanstd(new[n] - old[n]) <= SETTLED * np.nanstd(new[n]) for n in new)

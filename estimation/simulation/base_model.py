@@ -36,7 +36,7 @@ class Free(StrEnum):
     NOTHING = "nothing"
 
 
-def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Along, free: Free) -> Model:
+def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_flights: Along, free: Free) -> Model:
     """The built-in model `which` with the coefficients of a simulation as it was evaluated along the flights."""
     built_in = load_model(which, aircraft)
     coefficients = coefficients_in(built_in)
@@ -53,13 +53,13 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Alo
                                     description=f"increment to the simulation's {c}"))  # fmt: skip
         for name in own_derivatives:
             regressor, variable = REGRESSORS[name.removeprefix(f"{c}_")]
-            mean = _derivative(told, c, variable, aircraft)
+            mean = _derivative(along_flights, c, variable, aircraft)
             constants[f"mean_{name}"] = mean
             terms.append(f"({name} - mean_{name})*{regressor}")
             parameters.append(Parameter(name, "1/rad", mean, fixed=free is not Free.DERIVATIVES, reference=mean,
                                         reference_source=f"simulation {simulation.name}"))  # fmt: skip
-        slopes = [f"{column_name(c, v)}*{v}" for v in variables if column_name(c, v) in told.names]
-        offset = [column_name(c)] if column_name(c) in told.names else []
+        slopes = [f"{column_name(c, v)}*{v}" for v in variables if column_name(c, v) in along_flights.names]
+        offset = [column_name(c)] if column_name(c) in along_flights.names else []
         lines[f"{c}_sim"] = " + ".join([*offset, *slopes]) or "0"
         lines[c] = " + ".join(terms)
     return replace(
@@ -67,15 +67,18 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Alo
         name=f"{built_in.name}-{simulation.name}",
         title=f"{built_in.title}; coefficients of the simulation {simulation.name}",
         description=DESCRIPTION.format(simulation.spec),
-        inputs=(*built_in.inputs, *(Signal(n, description="of the simulation", computed=True) for n in told.names)),
+        inputs=(
+            *built_in.inputs,
+            *(Signal(n, description="of the simulation", computed=True) for n in along_flights.names),
+        ),
         parameters=tuple(parameters),
         constants=constants,
         equations=tuple(f"{name} = {text}" for name, text in lines.items()),
     )
 
 
-def _derivative(told: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
+def _derivative(along_flights: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
     """Mean slope as the derivative is written: per rad, or per rate times length over twice the mean airspeed."""
-    slope = told.means.get((coefficient, variable), 0.0)
+    slope = along_flights.means.get((coefficient, variable), 0.0)
     length = {"p": aircraft.span, "q": aircraft.chord, "r": aircraft.span}.get(variable)
-    return slope if length is None else slope * 2.0 * told.speed / length
+    return slope if length is None else slope * 2.0 * along_flights.speed / length

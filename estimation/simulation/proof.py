@@ -107,14 +107,18 @@ class ExportProof:
         return tuple(n for n, v in self.rms.items() if not v <= self.allowed[n])
 
 
-def proof_of(source: Path, simulation: Simulation, made: Written, found: Increments, rate: float) -> ExportProof:
+def proof_of(
+    source: Path, simulation: Simulation, written_aircraft: Written, increments: Increments, rate: float
+) -> ExportProof:
     """Fly the written aircraft and the model side by side. Raises SimulationError where there is nothing to fly."""
-    values = found.physical.starts()
-    plays = {t.input: abs(values[t.parameters[0]]) for t in found.transforms if t.kind == "backlash"}
-    flight = fly_aircraft(source, made.root, any(t.startswith("fcs/") for t in made.terms), rate, plays)
-    model_motions = move_model(simulation, found.physical, flight, found.states)
-    names = [n for n in found.physical.output_names if n in NOISE]
-    column = {n: found.physical.output_names.index(n) for n in names}
+    values = increments.physical.starts()
+    plays = {t.input: abs(values[t.parameters[0]]) for t in increments.transforms if t.kind == "backlash"}
+    flight = fly_aircraft(
+        source, written_aircraft.root, any(t.startswith("fcs/") for t in written_aircraft.terms), rate, plays
+    )
+    model_motions = move_model(simulation, increments.physical, flight, increments.states)
+    names = [n for n in increments.physical.output_names if n in NOISE]
+    column = {n: increments.physical.output_names.index(n) for n in names}
     rms = {n: _rms(model_motions.stepped[:, c] - flight[n]) for n, c in column.items()}
     steps = {n: _rms(model_motions.stepped[:, c] - model_motions.exact[:, c]) for n, c in column.items()}
     return ExportProof(rms, {n: SHARE * NOISE[n] for n in names}, steps, flight)

@@ -86,20 +86,20 @@ def to_simulator(
     return 1 if exported.proof.failed else 0
 
 
-def report_lines(done: "ExportedSimulator") -> list[str]:
-    proof = done.proof
-    lines = [f"{f}: written" for f in done.files]
+def report_lines(exported: "ExportedSimulator") -> list[str]:
+    proof = exported.proof
+    lines = [f"{f}: written" for f in exported.files]
     lines.append(f"  {'axis':<8}{'deviation':>11}{'allowed':>11}")
     lines += [f"  {axis:<8}{value:>11.2g}{proof.limit:>11.2g}" for axis, value in proof.deviation.items()]
     lines += [f"  left out: {term.sentence()}" for term in proof.left_out]
     lines.append(proof.sentence())
-    return [*lines, *done.lines]
+    return [*lines, *exported.lines]
 
 
-def json_of(target: str, file: Path, done: "ExportedSimulator") -> dict[str, Any]:
+def json_of(target: str, file: Path, exported: "ExportedSimulator") -> dict[str, Any]:
     return {
-        "version": 1, "from": str(file), "to": target, "files": [str(f) for f in done.files], "proof": done.proof.to_json(),
-        "notes": list(done.lines),
+        "version": 1, "from": str(file), "to": target, "files": [str(f) for f in exported.files],
+        "proof": exported.proof.to_json(), "notes": list(exported.lines),
     }  # fmt: skip
 
 

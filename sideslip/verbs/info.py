@@ -91,20 +91,21 @@ def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
         yield f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples"
 
 
-def _log_lines(found: dict[str, Any]) -> Iterator[str]:
-    boots = found["boots"]
+def _log_lines(content: dict[str, Any]) -> Iterator[str]:
+    boots = content["boots"]
     boot_note = f", {len(boots)} boots" if len(boots) > 1 else ""
-    yield f"{found['file']}: {found['kind']} log, {found['duration_s']:.2f} s{boot_note}; 'sideslip import' makes a flight of it"
-    yield from (f"  note: {note}" for note in found.get("notes", []))
+    duration = f"{content['duration_s']:.2f} s{boot_note}"
+    yield f"{content['file']}: {content['kind']} log, {duration}; 'sideslip import' makes a flight of it"
+    yield from (f"  note: {note}" for note in content.get("notes", []))
     yield from (
-        f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in found.get("modes", [])[:MOST_SAID]
+        f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in content.get("modes", [])[:MOST_SAID]
     )
-    marks = sorted([*found.get("events", []), *found.get("messages", [])], key=lambda m: m["time"])
+    marks = sorted([*content.get("events", []), *content.get("messages", [])], key=lambda m: m["time"])
     yield from (f"  {mark['time']:10.2f} s  {mark['text']}" for mark in marks[:MOST_SAID])
-    if found.get("parameters"):
-        yield f"  {len(found['parameters'])} parameters (--json lists them)"
+    if content.get("parameters"):
+        yield f"  {len(content['parameters'])} parameters (--json lists them)"
     topics: dict[str, int] = {}
-    for channel in found["channels"]:
+    for channel in content["channels"]:
         topic = channel["name"].rpartition(".")[0] or channel["name"]
         topics[topic] = max(topics.get(topic, 0), channel["samples"])
     yield from (f"  {topic:<32} {samples:>8} samples" for topic, samples in topics.items())

@@ -55,9 +55,9 @@ class Difference:
         return pooling.power(share * self.value, self.std, self.freedom, self.tests)
 
 
-def differences(both: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
-    """Of every parameter that both groups tell. both: flights of both groups; second: (flights,) which are of the second."""
-    curves = envelope(both, second.astype(float)[:, None])
+def differences(group_flights: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
+    """Of every parameter that both groups tell. group_flights: of both groups; second: (flights,) which are of the second."""
+    curves = envelope(group_flights, second.astype(float)[:, None])
     if curves is None:
         return ()
     compared_parameters = [(j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, 0)) is not None]
@@ -89,9 +89,9 @@ def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: 
 CHANGE_OF_INTEREST = 0.05  # of the estimate: the change whose chance to be found is stated as power
 
 
-def step_rows(found: Sequence[Curves]) -> Iterator[Row]:
+def step_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:
     """A row for each parameter that a step in time moved; one without a parameter where only all together tell it."""
-    for curves in found:
+    for curves in curves_by_group:
         for step in curves.steps:
             moved_parameters = [m for m in step.moved if m.probability <= pooling.LEVEL]
             if not moved_parameters:
@@ -126,10 +126,10 @@ def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: S
     return {**row, **numbers, "text": text}
 
 
-def difference_rows(found: Sequence[Curves], keys: Sequence[str]) -> Iterator[Row]:
+def difference_rows(curves_by_group: Sequence[Curves], keys: Sequence[str]) -> Iterator[Row]:
     """Groups that differ in one of `keys` alone, parameter by parameter, at the same conditions; a day is a step in time."""
     compared = [k for k in keys if k != "day"]
-    for a, b in itertools.combinations(found, 2):
+    for a, b in itertools.combinations(curves_by_group, 2):
         differing_keys = [k for k in keys if a.about[k] != b.about[k]]
         if a.about["method"] == b.about["method"] and len(differing_keys) == 1 and differing_keys[0] in compared:
             all_rows = {**a.rows, **b.rows}

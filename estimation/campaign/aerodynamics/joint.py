@@ -159,11 +159,11 @@ class _Fit:
         removed = superfluous_terms(pooled_information, active, {g.name: result.values[g.name] for g in gains})
         return tuple(g for g in gains if g.name not in removed)
 
-    def again(self, before: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
+    def again(self, earlier: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
         """The joint fit with the terms that were taken, from where the last one ended."""
         names = {g.name for g in gains}
         extended_model = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
-        start = {n: before.values[n] for n in derivatives_of(self.base)}
+        start = {n: earlier.values[n] for n in derivatives_of(self.base)}
         return output_error(extended_model, self.flights, start, options)
 
     def unusable(self, result: Result) -> str:

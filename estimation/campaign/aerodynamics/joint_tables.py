@@ -83,21 +83,23 @@ def joint_rows(results: "pa.Table", curves: Sequence[Curves]) -> list[Row]:
     return rows
 
 
-def _rows(found: JointModel, about: Row, envelope: PooledCurves) -> Iterator[Row]:
-    terms = terms_of(found.model)
-    for name in derivatives_of(found.model):
+def _rows(joint_model: JointModel, group_columns: Row, envelope: PooledCurves) -> Iterator[Row]:
+    terms = terms_of(joint_model.model)
+    for name in derivatives_of(joint_model.model):
         own_terms = [t for t in terms if t.derivative == name]
         common: Row = {
-            **about,
+            **group_columns,
             "kind": "joint",
             "parameter": name,
-            "flights": found.flights,
+            "flights": joint_model.flights,
             "form": " + ".join(["1", *(f"{t.variable}^{t.power}" if t.power > 1 else t.variable for t in own_terms)]),
         }
         for condition, grid in points_of(envelope):
             model_points = _model_points(grid, condition)
-            value, std = curve(found.model, found.names, found.values, found.covariance, name, model_points)
-            half = half_band(std, found.flights)
+            value, std = curve(
+                joint_model.model, joint_model.names, joint_model.values, joint_model.covariance, name, model_points
+            )
+            half = half_band(std, joint_model.flights)
             for i, was_flown in enumerate(envelope.flown(grid)):
                 model_variables = {"alpha": "alpha", "V": "V", "delta_e": "delta_e", "beta_max": "beta"}
                 row: Row = {**common, "along": condition, "flown": bool(was_flown)}
@@ -108,13 +110,13 @@ def _rows(found: JointModel, about: Row, envelope: PooledCurves) -> Iterator[Row
                 yield row
 
 
-def _model_points(points: Array, along: str) -> list[dict[str, float]]:
+def _model_points(points: Array, condition: str) -> list[dict[str, float]]:
     """Values of the model's variables: sideslip is none but where it is what changes."""
     points_of_model = []
     for p in points:
         values = {n: float(x) for n, x in zip(CONDITIONS, p, strict=True) if np.isfinite(x)}
         beta = values.pop("beta_max", 0.0)
-        points_of_model.append({**values, "beta": beta if along == "beta_max" else 0.0})
+        points_of_model.append({**values, "beta": beta if condition == "beta_max" else 0.0})
     return points_of_model
 
 

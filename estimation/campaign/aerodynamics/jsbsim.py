@@ -37,10 +37,10 @@ def _identity(r: Row) -> tuple[str, str, str, str]:
     return r["group"], r["method"], r["kind"], r["parameter"]
 
 
-def _xml(what: str, parameters: dict[str, list[Row]]) -> str:
+def _xml(title: str, parameters: dict[str, list[Row]]) -> str:
     root = ET.Element("aerodynamics")
     validity = "where nobody flew, as at the nearest point flown; after the last step in time"
-    root.append(ET.Comment(f" Sideslip, {what}: derivatives per rad; {validity} "))
+    root.append(ET.Comment(f" Sideslip, {title}: derivatives per rad; {validity} "))
     for name, rows in parameters.items():
         root.append(_function(name, rows))
     ET.indent(root)

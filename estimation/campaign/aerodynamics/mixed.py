@@ -134,18 +134,20 @@ def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> Mix
     return _in_units(_fit_at(data, design, tau2, variances[size:]), unit, design)
 
 
-def predicted(found: MixedFit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
+def predicted(mixed_fit: MixedFit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
     """(points,) value and standard error of one parameter; columns: (points, terms) of its form."""
     place = np.flatnonzero(owner == parameter)
-    C = found.covariance[np.ix_(place, place)]
-    return columns @ found.b[place], np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, C, columns), 0.0))
+    C = mixed_fit.covariance[np.ix_(place, place)]
+    return columns @ mixed_fit.b[place], np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, C, columns), 0.0))
 
 
-def replicates(data: MixedData, design: MixedDesign, found: MixedFit, count: int, rng: np.random.Generator) -> Array:
-    """(count, p) coefficients from flights drawn again with replacement, variances as found: a check of the covariance."""
+def replicates(
+    data: MixedData, design: MixedDesign, mixed_fit: MixedFit, count: int, rng: np.random.Generator
+) -> Array:
+    """(count, p) coefficients from flights drawn again with replacement, variances as mixed_fit: a check of the covariance."""
     X, y = design.X, np.where(data.known, data.y, 0.0)
-    weighted = inverses(found.S, data.known) @ X
-    prior = np.diag([0.0 if p < 0 else 1.0 / found.smooth[p] for p in design.penalty])
+    weighted = inverses(mixed_fit.S, data.known) @ X
+    prior = np.diag([0.0 if p < 0 else 1.0 / mixed_fit.smooth[p] for p in design.penalty])
     flight_counts = rng.multinomial(len(y), np.full(len(y), 1.0 / len(y)), size=count)
     free = design.penalty < 0
     found_b = np.full((count, X.shape[2]), np.nan)
@@ -234,19 +236,19 @@ def _fit_at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) ->
     return MixedFit(b, inverse * np.outer(factor, factor), tau2, smooth, S, H, residual, freedom)
 
 
-def _in_units(found: MixedFit, unit: Array, design: MixedDesign) -> MixedFit:
+def _in_units(mixed_fit: MixedFit, unit: Array, design: MixedDesign) -> MixedFit:
     """Back from units of the usual bound."""
     of_b, two = unit[design.owner], np.outer(unit, unit)
-    smooth = found.smooth * _spline_units(unit, design) ** 2
+    smooth = mixed_fit.smooth * _spline_units(unit, design) ** 2
     return MixedFit(
-        found.b * of_b,
-        found.covariance * np.outer(of_b, of_b),
-        found.tau2 * unit**2,
+        mixed_fit.b * of_b,
+        mixed_fit.covariance * np.outer(of_b, of_b),
+        mixed_fit.tau2 * unit**2,
         smooth,
-        found.S * two,
-        found.H * two,
-        found.residual * unit,
-        found.freedom,
+        mixed_fit.S * two,
+        mixed_fit.H * two,
+        mixed_fit.residual * unit,
+        mixed_fit.freedom,
     )
 
 

@@ -234,18 +234,18 @@ def _told_shifts(shifts: Array) -> tuple[int, ...]:
     return tuple(np.flatnonzero(sides >= FEWEST_SHIFTED).tolist())
 
 
-def _distances(data: MixedData, every: MixedDesign, sound: Mask, found: MixedFit) -> Array:
+def _distances(data: MixedData, full_design: MixedDesign, sound_flights: Mask, mixed_fit: MixedFit) -> Array:
     """(flights,) squared distance from what the sound flights say, each sound flight from what the others say."""
-    distance = np.zeros(sound.size)
-    distance[sound] = found.left_out(data.known[sound])
-    if not sound.all():
-        rest = data.part(~sound)
-        X, C = every.X[~sound], found.covariance
-        S = rest.V + np.eye(found.tau2.size) * found.tau2 + np.einsum("nkp,pq,nlq->nkl", X, C, X, optimize=True)
+    distance = np.zeros(sound_flights.size)
+    distance[sound_flights] = mixed_fit.left_out(data.known[sound_flights])
+    if not sound_flights.all():
+        rest = data.part(~sound_flights)
+        X, C = full_design.X[~sound_flights], mixed_fit.covariance
+        S = rest.V + np.eye(mixed_fit.tau2.size) * mixed_fit.tau2 + np.einsum("nkp,pq,nlq->nkl", X, C, X, optimize=True)
         pair_known = rest.known[:, :, None] & rest.known[:, None, :]
-        r = np.where(rest.known, rest.y - X @ found.b, 0.0)
-        solved = np.linalg.solve(np.where(pair_known, S, np.eye(found.tau2.size)), r[:, :, None])[:, :, 0]
-        distance[~sound] = np.einsum("nk,nk->n", r, solved)
+        r = np.where(rest.known, rest.y - X @ mixed_fit.b, 0.0)
+        solved = np.linalg.solve(np.where(pair_known, S, np.eye(mixed_fit.tau2.size)), r[:, :, None])[:, :, 0]
+        distance[~sound_flights] = np.einsum("nk,nk->n", r, solved)
     return distance
 
 

@@ -81,17 +81,19 @@ def _described(curves: PooledCurves, number: int, first: int, dates: tuple[str, 
 
 
 def _search(
-    curves: PooledCurves, before: Sequence[int], rng: np.random.Generator
+    curves: PooledCurves, earlier_steps: Sequence[int], rng: np.random.Generator
 ) -> tuple[int, tuple[str, str], float] | None:
     """(first flight after the step, dates between which it lies, probability), where one is found at the usual level.
 
-    before: steps that were found already; between two there are as many flights as beside one.
+    earlier_steps: steps that were found already; between two there are as many flights as beside one.
     """
     known_mask = curves.group.data.known[curves.sound]
     dates = [d for d, s in zip(curves.group.dates, curves.sound, strict=True) if s]
     places = _places(dates)
     sound_indices = np.flatnonzero(curves.sound)
-    places = np.array([k for k in places if all(abs(sound_indices[k] - b) >= FEWEST_BESIDE for b in before)], np.intp)
+    places = np.array(
+        [k for k in places if all(abs(sound_indices[k] - b) >= FEWEST_BESIDE for b in earlier_steps)], np.intp
+    )
     if not places.size:
         return None
     statistics = _Statistics(curves, known_mask, places)

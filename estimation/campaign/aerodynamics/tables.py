@@ -60,11 +60,11 @@ def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curve
     return group_curves
 
 
-def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
+def database_rows(curves_by_group: Sequence[Curves], seed: int) -> list[Row]:
     """For each parameter a surface over alpha and V, and a curve along each condition, the others as they were flown there; for
     each side of a step in time that moved it."""
     rows: list[Row] = []
-    for group_curves in found:
+    for group_curves in curves_by_group:
         curves = group_curves.envelope
         replicates = pooled.bootstrap(curves, REPLICATES, seed)
         for j, name in enumerate(curves.group.parameters):
@@ -88,24 +88,24 @@ def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
     return rows
 
 
-def starts_in(found: Sequence[Curves]) -> Starts:
+def starts_in(curves_by_group: Sequence[Curves]) -> Starts:
     """Where each parameter of each group begins to say something else."""
     return {
         (group_curves.about["group"], group_curves.about["method"], name): starts
-        for group_curves in found
+        for group_curves in curves_by_group
         for name in group_curves.envelope.group.parameters
         if (starts := starts_of(group_curves.envelope, group_curves.steps, name))
     }
 
 
-def flight_rows(found: Sequence[Curves]) -> Iterator[Row]:
+def flight_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:
     """A sentence on each flight that is far, in all its parameters together, from what the others say at its conditions."""
-    for group_curves in found:
+    for group_curves in curves_by_group:
         for i in np.flatnonzero(~group_curves.envelope.sound):
             yield _flight_row(group_curves.envelope, int(i), group_curves.about)
 
 
-def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
+def _flight_row(curves: PooledCurves, i: int, group_columns: Row) -> Row:
     group = curves.group
     distances = []
     for j in np.flatnonzero(group.data.known[i]):
@@ -115,13 +115,13 @@ def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
     leading = sorted(distances, key=lambda o: -abs(o[0]))[:LEADING]
     distance, limit = math.sqrt(curves.distance[i]), math.sqrt(curves.limit[i])
     text = (
-        f"{group.flights[i]}: its estimates together ({about['method']}) are {distance:.1f} bounds from what the other flights of"
-        f" {about['group']} say at its conditions (limit {limit:.1f}); most in "
+        f"{group.flights[i]}: its estimates together ({group_columns['method']}) are {distance:.1f} bounds from what the other"
+        f" flights of {group_columns['group']} say at its conditions (limit {limit:.1f}); most in "
         + ", ".join(f"{name} ({z:+.1f} bounds)" for z, name in leading)
         + "; left out of the database: look at its record and its page"
     )
     return {
-        **about,
+        **group_columns,
         "kind": "outlying flight",
         "flight": group.flights[i],
         "at": group.dates[i] or None,
@@ -163,7 +163,7 @@ def flown_rows(flights: ByFlight) -> GroupFlights:
     return pooled.flown_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
 
 
-def _correlate(into: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:
+def _correlate(correlation: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:
     """Correlations of one flight's estimates from the rows of its covariance; where a method gives none, there are none."""
     placed_rows = [r for r in rows if r["place"] is not None and r["covariance"]]
     places = [r["place"] for r in placed_rows]
@@ -174,7 +174,7 @@ def _correlate(into: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[s
     if not np.isfinite(C).all() or not (std > 0.0).all():
         return
     index = [column[r["parameter"]] for r in placed_rows]
-    into[np.ix_(index, index)] = 0.5 * (C + C.T) / np.outer(std, std)
+    correlation[np.ix_(index, index)] = 0.5 * (C + C.T) / np.outer(std, std)
 
 
 def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
@@ -198,13 +198,13 @@ def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
         yield name, _as_flown(condition_values, c, flights, scale.half)
 
 
-def _as_flown(at: Array, condition: int, flights: Array, half: Array) -> Array:
-    """(points, 4): the condition at `at`, the others at the weighted means of the flights near by."""
+def _as_flown(values: Array, condition: int, flights: Array, half: Array) -> Array:
+    """(points, 4): the condition at `values`, the others at the weighted means of the flights near by."""
     flight_weights = (
-        np.exp(-0.5 * ((at[:, None] - flights[None, :, condition]) / (0.15 * half[condition])) ** 2) + 1e-12
+        np.exp(-0.5 * ((values[:, None] - flights[None, :, condition]) / (0.15 * half[condition])) ** 2) + 1e-12
     )
     points: Array = flight_weights @ np.nan_to_num(flights) / flight_weights.sum(axis=1, keepdims=True)
-    points[:, condition] = at
+    points[:, condition] = values
     return points
 
 

@@ -43,12 +43,12 @@ class ConditionTerm:
         """What stands in the line of the derivative."""
         return f"{self.name}*{_factor(self.variable)}" + (f"^{self.power}" if self.power > 1 else "")
 
-    def value(self, at: Mapping[str, float], reference: Mapping[str, float]) -> float:
+    def value(self, point: Mapping[str, float], reference: Mapping[str, float]) -> float:
         """What the parameter is multiplied by, at values of the variables; nothing for one that is not given: at its reference,
         or zero."""
-        if self.variable not in at:
+        if self.variable not in point:
             return 0.0
-        x = at[self.variable]
+        x = point[self.variable]
         if self.variable == "V":
             x = x / reference["V_ref"] - 1.0
         elif self.variable in CENTRED:
@@ -139,10 +139,10 @@ def terms_of(model: Model) -> tuple[ConditionTerm, ...]:
     return tuple(terms)
 
 
-def row_of(model: Model, derivative: str, names: Sequence[str], at: Mapping[str, float]) -> list[float]:
+def row_of(model: Model, derivative: str, names: Sequence[str], point: Mapping[str, float]) -> list[float]:
     """What each of `names` is multiplied by in the derivative, at values of the variables."""
     term_by_name = {t.name: t for t in terms_of(model) if t.derivative == derivative}
     return [
-        1.0 if n == derivative else term_by_name[n].value(at, model.constants) if n in term_by_name else 0.0
+        1.0 if n == derivative else term_by_name[n].value(point, model.constants) if n in term_by_name else 0.0
         for n in names
     ]

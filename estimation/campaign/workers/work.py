@@ -111,7 +111,7 @@ def _bad_quality(flight: Flight) -> str:
     return f"{flight.name}: {'; '.join(words)}" if words else ""
 
 
-def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
+def _checked(work: Work, flight: Flight, conditions: Row) -> Iterator[Row]:
     """Instrument factors by flight-path reconstruction."""
     from estimation.compatibility.reconstruction import compatibility
 
@@ -119,14 +119,14 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
     try:
         check_result = compatibility(flight)
     except UserError as error:
-        yield _row(work, CHECK, FAILED, str(error), **about)
+        yield _row(work, CHECK, FAILED, str(error), **conditions)
         return
     status = OK if check_result.converged else OPEN
     why = "" if check_result.converged else check_result.text
     cpu = time.thread_time() - begin
-    yield _row(work, CHECK, status, why, iterations=check_result.iterations, cpu=cpu, **about)
+    yield _row(work, CHECK, status, why, iterations=check_result.iterations, cpu=cpu, **conditions)
     for place, (name, factor) in enumerate(check_result.factors.items()):
-        columns = {**about, **_finite(factor, BOUNDS), "kind": "check", "parameter": name, "place": place}
+        columns = {**conditions, **_finite(factor, BOUNDS), "kind": "check", "parameter": name, "place": place}
         yield _row(work, CHECK, status, factor.why, identifiable=factor.identifiable, **columns)
 
 

@@ -65,26 +65,26 @@ def _residual(fit: FlightFit, i: int) -> Array:
     return fit.residuals[:, i] if i < fit.residuals.shape[1] else np.full(fit.time.size, np.nan)
 
 
-def _correlation(axis: Any, known: Array, step: float, colour: str) -> None:
-    lags = min(known.size // 4, 100)
-    axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(known, lags), color=colour, lw=1.0)
-    band = 1.96 / np.sqrt(known.size)
+def _correlation(axis: Any, residual: Array, step: float, colour: str) -> None:
+    lags = min(residual.size // 4, 100)
+    axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(residual, lags), color=colour, lw=1.0)
+    band = 1.96 / np.sqrt(residual.size)
     axis.axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
 
 
-def spectrum(known: Array, step: float) -> tuple[Array, Array]:
+def spectrum(residual: Array, step: float) -> tuple[Array, Array]:
     """(frequency [Hz], power spectral density over its mean) of evenly sampled residuals (N,), `step` apart [s]; by Welch's
     method without the frequency nought. White noise is one everywhere.
     """
     from scipy.signal import welch
 
-    frequency, density = welch(known, 1.0 / step, nperseg=min(SPECTRUM, known.size))
+    frequency, density = welch(residual, 1.0 / step, nperseg=min(SPECTRUM, residual.size))
     mean = float(np.mean(density[1:]))
     return frequency[1:], density[1:] / mean if mean > 0.0 else density[1:]
 
 
-def _spectrum(axis: Any, known: Array, step: float, colour: str) -> None:
-    frequency, density = spectrum(known, step)
+def _spectrum(axis: Any, residual: Array, step: float, colour: str) -> None:
+    frequency, density = spectrum(residual, step)
     axis.plot(frequency, density, color=colour, lw=0.9)
     axis.axhline(1.0, color="0.4", lw=0.8, ls="--")
     axis.set_yscale("log")

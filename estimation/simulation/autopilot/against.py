@@ -162,12 +162,12 @@ def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> 
     return SimulatorProof(len(motion), deviation, (), TEXT_LIMIT)
 
 
-def _axis_deviations(flown: Axes, model: Axes) -> dict[str, float]:
-    return {axis: _share(flown[axis] - model[axis], model[axis]) for axis in AXES}
+def _axis_deviations(measured: Axes, model: Axes) -> dict[str, float]:
+    return {axis: _share(measured[axis] - model[axis], model[axis]) for axis in AXES}
 
 
-def _share(difference: Array, of: Array) -> float:
-    largest = float(np.max(np.abs(of)))
+def _share(difference: Array, reference: Array) -> float:
+    largest = float(np.max(np.abs(reference)))
     return float(np.max(np.abs(difference))) / largest if largest > 0.0 else float(np.max(np.abs(difference)))
 
 
@@ -181,17 +181,17 @@ def _off_of_body(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
 def _omitted_terms(
     craft: LinearAircraft,
     motion: FlightStates,
-    without: tuple[str, ...],
+    omitted: tuple[str, ...],
     induced: tuple[str, ...],
     air: Callable[[FlightStates], tuple[Array, Array, Array]],
 ) -> list[OmittedTerm]:
     """Derivatives without a key, parts of induced drag, and air data that are defined otherwise, each with what it weighs."""
     full_axes = accelerations(craft.aircraft, forces(craft, motion))
     terms = []
-    for name in without:
+    for name in omitted:
         reduced_axes = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
         terms.append(_largest(name, craft[name], full_axes, reduced_axes))
-    expressible = craft.without(without)
+    expressible = craft.without(omitted)
     for ending in ("beta", "p", "q", "r", "de", "da", "dr"):
         if ending not in induced and expressible[f"CL_{ending}"] != 0.0 and expressible["CD_k"] != 0.0:
             full_drag = accelerations(craft.aircraft, forces(expressible, motion, (*induced, ending)))
@@ -220,8 +220,8 @@ def _blend(
     return [_largest("blend into the stall", np.nan, model(motion), flown(motion))] if wanted else []
 
 
-def _largest(name: str, value: float, whole: Axes, less: Axes) -> OmittedTerm:
-    shares = {axis: _share(whole[axis] - less[axis], whole[axis]) for axis in AXES}
+def _largest(name: str, value: float, full: Axes, reduced: Axes) -> OmittedTerm:
+    shares = {axis: _share(full[axis] - reduced[axis], full[axis]) for axis in AXES}
     axis = max(shares, key=lambda n: shares[n])
     return OmittedTerm(name, value, shares[axis], axis)
 

@@ -107,10 +107,10 @@ def lines_named(path: Path, model: Model) -> tuple[str, ...]:
     return lines
 
 
-def body_of(model: Model, beside: Aircraft | None) -> Aircraft:
+def body_of(model: Model, stated_aircraft: Aircraft | None) -> Aircraft:
     """Geometry, mass and inertia: the model's own numbers, before those of the aircraft file."""
     numbers = {**model.constants, **model.starts()}
-    frame = beside or unknown_aircraft(model.name)
+    frame = stated_aircraft or unknown_aircraft(model.name)
     model_values = {f: float(numbers[n]) for n, f in zip(BODY, FIELDS, strict=True) if n in numbers}
     if math.isnan(frame.Ixz) and "Ixz" not in model_values and not math.isnan(model_values.get("Ixx", math.nan)):
         model_values["Ixz"] = 0.0  # as in an aircraft file that does not state it
@@ -118,14 +118,14 @@ def body_of(model: Model, beside: Aircraft | None) -> Aircraft:
 
 
 def _add_beliefs(
-    beside: Aircraft | None,
+    stated_aircraft: Aircraft | None,
     lines: list[str],
     derivatives: dict[str, float],
     sources: dict[str, str],
     missing: list[str],
 ) -> list[str]:
     """Take coefficients that the model has no line for from the beliefs of the aircraft file; what was assumed."""
-    beliefs = beside.derivatives if beside is not None else {}
+    beliefs = stated_aircraft.derivatives if stated_aircraft is not None else {}
     missing_beliefs = [n for line in lines for n in NEEDED[line] if n not in beliefs]
     missing += missing_beliefs
     for name, belief in beliefs.items():
@@ -144,27 +144,31 @@ def _add_beliefs(
     return notes
 
 
-def _throws(beside: Aircraft | None, stated: Stated, missing: list[str]) -> dict[str, tuple[float, float]]:
-    throws = {**_servo_limits(beside), **(beside.throws if beside is not None else {}), **stated.throws}
+def _throws(stated_aircraft: Aircraft | None, stated: Stated, missing: list[str]) -> dict[str, tuple[float, float]]:
+    throws = {
+        **_servo_limits(stated_aircraft),
+        **(stated_aircraft.throws if stated_aircraft is not None else {}),
+        **stated.throws,
+    }
     missing_throws = [n for n in SURFACES if n not in throws]
     if missing_throws:
         missing.append(f"throws of {', '.join(missing_throws)} ([throws], or --throw {missing_throws[0]}=25deg)")
     return throws
 
 
-def _servo_limits(beside: Aircraft | None) -> dict[str, tuple[float, float]]:
-    if beside is None or beside.servos is None:
+def _servo_limits(stated_aircraft: Aircraft | None) -> dict[str, tuple[float, float]]:
+    if stated_aircraft is None or stated_aircraft.servos is None:
         return {}
-    elevon, rudder = beside.servos.elevon_limit, beside.servos.rudder_limit
+    elevon, rudder = stated_aircraft.servos.elevon_limit, stated_aircraft.servos.rudder_limit
     return {"delta_e": (-elevon, elevon), "delta_a": (-elevon, elevon), "delta_r": (-rudder, rudder)}
 
 
-def _thrust(beside: Aircraft | None) -> float | None:
-    return None if beside is None or beside.engine is None else beside.engine.static_thrust
+def _thrust(stated_aircraft: Aircraft | None) -> float | None:
+    return None if stated_aircraft is None or stated_aircraft.engine is None else stated_aircraft.engine.static_thrust
 
 
-def asked_for(path: Path, target: str, missing: list[str], beside: Aircraft | None) -> str:
-    place = "its file" if beside is not None else "an aircraft file and give it with --aircraft FILE"
+def asked_for(path: Path, target: str, missing: list[str], stated_aircraft: Aircraft | None) -> str:
+    place = "its file" if stated_aircraft is not None else "an aircraft file and give it with --aircraft FILE"
     return (
         f"{path}: {target} needs what nobody states: {', '.join(missing)}; nothing is invented, so state them in {place}"
         " (docs/aircraft.md), a derivative as 0 where the aircraft has none"

@@ -190,10 +190,10 @@ def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
     return link_axes @ rotation @ axis_direction / size, float(place[1])
 
 
-def _aircraft(name: str, whole: Body, values: dict[str, float], path: Path) -> Aircraft:
-    inertia = OVER @ whole.inertia @ OVER
+def _aircraft(name: str, body: Body, values: dict[str, float], path: Path) -> Aircraft:
+    inertia = OVER @ body.inertia @ OVER
     aircraft = Aircraft(
-        name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=whole.mass,
+        name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=body.mass,
         Ixx=float(inertia[0, 0]), Iyy=float(inertia[1, 1]), Izz=float(inertia[2, 2]), Ixz=float(-inertia[0, 2]),
         title=f"Gazebo model {name}",
     )  # fmt: skip

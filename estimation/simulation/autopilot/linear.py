@@ -182,13 +182,13 @@ def combined_body(bodies: Sequence[Body]) -> Body:
     return Body(mass, centre, np.asarray(sum(b.about(centre) for b in bodies)))
 
 
-def remaining_body(whole: Body, parts: Sequence[Body]) -> Body:
+def remaining_body(total: Body, parts: Sequence[Body]) -> Body:
     """What has to be added to the parts so that they are the whole."""
-    mass = whole.mass - sum(b.mass for b in parts)
-    moment = whole.mass * whole.centre - sum(b.mass * b.centre for b in parts)
+    mass = total.mass - sum(b.mass for b in parts)
+    moment = total.mass * total.centre - sum(b.mass * b.centre for b in parts)
     centre = np.asarray(moment / mass)
     point = Body(mass, centre, np.zeros((3, 3)))
-    inertia = whole.inertia - sum(b.about(whole.centre) for b in parts) - point.about(whole.centre)
+    inertia = total.inertia - sum(b.about(total.centre) for b in parts) - point.about(total.centre)
     return Body(mass, centre, np.asarray(inertia))
 
 

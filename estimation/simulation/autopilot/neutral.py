@@ -201,10 +201,10 @@ def _notes(zero: list[str], strange: list[str]) -> list[str]:
     return [*notes, f"left out, for no form of them is known: {', '.join(strange)}"] if strange else notes
 
 
-def _thrust(beside: Aircraft | None, stated: Stated) -> float | None:
-    if stated.thrust is not None or beside is None or beside.engine is None:
+def _thrust(stated_aircraft: Aircraft | None, stated: Stated) -> float | None:
+    if stated.thrust is not None or stated_aircraft is None or stated_aircraft.engine is None:
         return stated.thrust
-    return beside.engine.static_thrust
+    return stated_aircraft.engine.static_thrust
 
 
 def _joined(body: Aircraft, model: Model | None, base: Model, has: tuple[str, ...]) -> BuildUp:

@@ -157,9 +157,9 @@ def _xml(root: ET.Element) -> str:
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def _warnings(made: Gathered, request: Request) -> list[str]:
+def _warnings(gathered_aircraft: Gathered, request: Request) -> list[str]:
     lines = []
-    if not gazebo.possible(gazebo.inertia_of(made.craft).inertia):
+    if not gazebo.possible(gazebo.inertia_of(gathered_aircraft.craft).inertia):
         lines.append("warning: no body has this inertia (one principal moment is above the sum of the others), and gz-sim will"
                      " not load it; weigh and swing the aircraft again")  # fmt: skip
     if request.stall is None:

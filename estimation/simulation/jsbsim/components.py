@@ -34,13 +34,13 @@ def surfaces_read(source: Path, chains: Mapping[str, str]) -> dict[str, ET.Eleme
 
 
 def chains_of(
-    found: Increments, values: Mapping[str, float], source: Path, rate: float
+    increments: Increments, values: Mapping[str, float], source: Path, rate: float
 ) -> tuple[dict[str, str], list[ET.Element]]:
     """Components behind the positions of surfaces that an effect changes; new property -> position."""
     chains: dict[str, str] = {}
     components: list[ET.Element] = []
     for column in SURFACES:
-        acting = [t for t in found.transforms if t.input == column and not _changes_nothing(t, values)]
+        acting = [t for t in increments.transforms if t.input == column and not _changes_nothing(t, values)]
         names = [n for n, (c, _) in surfaces_of(source).writes.items() if c == column] or [USUAL[column]]
         for name in names if acting else ():
             if not name.endswith("-rad") or "mag-" in name:
@@ -64,10 +64,10 @@ def _changes_nothing(transform: InputTransform, values: Mapping[str, float]) -> 
     return values[transform.parameters[0]] == (1.0 if transform.kind == "scale" else 0.0)
 
 
-def _component(t: InputTransform, size: float, at: str, sign: float, name: str, rate: float) -> list[ET.Element]:
+def _component(t: InputTransform, size: float, position: str, sign: float, name: str, rate: float) -> list[ET.Element]:
     """Components that do to a position what a transform does to a column. A deadband's and a play's width are the whole ones."""
 
-    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (at,)) -> ET.Element:
+    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (position,)) -> ET.Element:
         element = ET.Element(tag, name=f"{name}{ending}")
         element.extend([node("input", i) for i in inputs])
         element.extend(inside)
@@ -110,7 +110,7 @@ def _gain(name: str, at: str, gain: float) -> ET.Element:
     return element
 
 
-def states_of(found: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
+def states_of(increments: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
     """Lag filters for states of effects of the form x_dot = (input - x)/tau; they enter `known`."""
     filters: list[ET.Element] = []
     # flight control sees the motion of the step before: it is carried on by its own rate
@@ -119,8 +119,8 @@ def states_of(found: Increments, translator: Translator, rate: float, known: dic
         for n in ("alpha", "beta", "p", "q", "r")
     }
     carried_translator = replace(translator, known={**translator.known, **carried_states})
-    for state in found.states:
-        match parse(found.physical.definitions[f"{state}_dot"]):
+    for state in increments.states:
+        match parse(increments.physical.definitions[f"{state}_dot"]):
             case ast.BinOp(
                 left=ast.BinOp(left=given, op=ast.Sub(), right=ast.Name(id=name)), op=ast.Div(), right=tau
             ) if name == state:
@@ -129,7 +129,7 @@ def states_of(found: Increments, translator: Translator, rate: float, known: dic
                 seconds = math.nan
         if not isinstance(seconds, float | int) or not seconds > 0.0:
             raise SimulationError(
-                f"model {found.physical.name}: the state {state} is no lag of first order, and only these"
+                f"model {increments.physical.name}: the state {state} is no lag of first order, and only these"
                 " can be written for JSBSim"
             )
         function = ET.Element("fcs_function", name=f"fcs/{OURS}/{state}-input")

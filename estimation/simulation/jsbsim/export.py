@@ -67,7 +67,7 @@ def export_aircraft(
     )
 
 
-def write_aircraft(found: Increments, source: Path, rate: float, lineage: str) -> Written:
+def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> Written:
     root = inlined(source)
     aerodynamics = _child(root, "aerodynamics")
     strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {
@@ -82,8 +82,8 @@ def write_aircraft(found: Increments, source: Path, rate: float, lineage: str) -
         raise SimulationError(
             f"{source}: its aerodynamics is in axes {', '.join(sorted(strange))}; only wind axes can be added to"
         )
-    values = _values(found.physical)
-    chains, channel = chains_of(found, values, source, rate)
+    values = _values(increments.physical)
+    chains, channel = chains_of(increments, values, source, rate)
     for element in list(aerodynamics.iter()):
         text = (element.text or "").strip()
         for new, old in chains.items():
@@ -91,9 +91,9 @@ def write_aircraft(found: Increments, source: Path, rate: float, lineage: str) -
                 element.text = f"{'-' if text.startswith('-') else ''}{new}"
     base = Base(aerodynamics)
     properties: dict[str, Term] = {**base.coefficients(), **surfaces_read(source, chains)}
-    translator = Translator(found.physical, properties, values)
-    channel += states_of(found, translator, rate, properties)
-    terms = write_functions(found, translator, aerodynamics, base)
+    translator = Translator(increments.physical, properties, values)
+    channel += states_of(increments, translator, rate, properties)
+    terms = write_functions(increments, translator, aerodynamics, base)
     if channel:
         control = _child(root, "flight_control")
         if not control.get("name"):
@@ -101,7 +101,7 @@ def write_aircraft(found: Increments, source: Path, rate: float, lineage: str) -
         section = ET.SubElement(control, "channel", name=OURS)
         section.extend(channel)
         terms += [e.get("name", "") for e in channel]
-    terms += _inertia(found.physical, root, source)
+    terms += _inertia(increments.physical, root, source)
     header = _child(root, "fileheader", first=True)
     ET.SubElement(header, "note").text = lineage
     return Written(root, tuple(terms), chains)

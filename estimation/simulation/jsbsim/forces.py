@@ -64,9 +64,9 @@ def _sum_of(axis: ET.Element) -> Term:
     return total(*parts)
 
 
-def _function(name: str, about: str, value: Term) -> ET.Element:
+def _function(name: str, description: str, value: Term) -> ET.Element:
     function = ET.Element("function", name=f"aero/{OURS}/{name}")
-    function.append(node("description", about))
+    function.append(node("description", description))
     function.append(value if isinstance(value, ET.Element) else node("value", repr(value)))
     return function
 
@@ -103,11 +103,11 @@ def about_centre(force: tuple[Term, Term, Term]) -> tuple[Term, Term, Term]:
     )
 
 
-def write_functions(found: Increments, translator: Translator, aerodynamics: ET.Element, base: Base) -> list[str]:
+def write_functions(increments: Increments, translator: Translator, aerodynamics: ET.Element, base: Base) -> list[str]:
     """Write the terms into their axes; their names."""
     names: list[str] = []
     terms: list[tuple[Addend, str, Term]] = []
-    for addend in found.addends:
+    for addend in increments.addends:
         value = _value(addend, translator)
         if value == 0.0:
             continue
@@ -188,10 +188,10 @@ def _axis(aerodynamics: ET.Element, name: str) -> ET.Element:
     return ET.SubElement(aerodynamics, "axis", name=name)
 
 
-def _write_forces(aerodynamics: ET.Element, before: list[ET.Element], forces: Mapping[str, list[Term]]) -> None:
+def _write_forces(aerodynamics: ET.Element, functions: list[ET.Element], forces: Mapping[str, list[Term]]) -> None:
     """Increments of lift, drag (stability axes) and side force (body axes) into wind axes, their moment about AERORP off."""
     for name, parts in forces.items():
-        before.append(_function(f"delta-{name}", "sum of what was found", total(*parts)))
+        functions.append(_function(f"delta-{name}", "sum of what was found", total(*parts)))
     dL, dD, dY = (prop(f"aero/{OURS}/delta-{c}") for c in ("CL", "CD", "CY"))
     area = product(prop("aero/qbar-psf"), prop("metrics/Sw-sqft"))
     wind_forces = {

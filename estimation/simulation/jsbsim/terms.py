@@ -199,9 +199,9 @@ def _number(word: str) -> float:
         raise TableError(f"a table with {word!r} for a number") from error
 
 
-def looked_up(table: LookupTable, at: list[Sum], line: Line) -> Sum:
+def looked_up(table: LookupTable, arguments: list[Sum], line: Line) -> Sum:
     """The value of a table at variables, the last one first; where one is a number, the table is looked up there and then."""
-    x, *further_arguments = at
+    x, *further_arguments = arguments
     number = x.number
     around = range(len(table.points)) if number is None else _around(table.points, number)
     inner = {
