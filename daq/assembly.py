@@ -29,9 +29,9 @@ from daq.contract.recordings.recording import (
     software_version,
 )
 from daq.logger import Logger, Opening
+from daq.recorder.counts import LoopTiming
 from daq.recorder.recorder import Recorder
 from daq.recorder.storage import Storage
-from daq.recorder.timing import LoopTiming
 from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.telemetry.link import RadioLink, radio_link
 from daq.telemetry.uplink import TURN_NS
@@ -83,21 +83,16 @@ def session_name(config: LoggerConfig, clock: Clock, *, unique: bool = True) -> 
     return f"{config.aircraft.name or 'flight'}_{stamp}" + (f"_{secrets.token_hex(2)}" if unique else "")
 
 
-def laboratory_calibration() -> dict[str, bytes]:
-    """Calibration files of laboratory packages; a directory's own file of the same name goes before them."""
-    if not any(c.package for c in CHANNELS):
-        return {}
-    from daq.contract.laboratory import calibration_files
-
-    return calibration_files()
-
-
 def recording_info(config: LoggerConfig, text: str, session: str, source: str, started_utc_ns: int) -> RecordingInfo:
     """Identity of a session, with the configuration and the calibration files to be embedded."""
     attachments = {CONFIG_ATTACHMENT: text.encode()}
     calibration = read_calibration(config.calibration)
-    if calibration:
-        calibration = {**laboratory_calibration(), **calibration}
+    if calibration and any(
+        c.package for c in CHANNELS
+    ):  # files of laboratory packages; the directory's own go before them
+        from daq.contract.laboratory import calibration_files
+
+        calibration = {**calibration_files(), **calibration}
     attachments |= {CALIBRATION_PREFIX + k: v for k, v in calibration.items()}
     aircraft = read_aircraft(config.aircraft.file)
     if aircraft is not None:

@@ -19,15 +19,12 @@ class Clock(Protocol):
 
     def monotonic_ns(self) -> int:
         """Time since an arbitrary start, never stepping back [ns]."""
-        ...
 
     def utc_ns(self) -> int:
         """UTC since 1970 as this machine believes it now [ns]."""
-        ...
 
     def sleep_until(self, monotonic_ns: int) -> None:
         """Return once monotonic time has reached `monotonic_ns`; at once if it has passed."""
-        ...
 
 
 class RealClock:
@@ -110,7 +107,6 @@ class SimulatedClock:
         self._followers.append(busy)
 
     def drive(self) -> None:
-        """Make the calling thread the driver."""
         self._driver = threading.get_ident()
 
     def _wait_for_followers(self) -> None:

@@ -23,9 +23,9 @@ def _write_json(path: Path | None, result: Mapping[str, Any]) -> None:
 
 def info_lines(recording: Path, result: Mapping[str, Any]) -> Iterator[str]:
     """What a person reads of a recording, from `info_mcap`."""
-    found = result.get("sessions", [result])
-    for part in found:
-        session = f", session {part.get('session') or 'unknown'}" if len(found) > 1 else ""
+    sessions = result.get("sessions", [result])
+    for part in sessions:
+        session = f", session {part.get('session') or 'unknown'}" if len(sessions) > 1 else ""
         yield f"{part['file']}: {part['kind']}, {part['source']}, aircraft {part['aircraft'] or 'not named'}{session}"
         yield (
             f"  {part['scans']} scans in {part['duration_s']:.2f} s, {part['rate_hz']:.2f} Hz, "
@@ -73,7 +73,7 @@ def recover(recording: Path, out: Path, json_path: Path | None) -> None:
     Of several sessions in one FILE the first goes to OUT.mcap, the others to OUT_2.mcap and so on.
     Exit status as with 'sideslip verify': 1 when FILE is not sound, though all that can be saved is in the new recording.
     """
-    from daq.contract.recordings.accounting import recover as salvage
+    from daq.contract.recordings.recovery import recover as salvage
 
     result = salvage(recording, out)
     _write_json(json_path, result.to_dict())

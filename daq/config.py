@@ -58,9 +58,9 @@ class ScanConfig(ConfigSection):
     @property
     def together(self) -> int:
         """How many scans are finished and handed over at a time: as `hand_over_s` says, and no more than a scan has room for."""
-        wished = round(self.hand_over_s * self.rate_hz)
+        requested = round(self.hand_over_s * self.rate_hz)
         room = _ROOM_TO_FINISH * self.period_ns // _FINISHING_NS
-        return max(1, int(min(wished, room)))
+        return max(1, int(min(requested, room)))
 
 
 class PreflightConfig(ConfigSection):
@@ -144,11 +144,11 @@ def check_sequencer(sequencer: SequencerConfig, sensors: SensorsConfig, rate_hz:
                 f"sequencer.autopilot and sensors.capture both read {capture.device}; give the sequencer a port of its own"
             )
         return
-    taken = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}
+    addresses = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}
     for name, address in (("chip", sequencer.chip.address), ("pilot", sequencer.pilot.address)):
-        if address in taken or sequencer.chip.address == sequencer.pilot.address:
-            other = taken.get(address, "the other chip of the sequencer")
-            raise ValueError(f"sequencer.{name} and {other} share the I2C address 0x{address:02x}")
+        if address in addresses or sequencer.chip.address == sequencer.pilot.address:
+            owner = addresses.get(address, "the other chip of the sequencer")
+            raise ValueError(f"sequencer.{name} and {owner} share the I2C address 0x{address:02x}")
 
 
 def load_config(path: str | Path) -> tuple[LoggerConfig, str]:
@@ -174,18 +174,18 @@ def parse_config(text: str, origin: Path) -> LoggerConfig:
 
 def describe(error: ValidationError) -> str:
     """A validation error as one sentence: each wrong key with its value and what it must be."""
-    return "; ".join(_one(e) for e in error.errors(include_url=False)[:5])
+    return "; ".join(_sentence_of(e) for e in error.errors(include_url=False)[:5])
 
 
-def _one(error: Any) -> str:
+def _sentence_of(error: Any) -> str:
     key = ".".join(str(p) for p in error["loc"]) or "the file as a whole"
     if error["type"] == "extra_forbidden":
         return f"key {key} is not known; check its spelling or remove it"
     if error["type"] == "missing":
         return f"key {key} is missing"
     value = error["input"]
-    shown = f" is {value!r}" if isinstance(value, (str, int, float, bool)) else ""
-    return f"key {key}{shown}: {error['msg'][0].lower()}{error['msg'][1:]}"
+    value_text = f" is {value!r}" if isinstance(value, (str, int, float, bool)) else ""
+    return f"key {key}{value_text}: {error['msg'][0].lower()}{error['msg'][1:]}"
 
 
 def _anchor(config: LoggerConfig, base: Path) -> LoggerConfig:

@@ -1,7 +1,7 @@
 """The logger: scans on absolute deadlines, handed to the recorder and the downlink.
 
-The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated, and cannot
-tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
+The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, their edges real or simulated, and
+cannot tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
 passed is skipped and its number never used, and the recorder counts it as missed, also before the first scan of a
 recording and after its last.
 
@@ -13,19 +13,21 @@ import logging
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from daq.acquisition.air_truth import AirTruth
-from daq.acquisition.health import HealthSummary, as_message, repetitions
-from daq.acquisition.sampler import EventMark, UnfinishedScan
+from daq.acquisition.health import as_message, repetitions
+from daq.acquisition.sampler import EventMark, Sampler, UnfinishedScan
 from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
-from daq.contract.control import Control, Weigh
+from daq.companion.process import Companion
 from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
+from daq.contract.manoeuvre import Weigh
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
+from daq.recorder.counts import LoopTiming
 from daq.recorder.recorder import Recorder
-from daq.recorder.timing import LoopTiming
+from daq.telemetry.link import RadioLink
+from daq.telemetry.uplink import Uplink
 
 _LOG = logging.getLogger("sideslip.logger")
 
@@ -35,80 +37,6 @@ _GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # said on th
 _DEAF_NS = NS  # so long the uplink may be passed over because a scan is due, before it has its turn all the same
 
 
-class SensorSource(Protocol):
-    """What makes scans."""
-
-    on_event: Callable[[EventMark], None]
-
-    def start(self) -> HealthSummary:
-        """Set all sensors up."""
-        ...
-
-    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
-        """Read all sensors once, whatever state they are in."""
-        ...
-
-    def finish(self, taken: UnfinishedScan) -> Scan:
-        """Make a scan of what was taken; each once, in order."""
-        ...
-
-    def health(self) -> HealthSummary:
-        """State of all sensors."""
-        ...
-
-    def metadata(self) -> dict[str, str]:
-        """What is needed to use the counts."""
-        ...
-
-
-class DownlinkSink(Protocol):
-    """What sends to the ground. Nothing here waits."""
-
-    def offer(self, scan: Scan) -> None:
-        """A scan that may be sent."""
-        ...
-
-    def service(self, now_ns: int) -> None:
-        """Send what is due."""
-        ...
-
-    def event(self, event: EventMessage) -> None:
-        """An event marker, to be sent soon."""
-        ...
-
-    def text(self, severity: int, words: str, /) -> None:
-        """A sentence for the people on the ground; severity as in syslog, 3 error, 4 warning, 6 information."""
-        ...
-
-    def sequencer(self, frame: SequencerFrame) -> None:
-        """What the sequencer is doing."""
-        ...
-
-
-class Listener(Protocol):
-    """What looks at scans beside the recording. Nothing here waits, or raises."""
-
-    def start(self, details: Mapping[str, str]) -> None:
-        """Begin, once the sensors are set up; details: what is needed to use the counts."""
-        ...
-
-    def scans(self, scans: Iterable[Scan]) -> None:
-        """Scans in order, after recorder and radio have them."""
-        ...
-
-    def close(self) -> None:
-        """The loop has ended; the recording is still open."""
-        ...
-
-
-class UplinkSource(Protocol):
-    """What hears from the ground."""
-
-    def service(self, now_ns: int, control: Control) -> None:
-        """Carry out what has arrived."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Opening:
     """A line for the log at the start of a recording, such as an overridden preflight check."""
@@ -116,10 +44,6 @@ class Opening:
     level: LogLevel
     name: str
     text: str
-
-
-def _nothing() -> None:
-    return
 
 
 class Logger:
@@ -136,15 +60,15 @@ class Logger:
         self,
         rate_hz: float,
         clock: Clock,
-        sampler: SensorSource,
+        sampler: Sampler,
         recorder: Recorder,
-        downlink: DownlinkSink | None = None,
-        uplink: UplinkSource | None = None,
+        downlink: RadioLink | None = None,
+        uplink: Uplink | None = None,
         *,
         together: int = 1,
         timing: LoopTiming | None = None,
         new_recorder: Callable[[], Recorder] | None = None,
-        housekeeping: Callable[[], None] = _nothing,
+        housekeeping: Callable[[], None] = lambda: None,
         opening: Iterable[Opening] = (),
     ) -> None:
         self.timing = timing or LoopTiming()
@@ -158,30 +82,30 @@ class Logger:
         self._housekeeping = housekeeping
         self._opening = tuple(opening)
         self._number = 0
-        self._tried = -1  # number of the last slot in which a scan was begun
+        self._last_begun = -1  # number of the last slot in which a scan was begun
         self._first = 0  # number of the slot at `_start_ns`
         self._start_ns: int | None = None  # None before the first slot
         self._heard_ns = clock.monotonic_ns()
         self._states: dict[str, SensorState] = {}
         self._health_due = True
-        self._words = ""
+        self._health_words = ""
         self._next_health_ns = 0
         self._next_housekeeping_ns = 0
         self._last_scan_ns: int | None = None
         self._together = together
-        self._taken: list[UnfinishedScan] = []  # not handed over yet
+        self._unfinished: list[UnfinishedScan] = []  # not handed over yet
         self._newest: UnfinishedScan | None = None
         self._link_fault = ""
         self._actuator: Actuation | None = None
-        self._listener: Listener | None = None
+        self._listener: Companion | None = None
         self._truth: AirTruth | None = None
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
-        self._ended = 0  # recordings given up for closing
+        self._recordings_ended = 0  # recordings given up for closing
         self._books_of = 0  # the one of them whose books `_last_books` are
         sampler.on_event = self._switch
 
-    def connect(self, downlink: DownlinkSink, uplink: UplinkSource | None) -> None:
+    def connect(self, downlink: RadioLink, uplink: Uplink | None) -> None:
         """Give the logger its link, before it runs."""
         self._downlink, self._uplink = downlink, uplink
 
@@ -191,7 +115,7 @@ class Logger:
             raise ValueError("controls cannot wait for several scans to be finished together")
         self._actuator = actuator
 
-    def listen(self, listener: Listener) -> None:
+    def listen(self, listener: Companion) -> None:
         """Give the logger somebody who looks at scans, before it runs."""
         self._listener = listener
 
@@ -239,7 +163,7 @@ class Logger:
         if self._start_ns is None:
             return self._number
         under_way = self._first + (self._clock.monotonic_ns() - self._start_ns) // self._period_ns
-        return max(self._tried + 1, under_way)
+        return max(self._last_begun + 1, under_way)
 
     def _begin(self) -> None:
         summary = self._sampler.start()
@@ -257,24 +181,24 @@ class Logger:
         recorder.start()
 
     def _one_scan(self, deadline: int) -> None:
-        self._tried = self._number
+        self._last_begun = self._number
         started = self._clock.monotonic_ns()
         self._newest = self._sampler.take(self._number, deadline)
-        ended = self._clock.monotonic_ns()
-        self._note_timing(deadline, started, ended)
-        self._taken.append(self._newest)
-        if len(self._taken) >= self._together:
+        ended_ns = self._clock.monotonic_ns()
+        self._note_timing(deadline, started, ended_ns)
+        self._unfinished.append(self._newest)
+        if len(self._unfinished) >= self._together:
             self._hand_over()
-            if ended >= self._next_housekeeping_ns:
-                self._next_housekeeping_ns = ended + _HOUSEKEEPING_NS
+            if ended_ns >= self._next_housekeeping_ns:
+                self._next_housekeeping_ns = ended_ns + _HOUSEKEEPING_NS
                 self._housekeeping()
 
     def _hand_over(self) -> None:
         """Finish what was taken and give it to recorder and radio."""
-        taken, self._taken = self._taken, []
-        if not taken:
+        unfinished, self._unfinished = self._unfinished, []
+        if not unfinished:
             return
-        scans = [self._sampler.finish(t) for t in taken]
+        scans = [self._sampler.finish(t) for t in unfinished]
         for scan in scans:
             if self._actuator is not None:
                 self._actuator.frame(scan, self)
@@ -321,10 +245,10 @@ class Logger:
 
     def _may_listen(self) -> bool:
         """Whether the uplink has its turn now: not while a scan is due already, but now and then in any case."""
-        now = self._clock.monotonic_ns()
-        if now >= self._deadline(self._tried + 1) and now - self._heard_ns < _DEAF_NS:
+        now_ns = self._clock.monotonic_ns()
+        if now_ns >= self._deadline(self._last_begun + 1) and now_ns - self._heard_ns < _DEAF_NS:
             return False
-        self._heard_ns = now
+        self._heard_ns = now_ns
         return True
 
     # ------------------------------------------------------------------------------------------ health and books
@@ -352,12 +276,12 @@ class Logger:
         self._next_health_ns = now + _HEALTH_PAUSE_NS
         summary = self._sampler.health()
         if self._recorder is not None:
-            self._recorder.health(as_message(summary, self._clock.utc_ns(), self._number))
+            self._recorder.message(as_message(summary, self._clock.utc_ns(), self._number))
             self._recorder.detail(self._sampler.metadata())
-        if summary.words != self._words:
-            self._words = summary.words
-            gone = any(g.state in _GONE for g in summary.failing)
-            self.say(LogLevel.WARNING if gone or not summary.ready else LogLevel.INFO, "sensors", summary.words)
+        if summary.words != self._health_words:
+            self._health_words = summary.words
+            any_gone = any(g.state in _GONE for g in summary.failing)
+            self.say(LogLevel.WARNING if any_gone or not summary.ready else LogLevel.INFO, "sensors", summary.words)
 
     # ------------------------------------------------------------------------------------------ control
 
@@ -386,8 +310,10 @@ class Logger:
         self.say(LogLevel.INFO, "logger", "recording ends by command")
         self._recorder = None
         recorder.reach(self._next_number())
-        self._ended += 1
-        closer = threading.Thread(target=self._close, args=(recorder, self._ended), name="recorder-close", daemon=True)
+        self._recordings_ended += 1
+        closer = threading.Thread(
+            target=self._close, args=(recorder, self._recordings_ended), name="recorder-close", daemon=True
+        )
         closer.start()  # a bad card may take its time; the scan loop does not wait for it
         self._closers = [c for c in self._closers if c.is_alive()] + [closer]
         return True
@@ -416,7 +342,7 @@ class Logger:
         """Record a frame of the sequencer, False when it cannot be, and with `send` tell the ground."""
         if send and self._downlink is not None:
             self._downlink.sequencer(frame)
-        return self._recorder is not None and self._recorder.sequencer(frame)
+        return self._recorder is not None and self._recorder.message(frame)
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
         """Put a line into the recording, the journal, and, from warnings up, on the downlink."""
@@ -432,7 +358,7 @@ class Logger:
     def _mark(self, time_ns: int, number: int, text: str, origin: str) -> EventMessage:
         event = EventMessage(time_ns, self._utc(time_ns), number, origin, text)
         if self._recorder is not None:
-            self._recorder.event(event)
+            self._recorder.message(event)
         if self._downlink is not None:
             self._downlink.event(event)
         return event
@@ -448,11 +374,11 @@ class Logger:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             summary = self._sampler.health()
-            recorder.health(as_message(summary, self._clock.utc_ns(), self._number))
+            recorder.message(as_message(summary, self._clock.utc_ns(), self._number))
             recorder.log(LogLevel.INFO, "logger", f"recording ends{repetitions(summary)}")
             recorder.reach(self._number)
-            self._ended += 1
-            self._close(recorder, self._ended)
+            self._recordings_ended += 1
+            self._close(recorder, self._recordings_ended)
         for closer in self._closers:
             while closer.is_alive():
                 closer.join(0.005)

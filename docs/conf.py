@@ -1,11 +1,14 @@
 """The documentation site: `make docs` builds it without a network, warnings are errors."""
 
 import os
+import runpy
 from importlib import metadata
+from pathlib import Path
 
 os.environ["MPLBACKEND"] = (
     "module://matplotlib_inline.backend_inline"  # notebooks show figures, whatever the shell says
 )
+runpy.run_path(str(Path(__file__).with_name("generated_pages.py")))["write_pages"]()
 project = "Sideslip"
 author = project_copyright = "the Sideslip authors"
 release = metadata.version("sideslip")

@@ -31,7 +31,7 @@ def verify(recording: str | Path) -> "RecordAnswer":
 
 def recover(recording: str | Path, out: str | Path) -> "RecordAnswer":
     """Save everything undamaged in a recording to a new and sound one; `passed` is False where the original is not sound."""
-    from daq.contract.recordings.accounting import recover as salvage
+    from daq.contract.recordings.recovery import recover as salvage
 
     salvaged = salvage(recording, out)
     content = salvaged.to_dict()

@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Rate
-from daq.contract.control import Weigh
+from daq.contract.manoeuvre import Weigh
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import GroupStatus, Scan, SensorState

@@ -11,14 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean, pstdev
 
+from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
 from daq.contract.scan import Scan
 from daq.sensors.config import Axis, Mounting, SensorsConfig, check_mounting
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.ms4525do import nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
 
-GRAVITY = 9.80665
-DENSITY = 1.225
 WINDOW_S = 5.0
 LOOK_S = 1.0
 MOVING_M_S = 8.0
@@ -70,7 +69,7 @@ class PitotAtRest:
     @property
     def words(self) -> str:
         """The reading for a person, with the airspeed it would be."""
-        speed = math.sqrt(2 * abs(self.offset_pa) / DENSITY)
+        speed = math.sqrt(2 * abs(self.offset_pa) / SEA_LEVEL_DENSITY)
         return f"{self.offset_pa:+.0f} Pa ({speed:.0f} m/s), spread {self.spread_pa:.1f} Pa"
 
 
@@ -219,7 +218,7 @@ class AirTruth:
         if len(pitot) < LEAST_SCANS or math.isnan(self._zero_count):
             return
         pressure = (fmean(pitot) - self._zero_count) * self._scales.pascal
-        by_gps = DENSITY / 2 * speed**2
+        by_gps = SEA_LEVEL_DENSITY / 2 * speed**2
         at = f"at GPS {speed:.0f} m/s"
         if pressure < NEGATIVE_PA:
             words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {at} (limit {NEGATIVE_PA:.0f}): tubes swapped?"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from daq.acquisition.attitude import AttitudeFilter
 from daq.acquisition.health import HealthRecord
 from daq.acquisition.supervisor import GroupOutcome
+from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.config import SensorsConfig
 from daq.sensors.gravity_reference import VelocityFix
@@ -13,7 +14,6 @@ from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.ms4525do import nominal_transfer
 
 _USABLE = (SensorState.OK, SensorState.RECOVERING, SensorState.OUT_OF_RANGE)
-_SEA_LEVEL_DENSITY = 1.225
 _TESLA_PER_COUNT = 0.15e-6
 
 
@@ -27,7 +27,7 @@ class AttitudeSource:
         imu = config.section("imu")
         self.record = HealthRecord("attitude", SensorState.RECOVERING, now_ns, config.attitude.required)
         gyro_range = getattr(imu, "gyro_range_dps", 500)
-        self._accel_scale = 9.80665 / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
+        self._accel_scale = GRAVITY / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
         self._gyro_scale = math.radians(1 / COUNTS_PER_DPS[gyro_range])
         self._filter = AttitudeFilter(config.attitude, imu_rate_hz, math.radians(gyro_range))
         lowpass_hz = getattr(imu, "accel_lowpass_hz", 0.0)
@@ -78,7 +78,7 @@ class AttitudeSource:
         if pitot is None or pitot.state is not SensorState.OK or math.isnan(self._pascal_per_count):
             return
         pressure = pitot.values["pitot_pressure"] * self._pascal_per_count + self._pascal_at_zero
-        self._airspeed = math.sqrt(max(0.0, 2 * pressure / _SEA_LEVEL_DENSITY))
+        self._airspeed = math.sqrt(max(0.0, 2 * pressure / SEA_LEVEL_DENSITY))
         self._airspeed_ns = pitot.time_ns
 
 

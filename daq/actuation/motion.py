@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from daq.actuation.config import SequencerConfig
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.scan import RawValue, Scan, SensorState
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_G
 from daq.sensors.ms4525do import nominal_transfer
 
 _MS = 1_000_000
-_SEA_LEVEL_DENSITY = 1.225
 _QUATERNION_SCALE = 1 / 32767
 _NEEDED: Mapping[str, str] = {
     "attitude": "quaternion_w",
@@ -88,7 +88,7 @@ class MotionReader:
         if count is None:
             return None
         pressure = count * self._pascal_per_count + self._pascal_at_zero
-        return math.sqrt(max(0.0, 2.0 * pressure / _SEA_LEVEL_DENSITY))
+        return math.sqrt(max(0.0, 2.0 * pressure / SEA_LEVEL_DENSITY))
 
     def _alpha(self, now_ns: int) -> float | None:
         volts = self._scaled("analog_a", "alpha_vane", now_ns, self._volt_per_count)

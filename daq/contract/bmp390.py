@@ -1,23 +1,17 @@
 """The pressure chip's own compensation, of single readings on board and of whole recordings on the ground."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, Self, TypeVar
+from struct import Struct
+from typing import Any, Self, TypeVar
 
+from daq.contract.constants import ZERO_CELSIUS
 
-class Arithmetic(Protocol):
-    """A number, or an array of them."""
+Number = TypeVar("Number", bound=Any)
+"""A number, or an array of them."""
 
-    def __add__(self, other: Any, /) -> Self: ...
-    def __radd__(self, other: Any, /) -> Self: ...
-    def __sub__(self, other: Any, /) -> Self: ...
-    def __mul__(self, other: Any, /) -> Self: ...
-    def __rmul__(self, other: Any, /) -> Self: ...
-
-
-Number = TypeVar("Number", bound=Arithmetic)
-
-ZERO_CELSIUS = 273.15
 NVM_BYTES = 21
+_NVM = Struct("<HHbhhbbHHbbhbb")  # T1 to T3, P1 to P11
+_PRESSURE_POWERS = (20, 29, 32, 37, -3, 6, 8, 15, 48, 48, 65)  # of two, that P1 to P11 are divided by
 
 
 @dataclass(frozen=True)
@@ -30,7 +24,7 @@ class Bmp390Trimming:
     t1: float
     t2: float
     t3: float
-    p: tuple[float, float, float, float, float, float, float, float, float, float, float]
+    p: tuple[float, ...]  # p1 to p11
 
     @classmethod
     def from_nvm(cls, nvm: bytes) -> Self:
@@ -40,30 +34,10 @@ class Bmp390Trimming:
                 f"{len(nvm)} bytes of BMP390 coefficients ({nvm.hex() or 'none'}): {NVM_BYTES} that are not blank are needed"
             )
 
-        def unsigned(at: int) -> int:
-            return int.from_bytes(nvm[at : at + 2], "little")
-
-        def signed(at: int, size: int = 1) -> int:
-            return int.from_bytes(nvm[at : at + size], "little", signed=True)
-
-        return cls(
-            t1=unsigned(0) * 2.0**8,
-            t2=unsigned(2) / 2.0**30,
-            t3=signed(4) / 2.0**48,
-            p=(
-                (signed(5, 2) - 2**14) / 2.0**20,
-                (signed(7, 2) - 2**14) / 2.0**29,
-                signed(9) / 2.0**32,
-                signed(10) / 2.0**37,
-                unsigned(11) * 2.0**3,
-                unsigned(13) / 2.0**6,
-                signed(15) / 2.0**8,
-                signed(16) / 2.0**15,
-                signed(17, 2) / 2.0**48,
-                signed(19) / 2.0**48,
-                signed(20) / 2.0**65,
-            ),
-        )
+        t1, t2, t3, *p = _NVM.unpack(nvm)
+        p[0], p[1] = p[0] - 2**14, p[1] - 2**14
+        scaled = (value / 2.0**power for value, power in zip(p, _PRESSURE_POWERS, strict=True))
+        return cls(t1 * 2.0**8, t2 / 2.0**30, t3 / 2.0**48, tuple(scaled))
 
     def compensate(self, raw_pressure: Number, raw_temperature: Number) -> tuple[Number, Number]:
         """Pressure [Pa] and temperature [K] from the uncompensated 24-bit readings, single ones or (N,) each."""

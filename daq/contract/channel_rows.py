@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 RawType = Literal["bit", "u8", "u16", "u32", "u64", "i16", "i32", "f32"]
 Downlink = Literal["fast", "slow", "none"]
@@ -63,6 +63,14 @@ class FlightColumn:
     entity: str  # path of the viewer entity that carries it; columns sharing an entity are drawn together
     plausible: tuple[float, float]
     title: str = ""
+
+
+class TableRows(NamedTuple):
+    """Groups, channels and columns of a table, or of the part of it that one package brings."""
+
+    groups: tuple[ChannelGroup, ...]
+    channels: tuple[Channel, ...]
+    columns: tuple[FlightColumn, ...]
 
 
 RAW_LIMITS: Mapping[str, tuple[float, float]] = {

@@ -6,10 +6,12 @@ calibrated columns are SI and radians in body axes x forward, y right, z down. R
 installed packages (`daq.contract.laboratory`) and stand after the built-in ones.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
-from daq.contract.channel_rows import Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType
+from daq.contract.channel_rows import Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType, TableRows
+from daq.contract.constants import DEGREE, GRAVITY, ZERO_CELSIUS
 
 BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("imu", "accelerometer and gyro", "ICM-20948"),
@@ -24,9 +26,6 @@ BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("capture", "digital inputs and PWM widths", "capture co-processor"),
     ChannelGroup("gnss", "GPS", "u-blox NAV-PVT"),
 )
-
-_G = 9.80665
-_DEG = 0.017453292519943295
 
 
 def _axes(
@@ -55,6 +54,11 @@ def _gnss(
     return Channel(name, "gnss", raw_type, unit, meaning, scale, rate=Rate.SLOW, downlink="slow", columns=columns)
 
 
+def _pwm(output: int, columns: tuple[str, ...]) -> Channel:
+    meaning = f"servo pulse width, output {output}"
+    return Channel(f"pwm_{output}", "capture", "u16", "s", meaning, 1e-7, columns=columns)
+
+
 def _attitude(axis: str, part: str) -> Channel:
     meaning = f"attitude, NED to body, {part}"
     return Channel(f"quaternion_{axis}", "attitude", "i16", "", meaning, 1 / 32767, columns=("phi", "theta", "psi"))
@@ -64,18 +68,19 @@ _ATTITUDE_STATUS = (
     "filter flags: bit 0 initialising, 1 rate recovery, 2 acceleration rejected, 3 magnetic field rejected, "
     "4 magnetometer used"
 )
-_PWM_COLUMNS = {1: ("cmd_e", "cmd_a"), 2: ("cmd_e", "cmd_a"), 3: ("cmd_r",), 4: ("throttle",)}
+_PWM_COLUMNS = (("cmd_e", "cmd_a"), ("cmd_e", "cmd_a"), ("cmd_r",), ("throttle",), (), ())
+_PITOT_DIE = "pitot sensor die, 11-bit count"
 _PITOT = ("p_dynamic", "V", "V_cas")
 _STATIC = ("p_static", "altitude", "rho", "V")
 _AIR = ("temperature", "rho", "p_static", "altitude", "V")
 
 BUILT_IN_CHANNELS: tuple[Channel, ...] = (
     # ICM-20948 at +-8 g and +-500 deg/s; axes already turned from chip to body axes by the driver's mounting matrix.
-    *_axes("accel_x accel_y accel_z", "imu", "m/s2", "specific force at the IMU", _G / 4096, "ax ay az"),
-    *_axes("gyro_x gyro_y gyro_z", "imu", "rad/s", "angular rate", _DEG / 65.5, "p q r"),
+    *_axes("accel_x accel_y accel_z", "imu", "m/s2", "specific force at the IMU", GRAVITY / 4096, "ax ay az"),
+    *_axes("gyro_x gyro_y gyro_z", "imu", "rad/s", "angular rate", DEGREE / 65.5, "p q r"),
     # die temperature, sensor supply and air temperature are sent with each fast frame (2 + 2 + 4 bytes), because fast columns
     # are corrected with them: a flight from telemetry then equals the onboard one exactly, whichever frames were lost
-    Channel("imu_temperature", "imu", "i16", "K", "IMU die", 1 / 333.87, 21.0 + 273.15),
+    Channel("imu_temperature", "imu", "i16", "K", "IMU die", 1 / 333.87, 21.0 + ZERO_CELSIUS),
     *_axes("mag_x mag_y mag_z", "mag", "T", "magnetic field", 0.15e-6, "mx my mz", "slow"),
     Channel("mag_status", "mag", "u8", "", "AK09916 ST2: bit 3 overflow", downlink="none"),
     _attitude("w", "scalar part"),
@@ -91,25 +96,11 @@ BUILT_IN_CHANNELS: tuple[Channel, ...] = (
     _volts("analog_1", "analog_b", "free analog input", "analog_1", "slow"),
     *(_volts(f"analog_{i}", "analog_c", "free analog input", f"analog_{i}", "slow") for i in range(2, 6)),
     Channel("pitot_pressure", "pitot", "u16", "Pa", "dynamic pressure, 14-bit count", columns=_PITOT),
-    Channel(
-        "pitot_temperature",
-        "pitot",
-        "u16",
-        "K",
-        "pitot sensor die, 11-bit count",
-        200 / 2047,
-        -50 + 273.15,
-        downlink="slow",
-    ),
+    Channel("pitot_temperature", "pitot", "u16", "K", _PITOT_DIE, 200 / 2047, -50 + ZERO_CELSIUS, downlink="slow"),
     Channel("static_pressure", "static", "u32", "Pa", "24-bit uncompensated pressure", columns=_STATIC),
     Channel("static_temperature", "static", "u32", "K", "24-bit uncompensated temperature", columns=_AIR),
     Channel("thrust_load", "thrust", "i32", "N", "load cell, + forward", columns=("thrust",)),
-    *(
-        Channel(
-            f"pwm_{i}", "capture", "u16", "s", f"servo pulse width, output {i}", 1e-7, columns=_PWM_COLUMNS.get(i, ())
-        )
-        for i in range(1, 7)
-    ),
+    *(_pwm(i, columns) for i, columns in enumerate(_PWM_COLUMNS, start=1)),
     Channel("digital_1", "capture", "bit", "", "digital input: event switch", columns=("digital_1",)),
     *(Channel(f"digital_{i}", "capture", "bit", "", "digital input", columns=(f"digital_{i}",)) for i in range(2, 6)),
     _gnss("gnss_itow", "u32", "ms", "GPS time of week of the fix"),
@@ -128,27 +119,23 @@ BUILT_IN_CHANNELS: tuple[Channel, ...] = (
     _gnss("speed_accuracy_mm", "u32", "m/s", "speed accuracy estimate", 1e-3),
 )
 
-_PI = 3.141592653589793
+_FORCE = "specific force at the CG, {} axis"
+_ELEVATOR = "elevator, (left + right)/2, + trailing edge down"
 _RUDDER = "rudder, + trailing edge to port: force to +y, nose left"
 
 BUILT_IN_COLUMNS: tuple[FlightColumn, ...] = (
-    *(
-        FlightColumn(f"a{x}", "m/s2", f"specific force at the CG, {x} axis", "/acceleration", (-120.0, 120.0))
-        for x in "xyz"
-    ),
+    *(FlightColumn(f"a{x}", "m/s2", _FORCE.format(x), "/acceleration", (-120.0, 120.0)) for x in "xyz"),
     FlightColumn("p", "rad/s", "roll rate, + right wing down", "/rates", (-10.0, 10.0)),
     FlightColumn("q", "rad/s", "pitch rate, + nose up", "/rates", (-10.0, 10.0)),
     FlightColumn("r", "rad/s", "yaw rate, + nose right", "/rates", (-10.0, 10.0)),
-    FlightColumn("phi", "rad", "bank angle, + right wing down", "/attitude", (-_PI, _PI)),
-    FlightColumn("theta", "rad", "pitch attitude, + nose up", "/attitude", (-_PI / 2, _PI / 2)),
-    FlightColumn("psi", "rad", "heading from true north, + clockwise", "/attitude", (-_PI, 2 * _PI)),
-    FlightColumn("alpha", "rad", "angle of attack, + wind from below", "/airdata/angles", (-_PI / 2, _PI / 2)),
-    FlightColumn("beta", "rad", "sideslip, + wind from the right", "/airdata/angles", (-_PI / 2, _PI / 2)),
+    FlightColumn("phi", "rad", "bank angle, + right wing down", "/attitude", (-math.pi, math.pi)),
+    FlightColumn("theta", "rad", "pitch attitude, + nose up", "/attitude", (-math.pi / 2, math.pi / 2)),
+    FlightColumn("psi", "rad", "heading from true north, + clockwise", "/attitude", (-math.pi, 2 * math.pi)),
+    FlightColumn("alpha", "rad", "angle of attack, + wind from below", "/airdata/angles", (-math.pi / 2, math.pi / 2)),
+    FlightColumn("beta", "rad", "sideslip, + wind from the right", "/airdata/angles", (-math.pi / 2, math.pi / 2)),
     FlightColumn("V", "m/s", "true airspeed", "/airdata/speed", (0.0, 350.0)),
     FlightColumn("V_cas", "m/s", "calibrated airspeed", "/airdata/speed", (0.0, 350.0)),
-    FlightColumn(
-        "delta_e", "rad", "elevator, (left + right)/2, + trailing edge down", "/controls/measured", (-1.0, 1.0)
-    ),
+    FlightColumn("delta_e", "rad", _ELEVATOR, "/controls/measured", (-1.0, 1.0)),
     FlightColumn("delta_a", "rad", "aileron, + rolls left", "/controls/measured", (-1.0, 1.0)),
     FlightColumn("delta_r", "rad", _RUDDER, "/controls/measured", (-1.0, 1.0)),
     FlightColumn("cmd_e", "rad", "elevator commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
@@ -174,14 +161,15 @@ BUILT_IN_COLUMNS: tuple[FlightColumn, ...] = (
 )
 
 
-def _whole_table() -> tuple[tuple[ChannelGroup, ...], tuple[Channel, ...], tuple[FlightColumn, ...]]:
+def _whole_table() -> TableRows:
     """The built-in rows and those of laboratory packages; the latter need pydantic, so only where there are any."""
+    table = TableRows(BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS)
     packages = entry_points(group="sideslip.channels")
     if not packages:
-        return BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS
+        return table
     from daq.contract.laboratory import with_packages
 
-    return with_packages(packages, BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS)
+    return with_packages(packages, table)
 
 
 GROUPS, CHANNELS, COLUMNS = _whole_table()

@@ -56,12 +56,12 @@ def make_directories(directory: Path) -> None:
     missing = [d for d in (directory, *directory.parents) if not d.exists()]
     directory.mkdir(parents=True, exist_ok=True)
     try:
-        for made in reversed(missing):
-            sync_directory(made.parent)
+        for new in reversed(missing):
+            sync_directory(new.parent)
     except OSError:
-        for made in missing:  # or the next try would take them for safe
-            if not any(made.iterdir()):
-                made.rmdir()
+        for new in missing:  # or the next try would take them for safe
+            if not any(new.iterdir()):
+                new.rmdir()
         raise
 
 
@@ -73,17 +73,17 @@ def replacing(path: Path) -> Iterator[Path]:
     an OSError then names `path`. Its name has no ending that chooses a format: give the format to a writer that asks.
     """
     clear_leftovers(path.parent)
-    with _named(path):
-        new, held = _hidden(path)
+    with _errors_naming(path):
+        new, descriptor = _hidden(path)
         try:
             yield new
-            os.fsync(held)
+            os.fsync(descriptor)
             new.replace(path)
         except BaseException:
             new.unlink(missing_ok=True)
             raise
         finally:
-            os.close(held)
+            os.close(descriptor)
         sync_directory(path.parent)
 
 
@@ -95,7 +95,7 @@ def whole(path: Path) -> Iterator[Path]:
     """
     target = _target(path)
     if target is None:
-        with _named(path):
+        with _errors_naming(path):
             yield path
         return
     with replacing(target) as new:
@@ -103,12 +103,10 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, as `whole` says."""
     write_bytes(path, text.encode("utf-8", NO_TEXT))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, as `whole` says."""
     with whole(path) as new:
         new.write_bytes(data)
 
@@ -121,18 +119,11 @@ def whole_text(path: Path, newline: str | None = "") -> Iterator[IO[str]]:
 
 
 @contextmanager
-def whole_binary(path: Path) -> Iterator[IO[bytes]]:
-    """An open binary file that takes the name `path` at the end, as `whole` says."""
-    with whole(path) as new, new.open("wb") as file:
-        yield file
-
-
-@contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
     """A new folder beside `path` to fill, which takes its place at the end; when the block raises, `path` is as it was."""
     make_directories(path.parent)
     clear_leftovers(path.parent)
-    with _named(path):
+    with _errors_naming(path):
         new = path.with_name(_hidden_name(path))
         new.mkdir()
         try:
@@ -159,10 +150,10 @@ def folder_of_ones_own(folder: Path, name: str) -> Iterator[None]:
     """Hold a folder, made if need be, against every other process that holds it under this name. The kernel lets go of it
     however this process ends. Raises FolderInUseError, or OSError where the folder cannot be written."""
     make_directories(folder)
-    with open_log(folder / f".{name}.lock") as held:
+    with open_log(folder / f".{name}.lock") as lock:
         if fcntl is not None:
             try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise FolderInUseError(str(folder)) from None
         clear_leftovers(folder)
@@ -179,10 +170,10 @@ def open_log(path: Path, buffering: int = -1) -> IO[bytes]:
 def clear_leftovers(directory: Path) -> None:
     """Remove what processes that are gone have left half-written in a directory; what cannot be removed stays."""
     try:
-        found = [entry.name for entry in os.scandir(directory) if entry.name.endswith(ENDING)]
+        leftovers = [entry.name for entry in os.scandir(directory) if entry.name.endswith(ENDING)]
     except OSError:
         return
-    for name in found:
+    for name in leftovers:
         with contextlib.suppress(OSError):
             _clear(directory / name)
 
@@ -205,22 +196,22 @@ def _hidden(path: Path) -> tuple[Path, int]:
     """A new hidden file beside `path`, as the umask or the old file has its mode, locked as long as the descriptor is open."""
     new = path.with_name(_hidden_name(path))
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
-    held = os.open(new, flags, 0o666)
+    descriptor = os.open(new, flags, 0o666)
     try:
         if fcntl is not None:
             with contextlib.suppress(OSError):  # a file system without locks: the process number tells
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         with contextlib.suppress(FileNotFoundError, PermissionError, AttributeError):
-            os.fchmod(held, path.stat().st_mode & 0o777)
+            os.fchmod(descriptor, path.stat().st_mode & 0o777)
     except BaseException:
-        os.close(held)
+        os.close(descriptor)
         new.unlink(missing_ok=True)
         raise
-    return new, held
+    return new, descriptor
 
 
 @contextmanager
-def _named(path: Path) -> Iterator[None]:
+def _errors_naming(path: Path) -> Iterator[None]:
     """An OSError inside names `path`, not nothing or the hidden file, and says in the system's words what it is."""
     try:
         yield

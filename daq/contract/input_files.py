@@ -83,8 +83,8 @@ def _opened(path: Path, what: str, error: type[UserError]) -> int:
     except FileNotFoundError:
         raise error(f"{path}: no such {what}") from None
     except (OSError, ValueError) as reason:
-        why = reason.strerror if isinstance(reason, OSError) else reason
-        raise error(f"{path}: cannot be read ({why})") from reason
+        cause = reason.strerror if isinstance(reason, OSError) else reason
+        raise error(f"{path}: cannot be read ({cause})") from reason
 
 
 def _measured(handle: int, path: Path, what: str, error: type[UserError], most: int) -> int:
@@ -104,8 +104,8 @@ def read_text(path: Path, what: str = "file", error: type[UserError] = UserError
         return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as reason:
         hint = "it looks like UTF-16; " if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ""
-        said = f"{path}: cannot be read as a text file in UTF-8 ({hint}byte {reason.start}); save it as UTF-8"
-        raise error(said) from reason
+        sentence = f"{path}: cannot be read as a text file in UTF-8 ({hint}byte {reason.start}); save it as UTF-8"
+        raise error(sentence) from reason
 
 
 def read_toml(path: Path, what: str = "file", error: type[UserError] = UserError) -> dict[str, Any]:
@@ -122,9 +122,9 @@ def parse_toml(text: str, where: str, error: type[UserError] = UserError) -> dic
     except RecursionError:
         raise error(f"{where}: nested more than {DEEPEST} deep; write it flatter") from None
     except ValueError as reason:  # TOMLDecodeError, and what int() says of five thousand digits
-        said = str(reason).splitlines()[0][:200]
+        message = str(reason).splitlines()[0][:200]
         raise error(
-            f"{where}: not valid TOML: {said}; correct it, or give another if it is not a TOML file"
+            f"{where}: not valid TOML: {message}; correct it, or give another if it is not a TOML file"
         ) from reason
     _check_values(table, where, error)
     return table
@@ -151,8 +151,8 @@ def read_xml(path: Path, what: str = "file", error: type[UserError] = UserError)
     root: ET.Element | None = None
     depth = count = 0
     try:
-        for at in range(0, len(data), _PIECE):
-            parser.feed(data[at : at + _PIECE])
+        for offset in range(0, len(data), _PIECE):
+            parser.feed(data[offset : offset + _PIECE])
             for event, element in parser.read_events():
                 root = element if root is None else root
                 depth += 1 if event == "start" else -1
@@ -174,17 +174,17 @@ def matching(pattern: Path, error: type[UserError] = UserError) -> list[Path]:
     """The files that a pattern with * ? [ ] and ** names, sorted. Links to folders are not followed by **. Raises `error` where
     more names than limits.LOOKED_AT would have to be looked at, or more than limits.FLIGHTS match."""
     budget = [limits.LOOKED_AT]
-    found: list[Path] = []
+    paths: list[Path] = []
     for path in _matched(Path(pattern.anchor), pattern.parts[1:] if pattern.anchor else pattern.parts, budget):
-        if budget[0] < 0 or len(found) >= limits.FLIGHTS:
+        if budget[0] < 0 or len(paths) >= limits.FLIGHTS:
             break
-        found.append(path)
-    if budget[0] < 0 or len(found) >= limits.FLIGHTS:
+        paths.append(path)
+    if budget[0] < 0 or len(paths) >= limits.FLIGHTS:
         raise error(
             f"{pattern}: more than {limits.LOOKED_AT} names to look at, or {limits.FLIGHTS} that match;"
             " begin the pattern further in"
         )
-    return sorted(dict.fromkeys(found))
+    return sorted(dict.fromkeys(paths))
 
 
 def _matched(folder: Path, parts: tuple[str, ...], budget: list[int]) -> Iterator[Path]:

@@ -46,7 +46,7 @@ class Interrupts:
     def raise_in_work(self) -> None:
         """From here on an interrupt is a KeyboardInterrupt, so that files are closed on its way up."""
         signal.signal(signal.SIGALRM, self._interrupt)
-        sys.unraisablehook = self._lost
+        sys.unraisablehook = self._unraisable
         signal.signal(signal.SIGINT, self._interrupt)
         for number in ENDING_SIGNALS:
             if signal.getsignal(number) is signal.SIG_DFL:  # not one that nohup, say, has told us to ignore
@@ -60,8 +60,8 @@ class Interrupts:
     @property
     def words(self) -> str:
         """The line that goes with it."""
-        how = "interrupted" if self.ended_by is None else f"ended by {self.ended_by.name}"
-        return f"sideslip: {how}; files are closed"
+        ending = "interrupted" if self.ended_by is None else f"ended by {self.ended_by.name}"
+        return f"sideslip: {ending}; files are closed"
 
     def _leave(self, number: int, frame: FrameType | None) -> None:
         os.write(2, SAID)
@@ -79,7 +79,7 @@ class Interrupts:
             return
         raise KeyboardInterrupt
 
-    def _lost(self, what: Any) -> None:
+    def _unraisable(self, what: Any) -> None:
         """In place of printing an exception that nobody can catch."""
         if issubclass(what.exc_type, KeyboardInterrupt):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)

@@ -6,7 +6,7 @@ after the built-in ones in the table; everything that is derived from the table 
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +14,16 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from daq.contract.channel_rows import RAW_LIMITS, Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType
+from daq.contract.channel_rows import (
+    RAW_LIMITS,
+    Channel,
+    ChannelGroup,
+    Downlink,
+    FlightColumn,
+    Rate,
+    RawType,
+    TableRows,
+)
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 
@@ -47,7 +56,7 @@ class _Channel(_LaboratoryRow):
     raw_type: RawType
     unit: str
     meaning: str
-    scale: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    scale: _Finite | None = None
     offset: _Finite = 0.0
     rate: Rate = Rate.SCAN
     downlink: Downlink = "none"
@@ -69,35 +78,17 @@ class _File(_LaboratoryRow):
     column: tuple[_Column, ...] = ()
 
 
-@dataclass(frozen=True)
-class TableRows:
-    """Groups, channels and columns of a table, or of the part of it that one package brings."""
-
-    groups: tuple[ChannelGroup, ...]
-    channels: tuple[Channel, ...]
-    columns: tuple[FlightColumn, ...]
-
-    def plus(self, other: "TableRows") -> "TableRows":
-        """These rows and then the other ones."""
-        return TableRows(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-
-def with_packages(
-    packages: Iterable[EntryPoint],
-    groups: tuple[ChannelGroup, ...],
-    channels: tuple[Channel, ...],
-    columns: tuple[FlightColumn, ...],
-) -> tuple[tuple[ChannelGroup, ...], tuple[Channel, ...], tuple[FlightColumn, ...]]:
+def with_packages(packages: Iterable[EntryPoint], table: TableRows) -> TableRows:
     """The whole table: the given rows, then those of the packages in order of name.
 
     Raises LaboratoryError naming file and key for a row that is wrong, or that does not fit the others.
     """
-    table = TableRows(groups, channels, columns)
     for package in sorted({p.value for p in packages}):
         file = package_folder(package) / ROWS_FILE
-        table = table.plus(read_rows(file, package))
+        rows = read_rows(file, package)
+        table = TableRows(table.groups + rows.groups, table.channels + rows.channels, table.columns + rows.columns)
         check(table, str(file))
-    return table.groups, table.channels, table.columns
+    return table
 
 
 def package_folder(package: str) -> Path:
@@ -128,13 +119,13 @@ def read_rows(file: Path, package: str) -> TableRows:
             f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}; see docs/sensors.md"
         ) from error
     channels = tuple(_channel(row, package) for row in read.channel)
-    named = tuple(FlightColumn(**row.model_dump()) for row in read.column)
-    known = {c.name for c in named}
+    columns = tuple(FlightColumn(**row.model_dump()) for row in read.column)
+    column_names = {c.name for c in columns}
     implied = tuple(_column(c) for r, c in zip(read.channel, channels, strict=True) if r.columns is None)
     return TableRows(
         tuple(ChannelGroup(**row.model_dump(), package=package) for row in read.group),
         channels,
-        (*named, *(c for c in implied if c.name not in known)),
+        (*columns, *(c for c in implied if c.name not in column_names)),
     )
 
 
@@ -161,9 +152,9 @@ def _mistakes(table: TableRows) -> Iterator[str]:
     columns = [c.name for c in table.columns]
     fields_of_scan = [c.name for c in table.channels] + [g + end for g in groups for end in ("_state", "_offset_us")]
     for kind, names in (("group", groups), ("channel or state", fields_of_scan), ("column", columns)):
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            yield f"{kind} {twice[0]} is already in the channel table; choose another name"
+        repeated = sorted({n for n in names if names.count(n) > 1})
+        if repeated:
+            yield f"{kind} {repeated[0]} is already in the channel table; choose another name"
     for channel in table.channels:
         if channel.group not in groups:
             yield f"channel {channel.name}: no group {channel.group!r}; add [[group]] name = {channel.group!r}"

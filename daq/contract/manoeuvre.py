@@ -8,7 +8,7 @@ begin and end at zero.
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -48,7 +48,6 @@ class Manoeuvre:
 
     @property
     def samples(self) -> int:
-        """Number of samples of each control."""
         return len(next(iter(self.increments.values())))
 
     @property
@@ -64,7 +63,6 @@ class Manoeuvre:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:
-        """As the file holds it."""
         return {
             "version": VERSION,
             "kind": self.kind,
@@ -79,29 +77,34 @@ class Manoeuvre:
         }
 
 
+Weigh = Callable[[Manoeuvre], Callable[[], str]]
+"""Weighs a manoeuvre against the aircraft's limits, in any thread; raises ManoeuvreError. What it returns puts the manoeuvre in
+place, in the scan loop, and says why not, empty when it is taken."""
+
+
 def checked(manoeuvre: Manoeuvre, where: str = "manoeuvre") -> Manoeuvre:
     """The manoeuvre, if it could be flown at all. Raises ManoeuvreError naming what is wrong."""
 
-    def wrong(what: str) -> ManoeuvreError:
+    def refusal(what: str) -> ManoeuvreError:
         return ManoeuvreError(f"{where}: {what}; design it again with 'sideslip design'")
 
     if not manoeuvre.increments:
-        raise wrong("no control is moved")
+        raise refusal("no control is moved")
     if not STEP_RANGE[0] <= manoeuvre.time_step <= STEP_RANGE[1]:
-        raise wrong(f"time_step {manoeuvre.time_step:g} s is not from {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g} s")
+        raise refusal(f"time_step {manoeuvre.time_step:g} s is not from {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g} s")
     lengths = {len(values) for values in manoeuvre.increments.values()}
     if len(lengths) > 1 or lengths < {2}:
-        raise wrong("the controls differ in number of samples" if len(lengths) > 1 else "fewer than two samples")
+        raise refusal("the controls differ in number of samples" if len(lengths) > 1 else "fewer than two samples")
     if manoeuvre.duration_s > LONGEST_S:
-        raise wrong(f"{manoeuvre.duration_s:.0f} s long, at most {LONGEST_S:.0f} s can be flown")
+        raise refusal(f"{manoeuvre.duration_s:.0f} s long, at most {LONGEST_S:.0f} s can be flown")
     for name, values in manoeuvre.increments.items():
         column = COLUMN_BY_NAME.get(name)
         if column is None or not name.startswith("delta_"):
-            raise wrong(f"{name!r} is not a control; known are delta_e, delta_a, delta_r")
+            raise refusal(f"{name!r} is not a control; known are delta_e, delta_a, delta_r")
         if not all(math.isfinite(v) and abs(v) <= LARGEST for v in values):
-            raise wrong(f"{name} has an increment beyond {math.degrees(LARGEST):.0f} deg or none at all")
+            raise refusal(f"{name} has an increment beyond {math.degrees(LARGEST):.0f} deg or none at all")
         if max(abs(values[0]), abs(values[-1])) > AT_REST:
-            raise wrong(f"{name} does not begin and end at zero")
+            raise refusal(f"{name} does not begin and end at zero")
     return manoeuvre
 
 
@@ -112,13 +115,13 @@ def load_manoeuvre(path: str | Path) -> Manoeuvre:
     if data.get("version") != VERSION:
         raise ManoeuvreError(f"{path}: not a manoeuvre of version {VERSION}; design it with this release")
     try:
-        made = _manoeuvre(data)
+        manoeuvre = _manoeuvre(data)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ManoeuvreError(f"{path}: not what 'sideslip design' writes ({error!r}); design it again") from error
-    checked(made, str(path))
-    if data.get("digest") != made.digest:
+    checked(manoeuvre, str(path))
+    if data.get("digest") != manoeuvre.digest:
         raise ManoeuvreError(f"{path}: its digest does not fit its values: it was changed; design it again")
-    return made
+    return manoeuvre
 
 
 def _manoeuvre(data: Mapping[str, Any]) -> Manoeuvre:

@@ -15,8 +15,8 @@ _KEPT = frozenset("\n\t")
 
 def meant(word: str, known: Iterable[str]) -> str:
     """What somebody may have meant by a name that is not among those known, to end a sentence with; "" where nothing is alike."""
-    alike = get_close_matches(word.lower(), list(known), n=1)
-    return f"; did you mean {alike[0]}?" if alike else ""
+    matches = get_close_matches(word.lower(), list(known), n=1)
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def comma_separated(names: str | Iterable[str]) -> tuple[str, ...]:
@@ -34,7 +34,7 @@ def visible(text: str) -> str:
     if text.isascii() and text.isprintable():
         return text
     # a page of megabytes has a hundred different characters
-    hidden = {ord(c): _shown(c) for c in set(text) - _KEPT if _shown(c) != c}
+    hidden = {ord(c): _escaped(c) for c in set(text) - _KEPT if _escaped(c) != c}
     return str.translate(text, hidden) if hidden else text
 
 
@@ -62,7 +62,6 @@ class VisibleStream:
         self._stream = stream
 
     def flush(self) -> None:
-        """Hand everything over."""
         self._stream.flush()
 
     @property
@@ -71,7 +70,6 @@ class VisibleStream:
         return self._stream
 
     def write(self, text: str) -> int:
-        """Write the text with `visible`."""
         parts = text.split("\r") if "\r" in text else [text]
         self._stream.write("\r".join(visible(part) for part in parts))
         return len(text)
@@ -87,12 +85,12 @@ def printed(value: object) -> object:
 
 def listed(names: Iterable[str], most: int = 30) -> str:
     """Names one after the other, the first `most` and how many more there are."""
-    shown = [plain_name(name) for name in names]
-    more = [f"and {len(shown) - most} more"] if len(shown) > most else []
-    return ", ".join(shown[:most] + more)
+    plain_names = [plain_name(name) for name in names]
+    rest = [f"and {len(plain_names) - most} more"] if len(plain_names) > most else []
+    return ", ".join(plain_names[:most] + rest)
 
 
-def _shown(character: str) -> str:
+def _escaped(character: str) -> str:
     if unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Zl", "Zp"):
         return character
     return f"\\u{ord(character):04x}" if ord(character) < 0x10000 else f"\\U{ord(character):08x}"

@@ -15,39 +15,38 @@ def ranges(numbers: Iterable[int]) -> tuple[Range, ...]:
 
 def union(these: Iterable[Range]) -> tuple[Range, ...]:
     """Ranges in any order, overlapping or empty (last below first), as ascending ranges that do not touch."""
-    out: list[Range] = []
+    merged: list[Range] = []
     for first, last in sorted(these):
         if last < first:
             continue
-        if out and first <= out[-1][1] + 1:
-            out[-1] = (out[-1][0], max(out[-1][1], last))
+        if merged and first <= merged[-1][1] + 1:
+            merged[-1] = (merged[-1][0], max(merged[-1][1], last))
         else:
-            out.append((first, last))
-    return tuple(out)
+            merged.append((first, last))
+    return tuple(merged)
 
 
 def subtract(these: Iterable[Range], those: Iterable[Range]) -> tuple[Range, ...]:
     """The numbers in `these` that are not in `those`."""
-    taken = union(those)
-    out: list[Range] = []
-    at = 0
+    removed = union(those)
+    remaining: list[Range] = []
+    index = 0
     for first, last in union(these):
-        while at < len(taken) and taken[at][1] < first:
-            at += 1
-        begin, i = first, at
-        while i < len(taken) and taken[i][0] <= last:
-            if begin < taken[i][0]:
-                out.append((begin, taken[i][0] - 1))
-            begin = taken[i][1] + 1
+        while index < len(removed) and removed[index][1] < first:
+            index += 1
+        begin, i = first, index
+        while i < len(removed) and removed[i][0] <= last:
+            if begin < removed[i][0]:
+                remaining.append((begin, removed[i][0] - 1))
+            begin = removed[i][1] + 1
             i += 1
         if begin <= last:
-            out.append((begin, last))
-        at = max(at, i - 1)
-    return tuple(out)
+            remaining.append((begin, last))
+        index = max(index, i - 1)
+    return tuple(remaining)
 
 
 def count(these: Iterable[Range]) -> int:
-    """How many numbers the ranges hold."""
     return sum(b - a + 1 for a, b in these)
 
 

@@ -49,6 +49,5 @@ class RotatingLog:
         self._file = new
 
     def close(self) -> None:
-        """Close the file."""
         with contextlib.suppress(OSError):
             self._file.close()

@@ -13,12 +13,12 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES, GROUPS
 from daq.contract.errors import UserError
-from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, seal, seal_holds
+from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, message_class, seal, seal_holds
 
 SCHEMA_NAME = "sideslip.Scan"
 SCAN_TOPIC = "/scan"
@@ -40,7 +40,6 @@ class SensorState(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state in words."""
         return self.name.lower().replace("_", " ")
 
     @property
@@ -145,10 +144,7 @@ def file_descriptor_set() -> descriptor_pb2.FileDescriptorSet:
 @cache
 def scan_message_class() -> Any:
     """The protobuf message class of `file_descriptor_set`."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in file_descriptor_set().file:
-        pool.Add(file)  # type: ignore[no-untyped-call]
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(SCHEMA_NAME))
+    return message_class(SCHEMA_NAME, file_descriptor_set())
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -175,8 +171,8 @@ def decode_scan(data: bytes) -> Scan:
     message = _message(data)
     # A field takes two bytes and more: of few bytes the few fields are listed, which beats asking for each of seventy where
     # a hostile file holds scans by the hundred thousand; of a usual scan asking is faster.
-    few = len(data) < 2 * len(CHANNELS)
-    is_set = {field.name for field, _ in message.ListFields()}.__contains__ if few else message.HasField
+    sparse = len(data) < 2 * len(CHANNELS)
+    is_set = {field.name for field, _ in message.ListFields()}.__contains__ if sparse else message.HasField
     try:
         groups = _groups(message, is_set)
     except ValueError as error:

@@ -10,6 +10,9 @@ for one of another kind. Readers that do not know the seal see an ordinary field
 import struct
 import zlib
 from functools import cache
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 SEAL_FIELD = "crc"
 SEAL_NUMBER = 15
@@ -39,3 +42,11 @@ def seal_holds(schema: str, data: bytes | memoryview) -> bool:
     if not has_seal(data):
         return False
     return zlib.crc32(data[:-SEAL_SIZE], seal_start(schema)) == int.from_bytes(data[-4:], "little")
+
+
+def message_class(schema: str, files: descriptor_pb2.FileDescriptorSet) -> Any:
+    """The protobuf class of a message by its descriptors, in a pool of its own."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)  # type: ignore[no-untyped-call]
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema))

@@ -19,7 +19,6 @@ class State(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state in words."""
         return self.name.lower()
 
     @property
@@ -36,84 +35,42 @@ class Exit(IntEnum):
 
 
 class Reason(IntEnum):
-    """Why a state was left."""
+    """Why a state was left: number, words for a person, and how it ends a manoeuvre that is running."""
 
-    NONE = 0
-    COMPLETE = 1
-    SWITCH = 2
-    STICK = 3
-    GROUND = 4
-    BANK = 10
-    LOAD_FACTOR = 11
-    AIRSPEED = 12
-    ALPHA = 13
-    HEIGHT = 14
-    SENSOR = 20
-    PILOT_SIGNALS = 21
-    LINK = 22
-    LATE = 23
-    MISSED = 24
-    CHIP = 25
-    NOT_FOLLOWED = 26
-    RECORDING = 27
-    AUTOPILOT = 28
-    FREQUENCY = 30
-    STICKS_NOT_STILL = 31
-    NO_ROOM = 32
-    TOO_EARLY = 33
-    WAITED = 34
-    OVERRIDES = 35
+    words: str
+    exit: Exit
 
-    @property
-    def exit(self) -> Exit:
-        """How this reason ends a manoeuvre that is running."""
-        return Exit.RAMP if self in _RAMPED else Exit.DROP
+    def __new__(cls, number: int, words: str, exit: Exit = Exit.DROP) -> "Reason":
+        reason = int.__new__(cls, number)
+        reason._value_, reason.words, reason.exit = number, words, exit
+        return reason
 
-    @property
-    def words(self) -> str:
-        """The reason for a person."""
-        return _WORDS[self]
+    NONE = 0, ""
+    COMPLETE = 1, "flown to its end"
+    SWITCH = 2, "pilot's switch"
+    STICK = 3, "pilot moved a stick"
+    GROUND = 4, "stopped from the ground"
+    BANK = 10, "bank limit"
+    LOAD_FACTOR = 11, "load factor limit"
+    AIRSPEED = 12, "airspeed limit"
+    ALPHA = 13, "angle-of-attack limit"
+    HEIGHT = 14, "height limit"
+    SENSOR = 20, "a sensor it relies on is stale"
+    PILOT_SIGNALS = 21, "pilot's signals are not seen"
+    LINK = 22, "link to the ground lost"
+    LATE = 23, "loop late"
+    MISSED = 24, "frames missed"
+    CHIP = 25, "servo driver does not answer as set"
+    NOT_FOLLOWED = 26, "servo pulses are not those put out"
+    RECORDING = 27, "nothing is recorded"
+    AUTOPILOT = 28, "autopilot does not do as it must"
+    FREQUENCY = 30, "output frequency is wrong"
+    STICKS_NOT_STILL = 31, "sticks are not still"
+    NO_ROOM = 32, "pulses would leave their limits"
+    TOO_EARLY = 33, "switched to go before it was armed"
+    WAITED = 34, "no start came"
+    OVERRIDES = 35, "overrides do not come and go as they must"
 
-
-_RAMPED = frozenset(
-    {
-        Reason.GROUND,
-        Reason.BANK,
-        Reason.LOAD_FACTOR,
-        Reason.AIRSPEED,
-        Reason.ALPHA,
-        Reason.HEIGHT,
-        Reason.LINK,
-        Reason.RECORDING,
-    }
-)
-_WORDS: Mapping[Reason, str] = {
-    Reason.NONE: "",
-    Reason.COMPLETE: "flown to its end",
-    Reason.SWITCH: "pilot's switch",
-    Reason.STICK: "pilot moved a stick",
-    Reason.GROUND: "stopped from the ground",
-    Reason.BANK: "bank limit",
-    Reason.LOAD_FACTOR: "load factor limit",
-    Reason.AIRSPEED: "airspeed limit",
-    Reason.ALPHA: "angle-of-attack limit",
-    Reason.HEIGHT: "height limit",
-    Reason.SENSOR: "a sensor it relies on is stale",
-    Reason.PILOT_SIGNALS: "pilot's signals are not seen",
-    Reason.LINK: "link to the ground lost",
-    Reason.LATE: "loop late",
-    Reason.MISSED: "frames missed",
-    Reason.CHIP: "servo driver does not answer as set",
-    Reason.NOT_FOLLOWED: "servo pulses are not those put out",
-    Reason.RECORDING: "nothing is recorded",
-    Reason.AUTOPILOT: "autopilot does not do as it must",
-    Reason.FREQUENCY: "output frequency is wrong",
-    Reason.STICKS_NOT_STILL: "sticks are not still",
-    Reason.NO_ROOM: "pulses would leave their limits",
-    Reason.TOO_EARLY: "switched to go before it was armed",
-    Reason.WAITED: "no start came",
-    Reason.OVERRIDES: "overrides do not come and go as they must",
-}
 
 TRANSITIONS: Mapping[State, frozenset[State]] = {
     State.IDLE: frozenset({State.CHECKING}),

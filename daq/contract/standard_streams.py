@@ -42,22 +42,19 @@ class SafeStream:
         self.trouble: OSError | None = None
 
     def write(self, text: str) -> int:
-        """Write, or drop what cannot be written."""
         if self.trouble is None:
-            self._tried(lambda: self._stream.write(text))
+            self._attempt(lambda: self._stream.write(text))
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:
-        """Write each."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Hand everything over, as far as it can be."""
         if self.trouble is None:
-            self._tried(self._stream.flush)
+            self._attempt(self._stream.flush)
 
-    def _tried(self, act: Any) -> None:
+    def _attempt(self, act: Any) -> None:
         try:
             act()
         except OSError as error:
@@ -87,7 +84,6 @@ class Speaker:
         self._thread.start()
 
     def say(self, line: str) -> None:
-        """One line, or several."""
         data = (line + "\n").encode("utf-8", "backslashreplace")
         self._put(data)
 
@@ -105,8 +101,8 @@ class Speaker:
             if self._descriptor is None:
                 continue
             try:
-                for at in range(0, len(data), _LARGEST_LINE):
-                    os.write(self._descriptor, data[at : at + _LARGEST_LINE])
+                for offset in range(0, len(data), _LARGEST_LINE):
+                    os.write(self._descriptor, data[offset : offset + _LARGEST_LINE])
             except OSError:
                 self._descriptor = None  # closed, full, or its terminal is gone: the log has it all
 

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 from daq.contract.channels import COLUMN_BY_NAME
 
-GRAVITY = 9.80665  # m/s2, standard
-
 COLUMNS = ("0", "beta", "p", "r", "da", "dr")
 """Columns of the regression, as they end the name of a derivative; `0` is the constant."""
 

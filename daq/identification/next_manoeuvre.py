@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import COLUMNS, EQUATIONS, GRAVITY, Airframe, Sample
+from daq.contract.constants import GRAVITY
+from daq.identification.airframe import COLUMNS, EQUATIONS, Airframe, Sample
 from daq.identification.live import EquationInformation
 
 Array = NDArray[np.float64]

@@ -11,7 +11,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from daq.identification.airframe import DERIVATIVES, GRAVITY, Airframe, Sample
+from daq.contract.constants import GRAVITY
+from daq.identification.airframe import DERIVATIVES, Airframe, Sample
 from daq.identification.servo import Between
 
 LONGEST_STEP = 0.026  # s; rolling decays with some 17 /s and a servo's edge takes 35 ms: Runge-Kutta is within 0.1 %

@@ -16,24 +16,14 @@ from pathlib import Path
 from typing import cast
 
 from daq.clock import NS, Clock
-from daq.contract.recordings.messages import (
-    EventMessage,
-    Health,
-    LogLevel,
-    LogLine,
-    Message,
-    SequencerFrame,
-    Statistics,
-)
+from daq.contract.recordings.messages import LogLevel, LogLine, Message, Statistics
 from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder.config import RecorderConfig
-from daq.recorder.log_time import SessionTime
+from daq.recorder.counts import Histogram, LoopTiming, SlotCounts
 from daq.recorder.segment import OpenRecording, Syncer
-from daq.recorder.segment_files import SegmentFiles
-from daq.recorder.slot_counts import SlotCounts
+from daq.recorder.segment_files import SegmentFiles, SessionTime
 from daq.recorder.storage import RealStorage, Storage
-from daq.recorder.timing import Histogram, LoopTiming
 
 _LOG = logging.getLogger("sideslip.recorder")
 
@@ -106,7 +96,6 @@ class Recorder:
     # ------------------------------------------------------------------------------------------ for the scan loop
 
     def start(self) -> None:
-        """Begin to record."""
         self._syncer.start()
         self._thread.start()
 
@@ -114,10 +103,10 @@ class Recorder:
         """Take a scan; False when the memory is full and the scan was dropped (and counted)."""
         with self._lock:
             books = self._books
-            held = books.offer(scan.number)
-            if held > books.high_water:
-                books.high_water = min(held, self._capacity)
-            if held > self._capacity or self._given_up:
+            pending = books.offer(scan.number)
+            if pending > books.high_water:
+                books.high_water = min(pending, self._capacity)
+            if pending > self._capacity or self._given_up:
                 books.drop(scan.number)
                 return False
             self._inbox.append(scan)
@@ -133,21 +122,17 @@ class Recorder:
         with self._lock:
             self._books.reach(number)
 
-    def event(self, event: EventMessage) -> None:
-        """Record an event marker."""
-        self._take_message(event)
-
-    def health(self, health: Health) -> None:
-        """Record a health report."""
-        self._take_message(health)
-
-    def sequencer(self, frame: SequencerFrame) -> bool:
-        """Record what the sequencer did in one frame; False when the memory is full."""
-        return self._take_message(frame)
+    def message(self, message: Message) -> bool:
+        """Record an event, a health report or what the sequencer did in one frame; False when the memory is full."""
+        with self._news:
+            room = len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up
+            if room:
+                self._inbox.append(message)
+            return room
 
     def log(self, level: LogLevel, name: str, text: str) -> None:
         """Record a log line, stamped now."""
-        self._take_message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
+        self.message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
 
     def detail(self, details: Mapping[str, str]) -> None:
         """Add facts to the identity, in this segment and all later ones (a sensor's factory data)."""
@@ -208,21 +193,12 @@ class Recorder:
         """Wait for a thread to end; False when the card still holds it in a system call at the deadline."""
         while thread.is_alive():
             thread.join(0.005)
-            now = self._clock.monotonic_ns()
+            now_ns = self._clock.monotonic_ns()
             if thread.is_alive():
-                if now >= deadline_ns:
+                if now_ns >= deadline_ns:
                     return False
-                self._clock.sleep_until(now + NS // 10)
+                self._clock.sleep_until(now_ns + NS // 10)
         return True
-
-    # ------------------------------------------------------------------------------------------ bookkeeping
-
-    def _take_message(self, message: Message) -> bool:
-        with self._news:
-            room = len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up
-            if room:
-                self._inbox.append(message)
-            return room
 
     # ------------------------------------------------------------------------------------------ the writer's thread
 
@@ -231,18 +207,18 @@ class Recorder:
         while not self._given_up:
             items, closing = self._wait_for_news()
             self._pending.extend(_entry(item) for item in items)
-            done = self._write_pending()
-            if closing and done and self._is_empty() and self._close_segment(final=True):
+            all_written = self._write_pending()
+            if closing and all_written and self._is_empty() and self._close_segment(final=True):
                 return
-            if not done:
+            if not all_written:
                 self._rest()
 
     def _rest(self) -> None:
         """Let a failing card be for a while, longer each time; not longer than it matters."""
-        until = self._clock.monotonic_ns() + round(self._pause_s * NS)
+        until_ns = self._clock.monotonic_ns() + round(self._pause_s * NS)
         self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
-        while not self._given_up and (now := self._clock.monotonic_ns()) < until:
-            self._clock.sleep_until(min(until, now + round(self._config.retry_s * NS)))
+        while not self._given_up and (now_ns := self._clock.monotonic_ns()) < until_ns:
+            self._clock.sleep_until(min(until_ns, now_ns + round(self._config.retry_s * NS)))
 
     def _wait_for_news(self) -> tuple[list[Scan | Message], bool]:
         segment = self._segment
@@ -312,19 +288,19 @@ class Recorder:
                 self._flush(segment)
 
     def _flush(self, segment: OpenRecording) -> None:
-        now = self._clock.monotonic_ns()
-        if self._reported_ns is None or now - self._reported_ns >= self._config.statistics_s * NS:
-            self._reported_ns = now
+        now_ns = self._clock.monotonic_ns()
+        if self._reported_ns is None or now_ns - self._reported_ns >= self._config.statistics_s * NS:
+            self._reported_ns = now_ns
             self._free = {"free_bytes": self._files.free_bytes(segment)}
             segment.writer.write_message(self.statistics())
-        ended = (segment.chunk_started_ns or 0) + self._chunk_ns
+        chunk_end_ns = (segment.chunk_started_ns or 0) + self._chunk_ns
         segment.writer.flush()
         segment.handed_over()
         segment.flushes += 1
         segment.chunk_started_ns = None
-        self._write_latency.add((self._clock.monotonic_ns() - now) // 1000)
-        if ended - segment.synced_ns >= self._config.sync_s * NS - self._chunk_ns // 2:
-            segment.synced_ns = ended
+        self._write_latency.add((self._clock.monotonic_ns() - now_ns) // 1000)
+        if chunk_end_ns - segment.synced_ns >= self._config.sync_s * NS - self._chunk_ns // 2:
+            segment.synced_ns = chunk_end_ns
             self._syncer.request(segment)
 
     def _flush_if_idle(self) -> bool:
@@ -332,8 +308,8 @@ class Recorder:
         segment = self._segment
         if segment is None or segment.chunk_started_ns is None:
             return True
-        waited = self._clock.monotonic_ns() - segment.chunk_started_ns
-        if waited >= self._patience_s * NS:
+        idle_ns = self._clock.monotonic_ns() - segment.chunk_started_ns
+        if idle_ns >= self._patience_s * NS:
             try:
                 self._flush(segment)
             except OSError as error:
@@ -379,9 +355,9 @@ class Recorder:
             return False
         segment.handed_over()
         self._segment = None
-        over = self._syncer.retire(segment)
-        while final and not over.is_set() and not self._given_up:
-            over.wait(_IDLE_S)
+        closed = self._syncer.retire(segment)
+        while final and not closed.is_set() and not self._given_up:
+            closed.wait(_IDLE_S)
         with self._news:
             return not self._returned
 

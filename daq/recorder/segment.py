@@ -10,8 +10,8 @@ from typing import IO, cast
 
 from daq.clock import Clock
 from daq.contract.recordings.recording import RecordedMessage, RecordingInfo, RecordingWriter
+from daq.recorder.counts import Histogram
 from daq.recorder.storage import StorageFile
-from daq.recorder.timing import Histogram
 
 _LOG = logging.getLogger("sideslip.recorder")
 
@@ -93,7 +93,6 @@ class Syncer:
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
 
     def start(self) -> None:
-        """Begin to work."""
         self._thread.start()
 
     def request(self, segment: OpenRecording) -> None:
@@ -103,8 +102,8 @@ class Syncer:
         the moment the card is free, and covers all that has been written until then.
         """
         with self._news:
-            waiting = any(j.segment is segment for j in self._jobs)
-        if not waiting:
+            is_queued = any(j.segment is segment for j in self._jobs)
+        if not is_queued:
             self._add(_WriteJob(segment.file, segment))
 
     @property
@@ -115,11 +114,11 @@ class Syncer:
 
     def retire(self, segment: OpenRecording) -> threading.Event:
         """Sync a finished segment and close its file; the event is set when that is over."""
-        over = threading.Event()
+        closed = threading.Event()
         with self._news:  # this sync covers what waits for one
             self._jobs = deque(j for j in self._jobs if j.segment is not segment)
-        self._add(_WriteJob(segment.file, segment, over))
-        return over
+        self._add(_WriteJob(segment.file, segment, closed))
+        return closed
 
     def close_later(self, file: StorageFile) -> None:
         """Close a file that is of no more use; closing may block on a bad card."""

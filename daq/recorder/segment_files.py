@@ -1,17 +1,28 @@
-"""Where the files of a session go: numbered one after another, in the first directory that takes one.
+"""Where the files of a session go, numbered one after another, in the first directory that takes one, and under which time
+their messages are filed.
 
-A file that cannot be opened or begun is a sentence and another try, never an exception.
+A file that cannot be opened or begun is a sentence and another try, never an exception. A segment has one offset from the
+aircraft's monotonic clock to UTC, chosen with its first message: UTC as soon as anything knows it. So intervals in a file are
+those of the monotonic clock, and log times never jump, whatever GPS or the system's clock do meanwhile.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from daq.clock import NS, Clock
 from daq.contract.recordings.messages import LogLevel
-from daq.contract.recordings.recording import RecordingInfo
+from daq.contract.recordings.recording import COMPUTER, GPS, LogTime, RecordedMessage, RecordingInfo, utc_of_scan
 from daq.recorder.config import RecorderConfig
 from daq.recorder.segment import OpenRecording
 from daq.recorder.storage import Storage, StorageFile
+
+CLOCK_SET_NS = 1_735_689_600 * NS
+"""The system's clock has been set when it stands at 2025 or later: clocks without a battery begin in 1970, or when their
+system was built."""
+TOLERANCE_NS = NS // 10
+"""A clock set from the network agrees with GPS to some 20 ms, the accuracy of a fix over a serial line; one that is off by
+more than this, two scans, was not. The next segment then begins, so that it happens once in a session."""
 
 
 class SegmentFiles:
@@ -51,7 +62,6 @@ class SegmentFiles:
         return None
 
     def free_bytes(self, segment: OpenRecording) -> int:
-        """Space left where a segment is."""
         return self._storage.free_bytes(segment.path.parent)
 
     def remove(self, path: Path, file: StorageFile) -> None:
@@ -92,10 +102,10 @@ class SegmentFiles:
         """Remove the oldest recordings, never those of this session, if that is allowed and space is short."""
         if not self._config.remove_oldest:
             return
-        wanted = self._config.keep_free_mb * 1e6
+        least_bytes = self._config.keep_free_mb * 1e6
         try:
             for path in self._storage.recordings(root):
-                if self._storage.free_bytes(root) >= wanted:
+                if self._storage.free_bytes(root) >= least_bytes:
                     return
                 if not path.name.startswith(f"{self._info.session}_"):
                     self._storage.remove(path)
@@ -105,3 +115,24 @@ class SegmentFiles:
 
     def _fails(self, what: str, error: OSError) -> None:
         self._complain(f"{what} ({error.strerror or error})", LogLevel.ERROR)
+
+
+class SessionTime:
+    """What is known of UTC in a session: at first by the system's clock, if it has been set, later by GPS."""
+
+    def __init__(self, clock: Clock) -> None:
+        utc_ns = clock.utc_ns()
+        is_set = utc_ns >= CLOCK_SET_NS
+        self.best = LogTime(utc_ns - clock.monotonic_ns(), COMPUTER) if is_set else LogTime()
+
+    def see(self, entry: RecordedMessage) -> None:
+        """Learn from a scan that knows UTC."""
+        log_time = utc_of_scan(entry)
+        if log_time is not None:
+            self.best = log_time
+
+    def contradicts(self, used: LogTime) -> bool:
+        """Whether GPS says that a segment which began before it had spoken is filed under the wrong time."""
+        if used.source == GPS or self.best.source != GPS:
+            return False
+        return abs(self.best.offset_ns - used.offset_ns) > TOLERANCE_NS

@@ -18,23 +18,18 @@ class StorageFile(Protocol):
 
     def write(self, data: bytes) -> int:
         """Write all of `data`."""
-        ...
 
     def tell(self) -> int:
         """Bytes written so far."""
-        ...
 
     def flush(self) -> None:
         """Nothing is held back in the process: everything written has gone to the operating system."""
-        ...
 
     def sync(self) -> None:
         """Return once everything written is on the medium."""
-        ...
 
     def close(self) -> None:
         """Release the file."""
-        ...
 
 
 class Storage(Protocol):
@@ -42,19 +37,15 @@ class Storage(Protocol):
 
     def create(self, path: Path) -> StorageFile:
         """Open a new file for writing, its directory made if need be; FileExistsError when there is one."""
-        ...
 
     def free_bytes(self, directory: Path) -> int:
         """Space left for an ordinary user in the file system of `directory`."""
-        ...
 
     def recordings(self, directory: Path) -> list[Path]:
         """All .mcap files under `directory`, the oldest first."""
-        ...
 
     def remove(self, path: Path) -> None:
         """Remove a file."""
-        ...
 
 
 class RealFile:
@@ -70,9 +61,9 @@ class RealFile:
     def write(self, data: bytes) -> int:
         view = memoryview(data)
         while view:
-            done = os.write(self._descriptor, view)
-            self._at += done
-            view = view[done:]
+            count = os.write(self._descriptor, view)
+            self._at += count
+            view = view[count:]
         return len(data)
 
     def tell(self) -> int:
@@ -90,8 +81,8 @@ class RealFile:
 
     def _must_be_there(self) -> None:
         """A file system unmounted under an open file, or a file removed, swallows writes without an error."""
-        here, named = os.fstat(self._descriptor), self._path.stat()
-        if (here.st_dev, here.st_ino) != (named.st_dev, named.st_ino):
+        open_file, named_file = os.fstat(self._descriptor), self._path.stat()
+        if (open_file.st_dev, open_file.st_ino) != (named_file.st_dev, named_file.st_ino):
             raise OSError(errno.ESTALE, "another file has taken its place", str(self._path))
 
     def close(self) -> None:
@@ -135,11 +126,11 @@ class RealStorage:
         return state.f_bavail * state.f_frsize
 
     def recordings(self, directory: Path) -> list[Path]:
-        found: list[tuple[float, Path]] = []
+        dated: list[tuple[float, Path]] = []
         for path in directory.rglob("*.mcap"):
             with contextlib.suppress(FileNotFoundError):  # removed by somebody else meanwhile
-                found.append((path.stat().st_mtime, path))
-        return [path for _, path in sorted(found)]
+                dated.append((path.stat().st_mtime, path))
+        return [path for _, path in sorted(dated)]
 
     def remove(self, path: Path) -> None:
         path.unlink()

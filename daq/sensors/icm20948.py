@@ -14,6 +14,7 @@ import math
 from collections.abc import Generator
 from struct import Struct
 
+from daq.contract.constants import GRAVITY
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
 from daq.sensors.bus import I2cBus
@@ -129,7 +130,7 @@ class Icm20948(Driver):
         return {
             "chip": "ICM-20948",
             "mounting": " ".join(config.mounting),
-            "accel_scale_m_s2": repr(9.80665 / COUNTS_PER_G[config.accel_range_g]),
+            "accel_scale_m_s2": repr(GRAVITY / COUNTS_PER_G[config.accel_range_g]),
             "gyro_scale_rad_s": repr(math.radians(1 / COUNTS_PER_DPS[config.gyro_range_dps])),
             **{f"{k}_lowpass_hz": repr(v) for k, v in delay.items()},
             **{f"{k}_delay_s": repr(round(1 / (2 * math.pi * v), 6)) for k, v in delay.items()},

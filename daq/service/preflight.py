@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from daq.acquisition.health import GroupHealth, HealthSummary
+from daq.acquisition.sampler import Sampler
 from daq.actuation.devices import Devices
 from daq.actuation.trials import findings
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
-from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
 from daq.service.checks import PreflightCheck, PreflightVerdict
 from daq.service.rest_checks import rest_checks
@@ -71,7 +71,7 @@ class RadioReport:
 def run_preflight(
     config: LoggerConfig,
     clock: Clock,
-    sampler: SensorSource,
+    sampler: Sampler,
     storage: Storage,
     radio: Callable[[], RadioReport | None] | None = None,
     devices: Devices | None = None,
@@ -97,7 +97,7 @@ def run_preflight(
     return Preflight(tuple(checks))
 
 
-def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: SensorSource) -> tuple[list[Scan], list[int]]:
+def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: Sampler) -> tuple[list[Scan], list[int]]:
     period = config.scan.period_ns
     start = clock.monotonic_ns() + period
     scans, lateness = [], []
@@ -210,7 +210,7 @@ def _probe(storage: Storage, clock: Clock, path: Path) -> float:
 
 
 def _sequencer_checks(
-    config: LoggerConfig, clock: Clock, sampler: SensorSource, devices: Devices | None
+    config: LoggerConfig, clock: Clock, sampler: Sampler, devices: Devices | None
 ) -> Iterable[PreflightCheck]:
     if config.sequencer is None:
         return

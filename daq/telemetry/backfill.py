@@ -69,7 +69,7 @@ class ScanStore:
         self._chunks: OrderedDict[int, bytes] = OrderedDict()  # chunk number -> compressed (number, data) rows
         self._open: dict[int, Scan] = {}  # of the chunk in progress, not in the hash yet
         self._open_chunk = 0
-        self._held = 0
+        self._stored_bytes = 0
         self._hash = hashlib.sha256()
         self._snapshot_numbers: list[int] = []  # ascending
         self._snapshots: list[tuple[int, bytes]] = []  # count and digest of all scans up to that number
@@ -104,10 +104,10 @@ class ScanStore:
             self._hash.update(_LENGTH.pack(len(data)) + data)
         packed = zlib.compress(b"".join(rows), 1)
         self._chunks[self._open_chunk] = packed
-        self._held += len(packed)
+        self._stored_bytes += len(packed)
         self._open = {}
-        while self._held > self._room and len(self._chunks) > 1:
-            self._held -= len(self._chunks.popitem(last=False)[1])
+        while self._stored_bytes > self._room and len(self._chunks) > 1:
+            self._stored_bytes -= len(self._chunks.popitem(last=False)[1])
 
     def kept(self, numbers: Sequence[int]) -> Kept:
         """What is held of these scans, to be worked on elsewhere; costs next to nothing."""
@@ -127,10 +127,10 @@ class ScanStore:
             if self._newest is None:
                 self._newest = (self.last, self.count, self._digest_of_all())
             return self._newest
-        at = bisect_right(self._snapshot_numbers, through) - 1
-        if at < 0:
+        index = bisect_right(self._snapshot_numbers, through) - 1
+        if index < 0:
             return self.first or 0, 0, hashlib.sha256().digest()
-        return self._snapshot_numbers[at], *self._snapshots[at]
+        return self._snapshot_numbers[index], *self._snapshots[index]
 
     def _digest_of_all(self) -> bytes:
         digest = self._hash.copy()
@@ -140,13 +140,13 @@ class ScanStore:
 
 
 def _rows(data: bytes) -> dict[int, bytes]:
-    out: dict[int, bytes] = {}
-    at = 0
-    while at < len(data):
-        number, size = struct.unpack_from("<II", data, at)
-        out[number] = data[at + 8 : at + 8 + size]
-        at += 8 + size
-    return out
+    rows: dict[int, bytes] = {}
+    offset = 0
+    while offset < len(data):
+        number, size = struct.unpack_from("<II", data, offset)
+        rows[number] = data[offset + 8 : offset + 8 + size]
+        offset += 8 + size
+    return rows
 
 
 def papers_of(info: RecordingInfo, events: Sequence[EventMessage] = ()) -> tuple[bytes, bytes]:
@@ -188,7 +188,7 @@ class _Preparation:
     def __init__(self, papers: Callable[[], RecordingInfo | None]) -> None:
         self._papers = papers
         self._info: RecordingInfo | None = None
-        self._made: tuple[int, bytes, bytes] | None = None  # papers: how many events, identity, archive
+        self._papers_parts: tuple[int, bytes, bytes] | None = None  # papers: how many events, identity, archive
         self._answers: OrderedDict[tuple[int, int], _Answer] = OrderedDict()
 
     def scans(self, first: int, wanted: int, kept: Kept) -> _Answer:
@@ -197,13 +197,13 @@ class _Preparation:
             self._answers.move_to_end(key)
             return self._answers[key]
         numbers = [first + i for i in range(64) if wanted >> i & 1]
-        here = list(kept.encoded(numbers).values())
-        made = _answer(pack_scans(here) if here else b"")
-        if len(here) == len(numbers):  # else not offered yet, or given up: an answer that may change is not kept
-            self._answers[key] = made
+        encoded = list(kept.encoded(numbers).values())
+        answer = _answer(pack_scans(encoded) if encoded else b"")
+        if len(encoded) == len(numbers):  # else not offered yet, or given up: an answer that may change is not kept
+            self._answers[key] = answer
             if len(self._answers) > _MAX_REQUESTS:
                 self._answers.popitem(last=False)
-        return made
+        return answer
 
     def part(self, part: int, events_so_far: int, events: tuple[EventMessage, ...]) -> _Answer:
         """A part of the papers: 0 the identity, then the archive."""
@@ -211,9 +211,9 @@ class _Preparation:
             self._info = self._identity()
         if self._info is None:
             return _answer(b"")
-        if self._made is None or self._made[0] != events_so_far:
-            self._made = (events_so_far, *papers_of(self._info, events))
-        _, identity, archive = self._made
+        if self._papers_parts is None or self._papers_parts[0] != events_so_far:
+            self._papers_parts = (events_so_far, *papers_of(self._info, events))
+        _, identity, archive = self._papers_parts
         return _answer(identity if part == 0 else archive[(part - 1) * PAPERS_PART_BYTES : part * PAPERS_PART_BYTES])
 
     def _identity(self) -> RecordingInfo | None:
@@ -259,7 +259,6 @@ class BackfillServer:
         self._events_so_far = 0
 
     def event(self, event: EventMessage) -> None:
-        """Keep an event for the papers."""
         self._events.append(event)
         self._events_so_far += 1
 
@@ -283,8 +282,8 @@ class BackfillServer:
         if not wanted:
             events = tuple(self._events)
             return self._worker.submit(self._preparation.part, first, self._events_so_far, events)
-        kept = self._store.kept([first + i for i in range(64) if wanted >> i & 1])
-        return self._worker.submit(self._preparation.scans, first, wanted, kept)
+        stored = self._store.kept([first + i for i in range(64) if wanted >> i & 1])
+        return self._worker.submit(self._preparation.scans, first, wanted, stored)
 
     @property
     def preparing(self) -> bool:
@@ -301,12 +300,12 @@ class BackfillServer:
             answer = job.future.result()
             if answer.fragments > MAX_FRAGMENTS:
                 continue
-            waiting = self._queue.setdefault(key, _Waiting(answer))
-            if waiting.answer.data != answer.data:
-                waiting = self._queue[key] = _Waiting(answer)
-            wanted = (i for i in range(max(1, answer.fragments)) if job.fragments >> i & 1 or not answer.fragments)
-            waiting.indices.extend(i for i in wanted if i not in waiting.indices)
-            if not waiting.indices:
+            pending = self._queue.setdefault(key, _Waiting(answer))
+            if pending.answer.data != answer.data:
+                pending = self._queue[key] = _Waiting(answer)
+            indices = (i for i in range(max(1, answer.fragments)) if job.fragments >> i & 1 or not answer.fragments)
+            pending.indices.extend(i for i in indices if i not in pending.indices)
+            if not pending.indices:
                 del self._queue[key]
 
     def _fragment(self, first: int, wanted: int, answer: _Answer, index: int) -> Item:
@@ -337,7 +336,6 @@ class BackfillServer:
 
     @property
     def busy(self) -> bool:
-        """Whether anything waits to be sent."""
         return bool(self._queue or self._jobs)
 
     def next_item(self) -> Item | None:
@@ -345,12 +343,11 @@ class BackfillServer:
         self._take_prepared()
         if not self._queue:
             return None
-        (first, wanted), waiting = next(iter(self._queue.items()))
-        index = waiting.indices.popleft()
-        if not waiting.indices:
-            del self._queue[first, wanted]
-        return self._fragment(first, wanted, waiting.answer, index)
+        (first, mask), pending = next(iter(self._queue.items()))
+        index = pending.indices.popleft()
+        if not pending.indices:
+            del self._queue[first, mask]
+        return self._fragment(first, mask, pending.answer, index)
 
     def close(self) -> None:
-        """End the worker."""
         self._worker.close(_PATIENCE_S)

@@ -94,11 +94,11 @@ class DownlinkConfig(BaseModel):
 
     @model_validator(mode="after")
     def _fits_budget(self) -> "DownlinkConfig":
-        most = max_rate(self.budget_bytes_per_s)
-        if self.rate_hz > most:
+        limit_hz = max_rate(self.budget_bytes_per_s)
+        if self.rate_hz > limit_hz:
             raise ValueError(
                 f"rate_hz {self.rate_hz:g} needs {self.rate_hz * SCAN_FRAME_BYTES + HEARTBEAT_BYTES:.0f} bytes/s; "
-                f"budget_bytes_per_s {self.budget_bytes_per_s:g} allows at most {most:.1f} Hz"
+                f"budget_bytes_per_s {self.budget_bytes_per_s:g} allows at most {limit_hz:.1f} Hz"
             )
         return self
 

@@ -9,20 +9,24 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from daq.contract.bmp390 import ZERO_CELSIUS, Bmp390Trimming
+from daq.contract.bmp390 import Bmp390Trimming
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.constants import (
+    GAS_CONSTANT,
+    HEAT_RATIO,
+    LAPSE_RATE,
+    SEA_LEVEL_DENSITY,
+    SEA_LEVEL_PRESSURE,
+    SEA_LEVEL_TEMPERATURE,
+    ZERO_CELSIUS,
+)
 from daq.contract.scan import Scan, SensorState
 from daq.telemetry.config import DisplayConfig
 
 Vector = tuple[float, float, float]
 
-GAS_CONSTANT = 287.05287  # J/(kg K); this and what follows: ICAO Doc 7488/3, standard atmosphere
-SEA_LEVEL_PRESSURE = 101325.0
-SEA_LEVEL_TEMPERATURE = 288.15
-SEA_LEVEL_DENSITY = 1.225
-LAPSE_RATE = 0.0065  # K/m, to 11 km
 _DENSITY_EXPONENT = 4.25588  # g / (R L) - 1
-_SOUND_SQUARED = 1.4 * GAS_CONSTANT * SEA_LEVEL_TEMPERATURE
+_SOUND_SQUARED = HEAT_RATIO * GAS_CONSTANT * SEA_LEVEL_TEMPERATURE
 
 LEAST_AIRSPEED = 8.0
 """Below this calibrated airspeed [m/s] no wind is told: the 40 Pa of it are what the pitot's zero may be off
@@ -151,7 +155,7 @@ class Display:
             density = standard_density(scan.values.get("height_msl_mm", 0) * 1e-3)
         true = speed * math.sqrt(SEA_LEVEL_DENSITY / density)
         body = (true * math.cos(alpha) * math.cos(beta), true * math.sin(beta), true * math.sin(alpha) * math.cos(beta))
-        north, east, down = _turned(turn, body)
+        north, east, down = _body_to_ned(turn, body)
         return ground[0] - north, ground[1] - east, ground[2] - down
 
 
@@ -170,7 +174,7 @@ def _chip(nvm: str) -> Bmp390Trimming | None:
         return None
 
 
-def _turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
+def _body_to_ned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
     """A body vector in north, east, down: v + 2 w (q x v) + 2 q x (q x v)."""
     w, x, y, z = quaternion
     a, b, c = 2 * (y * v[2] - z * v[1]), 2 * (z * v[0] - x * v[2]), 2 * (x * v[1] - y * v[0])
@@ -205,10 +209,10 @@ class WindMean:
             self._since, self._mean, self._square = time, wind, (0.0, 0.0, 0.0)
         else:
             share = 1 - math.exp(-max(0.0, time - self._last) / self._time_s)
-            off = tuple(w - m for w, m in zip(wind, self._mean, strict=True))
-            north, east, down = (m + share * d for m, d in zip(self._mean, off, strict=True))
+            deviation = tuple(w - m for w, m in zip(wind, self._mean, strict=True))
+            north, east, down = (m + share * d for m, d in zip(self._mean, deviation, strict=True))
             self._mean = north, east, down
-            n, e, d = ((1 - share) * (s + share * d * d) for s, d in zip(self._square, off, strict=True))
+            n, e, d = ((1 - share) * (s + share * d * d) for s, d in zip(self._square, deviation, strict=True))
             self._square = n, e, d
         self._last = time
 

@@ -9,16 +9,16 @@ to 2 Hz at worst, and the heartbeat goes on regardless.
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 from daq.clock import NS, Clock
 from daq.contract.channels import Channel
 from daq.contract.link.scan_map import BLOCK, ScanMap
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
-from daq.contract.recordings.messages import EventMessage, SequencerFrame
+from daq.contract.recordings.messages import EventMessage, SequencerFrame, Statistics
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
-from daq.telemetry.flight_state import flight_evidence
+from daq.telemetry.control import Control, NoLogger
+from daq.telemetry.request_limits import flight_evidence
 from daq.telemetry.send_queue import Item, SendQueue, item
 from daq.telemetry.standard_messages import StandardMessages, heartbeat
 from daq.transport.mavlink_codec import FrameEncoder
@@ -38,35 +38,11 @@ _FIRST_NS = 3 * NS  # the 600 bytes of one message of each kind take as long bes
 _TEXT_CHARS = 50
 
 
-@dataclass(frozen=True, slots=True)
-class OnboardStatus:
-    """What the logger tells the ground about itself."""
-
-    recording: bool = False
-    slots: int = 0
-    written: int = 0
-    dropped: int = 0
-    lost: int = 0
-    missed: int = 0
-    queue: int = 0
-    free_bytes: int | None = None
-    lateness_p99_us: int = 0
-    write_errors: int = 0
-
-
-@dataclass
-class UplinkCounts:
-    """Refusals, as LINK_STATISTICS reports them."""
-
-    rejected_frames: int = 0
-    rejected_commands: int = 0
-
-
 class Downlink:
     """Sends to one ground link. All methods belong to the scan loop's thread.
 
-    boot: random number of this start of the logger (1 to 255). status: asked at a low rate for the logger's state.
-    facts: run-time facts of the sensors, asked at a low rate.
+    boot: random number of this start of the logger (1 to 255). facts: run-time facts of the sensors, asked at a low rate.
+    logger: whose state is told; its books are asked for at a low rate.
     """
 
     def __init__(
@@ -77,32 +53,30 @@ class Downlink:
         *,
         boot: int,
         signer: Signer | None = None,
-        status: Callable[[], OnboardStatus] = OnboardStatus,
         facts: Callable[[], Mapping[str, str]] = dict,
     ) -> None:
         self.boot = boot & 255 or 1
         self.config = config
         self.sent = ScanMap()
         self.offered = ScanMap()
-        self.refusals = UplinkCounts()
+        self.rejected_frames = self.rejected_commands = 0  # refusals of the uplink, as LINK_STATISTICS reports them
         self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
         self._clock = clock
         self._layouts = layouts()
-        self.status = status
-        self.recording: Callable[[], bool] = lambda: self.status().recording
-        self.messages = StandardMessages(config, lambda: self.recording(), facts)
+        self.logger: Control = NoLogger()
+        self.messages = StandardMessages(config, lambda: self.logger.recording, facts)
         encoder = FrameEncoder(config.system_id, config.component_id, signer, private=config.data_component_id)
         self.send_queue = SendQueue(port, encoder, config.budget_bytes_per_s, config.scan_queue)
-        self._wanted_rate = config.rate_hz
+        self._requested_rate = config.rate_hz
         self._factor = 1.0
         self._adapted_ns = 0
         self._radio_ns: int | None = None
         self._next_fast = 0.0
         self._next_slow = 0.0
         self._rare = _Turns(self._layouts[SCAN_RARE_ID].channels)
-        own = self._layouts[SCAN_LABORATORY_ID].channels if SCAN_LABORATORY_ID in self._layouts else ()
-        self._laboratory = _Turns(own)
-        self._laboratory_always = any(c.downlink == "fast" for c in own)
+        laboratory_channels = self._layouts[SCAN_LABORATORY_ID].channels if SCAN_LABORATORY_ID in self._layouts else ()
+        self._laboratory = _Turns(laboratory_channels)
+        self._laboratory_always = any(c.downlink == "fast" for c in laboratory_channels)
         self._first: int | None = None
         self._last = 0
         self._text_id = 0
@@ -125,22 +99,22 @@ class Downlink:
             }
         )
         self._scans_come = False  # since the last service
-        self._pauses_told = 0
+        self._pause_reports = 0
         self._pause_ns = 0
-        self._open: list[int] = []  # numbers of scans queued and not gone yet
+        self._unsettled: list[int] = []  # numbers of scans queued and not gone yet
 
     # -------------------------------------------------------------------------------------------------- scans
 
     @property
     def rate_hz(self) -> float:
         """Present scan rate [Hz]."""
-        return max(MIN_RATE_HZ, self._wanted_rate * self._factor)
+        return max(MIN_RATE_HZ, self._requested_rate * self._factor)
 
     def set_rate(self, rate_hz: float) -> bool:
         """Wish for another rate [Hz]; False, and no change, when it is below 2 Hz or the byte budget has no room."""
         if not MIN_RATE_HZ <= rate_hz <= max_rate(self.config.budget_bytes_per_s):
             return False
-        self._wanted_rate = rate_hz
+        self._requested_rate = rate_hz
         return True
 
     def offer(self, scan: Scan) -> None:
@@ -158,8 +132,8 @@ class Downlink:
         if time < self._next_fast - 1e-6:
             return
         period = 1.0 / self.rate_hz
-        late = time - self._next_fast > period
-        self._next_fast = (time if late else self._next_fast) + period
+        is_late = time - self._next_fast > period
+        self._next_fast = (time if is_late else self._next_fast) + period
         self._send_scan(scan, time)
 
     def _send_scan(self, scan: Scan, time: float) -> None:
@@ -179,18 +153,18 @@ class Downlink:
         fast = pack_scan(table[SCAN_FAST_ID], scan, self.boot)
         number = scan.number
         items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
-        self._open.append(number)
+        self._unsettled.append(number)
         self.send_queue.put_scan(items)
 
     def _settle(self, number: int, sent: bool) -> None:
-        self._open.remove(number)
+        self._unsettled.remove(number)
         if sent:
             self.sent.add(number)
 
     @property
     def settled(self) -> int:
         """Last scan of which, and of all before it, it is known whether it was sent."""
-        return min(self._open) - 1 if self._open else self._last
+        return min(self._unsettled) - 1 if self._unsettled else self._last
 
     def _report_maps(self, block: int) -> None:
         for i in range(max(0, block - _MAP_REPEATS), block):
@@ -198,8 +172,8 @@ class Downlink:
 
     def sent_map(self, block: int) -> Item:
         """The SENT_MAP message of a block of scan numbers."""
-        every = (1 << BLOCK) - 1
-        absent = (~self.offered.word(block) & every).to_bytes(BLOCK // 8, "little")
+        full_block = (1 << BLOCK) - 1
+        absent = (~self.offered.word(block) & full_block).to_bytes(BLOCK // 8, "little")
         return item(
             "SENT_MAP",
             first_number=block * BLOCK,
@@ -214,14 +188,14 @@ class Downlink:
     def service(self, now_ns: int) -> None:
         """Send what is due at `now_ns` (monotonic)."""
         if self._next_heartbeat is None or now_ns >= self._next_heartbeat:
-            late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
-            self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
-            self.send_queue.put_urgent(heartbeat(self.recording()))
+            is_late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
+            self._next_heartbeat = (now_ns if is_late else self._next_heartbeat or now_ns) + NS
+            self.send_queue.put_urgent(heartbeat(self.logger.recording))
         if self._factor < 1.0:
             self._recover(now_ns)
         if self._scans_come:
-            self._scans_come, self._pauses_told, self._pause_ns = False, 0, now_ns
-        elif self._pauses_told < _MAP_REPEATS and self.recent:
+            self._scans_come, self._pause_reports, self._pause_ns = False, 0, now_ns
+        elif self._pause_reports < _MAP_REPEATS and self.recent:
             self._report_pause(now_ns)
         if now_ns >= self._timers.soonest and not self.send_queue.has_low:
             self._queue_due(now_ns)
@@ -229,8 +203,8 @@ class Downlink:
 
     def _report_pause(self, now_ns: int) -> None:
         """When scans stop coming, say a few times what was sent, so that the ground's books close."""
-        if now_ns >= self._pause_ns + (_PAUSE_NS << self._pauses_told):
-            self._pauses_told += 1
+        if now_ns >= self._pause_ns + (_PAUSE_NS << self._pause_reports):
+            self._pause_reports += 1
             block = self._last // BLOCK
             self.send_queue.put_low(self.sent_map(block))
             self._report_maps(block)
@@ -238,18 +212,12 @@ class Downlink:
 
     def _queue_due(self, now_ns: int) -> None:
         name = self._timers.due(now_ns, self._factor)
-        made = self._build(name) if name else None
-        if made is not None:
-            self.send_queue.put_low(made)
-
-    def _build(self, name: str) -> Item | None:
-        match name:
-            case "LINK_STATISTICS":
-                return self.statistics()
-            case "LOGGER_STATUS":
-                return self._logger_status()
-            case _:
-                return self.messages.make(name)
+        if name is None:
+            return
+        make = {"LINK_STATISTICS": self.statistics, "LOGGER_STATUS": self._logger_status}.get(name)
+        message = self.messages.make(name) if make is None else make()
+        if message is not None:
+            self.send_queue.put_low(message)
 
     def statistics(self) -> Item:
         """The LINK_STATISTICS message of now."""
@@ -265,25 +233,21 @@ class Downlink:
             frames_sent=box.frames_sent,
             boot=self.boot,
             rate_centihz=min(65535, round(self.rate_hz * 100)),
-            rejected_frames=min(65535, self.refusals.rejected_frames),
-            rejected_commands=min(65535, self.refusals.rejected_commands),
+            rejected_frames=min(65535, self.rejected_frames),
+            rejected_commands=min(65535, self.rejected_commands),
         )
 
     def _logger_status(self) -> Item:
-        s = self.status()
+        books = self.logger.statistics() or Statistics(0, 0, "", 0)
         return item(
             "LOGGER_STATUS",
-            free_bytes=2**64 - 1 if s.free_bytes is None else s.free_bytes,
-            slots=s.slots,
-            written=s.written,
-            dropped=s.dropped,
-            lost=s.lost,
-            missed=s.missed,
+            free_bytes=books.extra.get("free_bytes", 2**64 - 1),
+            **{name: getattr(books, name) for name in ("slots", "written", "dropped", "lost", "missed")},
             boot=self.boot,
-            queue=min(65535, s.queue),
-            lateness_p99_us=min(65535, s.lateness_p99_us),
-            write_errors=min(65535, s.write_errors),
-            recording=int(s.recording),
+            queue=min(65535, books.pending),
+            lateness_p99_us=min(65535, _percentile(books.edges_us, books.lateness, 0.99)),
+            write_errors=min(65535, books.write_errors),
+            recording=int(self.logger.recording),
             in_flight=int(flight_evidence(self.recent) is not None),
         )
 
@@ -299,7 +263,6 @@ class Downlink:
             self.send_queue.put_urgent(item("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=i))
 
     def event(self, event: EventMessage) -> None:
-        """Tell the ground of a recorded event."""
         self.send_queue.put_urgent(
             item(
                 "SCAN_EVENT",
@@ -312,7 +275,6 @@ class Downlink:
         )
 
     def sequencer(self, frame: SequencerFrame) -> None:
-        """Tell the ground what the sequencer is doing."""
         self.send_queue.put_urgent(
             item(
                 "SEQUENCER_STATUS",
@@ -346,8 +308,8 @@ class Downlink:
             self._set_factor(self._factor * _STEP_UP)
 
     def _set_factor(self, factor: float) -> None:
-        least = MIN_RATE_HZ / self._wanted_rate
-        self._factor = min(1.0, max(least, factor))
+        lowest = MIN_RATE_HZ / self._requested_rate
+        self._factor = min(1.0, max(lowest, factor))
         self.send_queue.budget = self.config.budget_bytes_per_s * self._factor
 
 
@@ -369,17 +331,27 @@ class _Turns:
         """Whether the message goes with this scan."""
         if not self._sent or scan.time < self.next:
             return False
-        waiting = min(self._sent, key=lambda g: self._sent[g])
+        next_group = min(self._sent, key=lambda g: self._sent[g])
         present = {g for g, names in self._names.items() if not names.isdisjoint(scan.values)}
-        if waiting not in present and scan.time < self.next + 1.0:
+        if next_group not in present and scan.time < self.next + 1.0:
             return False
-        self._sent.update(dict.fromkeys((*present, waiting), scan.time))
+        self._sent.update(dict.fromkeys((*present, next_group), scan.time))
         return True
 
 
 def _increment(value: float) -> int:
     """An increment of a control [1e-4 rad]."""
     return min(max(round(value * 1e4), -32767), 32767)
+
+
+def _percentile(edges_us: Sequence[int], counts: Sequence[int], share: float) -> int:
+    """Upper edge of the histogram bin in which a percentile lies; the last bin has none and gives 65535."""
+    cumulative, total = 0, sum(counts)
+    for edge, count in zip((*edges_us, 65535), counts, strict=False):
+        cumulative += count
+        if total and cumulative >= share * total:
+            return edge
+    return 0
 
 
 class _Timers:
@@ -395,13 +367,13 @@ class _Timers:
             # Spread, so that they do not come in a bunch for ever; but a station shall not wait long for the rarest.
             count = len(self._periods)
             self._next = {n: now_ns + min(p, _FIRST_NS) * i / count for i, (n, p) in enumerate(self._periods.items())}
-        best, most = None, -math.inf
+        due_name, largest = None, -math.inf
         for name, due in self._next.items():
             overdue = (now_ns - due) / self._periods[name]
-            if overdue >= 0 and overdue > most:
-                best, most = name, overdue
-        if best is not None:
-            period = self._periods[best] / factor
-            self._next[best] = max(self._next[best] + period, now_ns)
+            if overdue >= 0 and overdue > largest:
+                due_name, largest = name, overdue
+        if due_name is not None:
+            period = self._periods[due_name] / factor
+            self._next[due_name] = max(self._next[due_name] + period, now_ns)
         self.soonest = min(self._next.values())
-        return best
+        return due_name

@@ -5,7 +5,6 @@ refused in the protocol's own words, at once.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from daq.contract.link import commands as c
@@ -28,95 +27,87 @@ _END, _UNKNOWN_COMMAND, _NOT_FOUND = 6, 7, 10
 _FTP_REFUSALS = {_LIST: _END, _OPEN: _NOT_FOUND, _CHECKSUM: _NOT_FOUND}
 
 Fields = Mapping[str, Any]
-Sender = tuple[int, int]
+Parameters = Mapping[str, float]
+Reply = Callable[[Fields, Mapping[str, int], Parameters], Sequence[Item]]
+"""Answers a request by its fields, who asked, and the parameters."""
 
 
-@dataclass(frozen=True, slots=True)
-class AircraftStatus:
-    """What there is to tell: rate_hz: the present downlink rate; has_voltage: whether a supply voltage is sent."""
-
-    rate_hz: float
-    has_voltage: bool = False
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """All parameters and their values, in order of index; they can be read only."""
-        battery = {BATTERY_PARAMETER: _VOLTAGE_ONLY} if self.has_voltage else {}
-        return {RATE_PARAMETER: self.rate_hz, **battery}
+def parameters(rate_hz: float, has_voltage: bool) -> Parameters:
+    """All parameters and their values, in order of index; they can be read only. rate_hz: of the downlink. has_voltage: whether
+    a supply voltage is sent."""
+    return {RATE_PARAMETER: rate_hz, **({BATTERY_PARAMETER: _VOLTAGE_ONLY} if has_voltage else {})}
 
 
-def answers(name: str, fields: Fields, sender: Sender, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    """The answers to one of REQUESTS from `sender` (system, component)."""
+def answers(name: str, fields: Fields, sender: tuple[int, int], values: Parameters) -> Sequence[Item]:
+    """The answers to one of REQUESTS from `sender` (system, component). values: of the parameters."""
     target = {"target_system": sender[0], "target_component": sender[1]}
-    return REQUESTS[name](fields, target, aircraft)
+    return REQUESTS[name](fields, target, values)
 
 
-def _all_parameters(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    known = aircraft().parameters
-    return [_parameter(known, name) for name in known]
+def _all_parameters(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
+    return [_parameter(values, name) for name in values]
 
 
-def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    known = aircraft().parameters
+def _one_parameter(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
     index = fields["param_index"]
-    name = fields["param_id"] if index < 0 else next((n for i, n in enumerate(known) if i == index), "")
-    if name in known:
-        return [_parameter(known, name)]
+    name = fields["param_id"] if index < 0 else next((n for i, n in enumerate(values) if i == index), "")
+    if name in values:
+        return [_parameter(values, name)]
     return [_parameter_error(fields["param_id"], index, _DOES_NOT_EXIST, target)]
 
 
-def _set_parameter(fields: Fields, target: Fields, aircraft: Callable[[], AircraftStatus]) -> Sequence[Item]:
-    known, name = aircraft().parameters, fields["param_id"]
-    if name not in known:
+def _set_parameter(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
+    name = fields["param_id"]
+    if name not in values:
         return [_parameter_error(name, -1, _DOES_NOT_EXIST, target)]
     # What it is says that it was not set, to stations that do not know PARAM_ERROR yet.
-    return [_parameter(known, name), _parameter_error(name, -1, _READ_ONLY, target)]
+    return [_parameter(values, name), _parameter_error(name, -1, _READ_ONLY, target)]
 
 
-def _parameter(known: Mapping[str, float], name: str) -> Item:
+def _parameter(values: Mapping[str, float], name: str) -> Item:
     return item(
         "PARAM_VALUE",
         param_id=name,
-        param_value=known[name],
+        param_value=values[name],
         param_type=_REAL32,
-        param_count=len(known),
-        param_index=list(known).index(name),
+        param_count=len(values),
+        param_index=list(values).index(name),
     )
 
 
-def _parameter_error(name: str, index: int, error: int, target: Fields) -> Item:
+def _parameter_error(name: str, index: int, error: int, target: Mapping[str, int]) -> Item:
     return item("PARAM_ERROR", **target, param_id=name, param_index=max(-1, index), error=error)
 
 
-def _no_mission(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+def _no_mission(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
     return [item("MISSION_COUNT", **target, count=0, mission_type=fields["mission_type"])]
 
 
-def _mission_answer(result: int) -> Callable[[Fields, Fields, object], Sequence[Item]]:
+def _mission_answer(result: int) -> Reply:
     return lambda fields, target, _: [item("MISSION_ACK", **target, type=result, mission_type=fields["mission_type"])]
 
 
-def _no_file(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+def _no_file(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
     """There are no files: listings end at once, nothing can be opened, and sessions that are not open are closed."""
     payload = bytes(fields["payload"])
     sequence = int.from_bytes(payload[:2], "little")
     session, opcode = payload[2], payload[3]
     if opcode in (_ACK, _NAK):
         return []
-    done = opcode in (_CLOSE_SESSION, _CLOSE_ALL)
-    data = b"" if done else bytes([_FTP_REFUSALS.get(opcode, _UNKNOWN_COMMAND)])
+    is_close = opcode in (_CLOSE_SESSION, _CLOSE_ALL)
+    data = b"" if is_close else bytes([_FTP_REFUSALS.get(opcode, _UNKNOWN_COMMAND)])
     head = (sequence + 1) % 2**16
-    reply = head.to_bytes(2, "little") + bytes([session, _ACK if done else _NAK, len(data), opcode])
+    reply = head.to_bytes(2, "little") + bytes([session, _ACK if is_close else _NAK, len(data), opcode])
     return [item("FILE_TRANSFER_PROTOCOL", **target, payload=reply.ljust(_FTP_DATA_AT, b"\0") + data)]
 
 
-def _no_command_int(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+def _no_command_int(fields: Fields, target: Mapping[str, int], values: Parameters) -> Sequence[Item]:
     command = int(fields["command"])
-    result = c.COMMAND_LONG_ONLY if command in (*c.KNOWN, *TELLING) else c.UNSUPPORTED
+    result = c.COMMAND_LONG_ONLY if command in (*c.KNOWN, *MESSAGE_COMMANDS) else c.UNSUPPORTED
     return [item("COMMAND_ACK", **target, command=command, result=result)]
 
 
-REQUESTS: Mapping[str, Callable[[Fields, Fields, Callable[[], AircraftStatus]], Sequence[Item]]] = {
+REQUESTS: Mapping[str, Reply] = {
     "PARAM_REQUEST_LIST": _all_parameters,
     "PARAM_REQUEST_READ": _one_parameter,
     "PARAM_SET": _set_parameter,
@@ -132,13 +123,13 @@ REQUESTS: Mapping[str, Callable[[Fields, Fields, Callable[[], AircraftStatus]], 
 
 # Commands that ask to be told something, and the message that does (None: the one in parameter 1).
 _GET_HOME_POSITION, _REQUEST_MESSAGE = 410, 512
-TELLING: Mapping[int, str | None] = {_GET_HOME_POSITION: "HOME_POSITION", _REQUEST_MESSAGE: None}
+MESSAGE_COMMANDS: Mapping[int, str | None] = {_GET_HOME_POSITION: "HOME_POSITION", _REQUEST_MESSAGE: None}
 
 
 def message_asked_for(command: int, parameter: float) -> str | None:
-    """The name of the message that one of TELLING asks for; None where it is none that this dialect has."""
-    named = TELLING[command]
-    if named is not None:
-        return named
-    known = message_types().get(int(parameter)) if parameter.is_integer() else None
-    return None if known is None else known.name
+    """The name of the message that one of MESSAGE_COMMANDS asks for; None where it is none that this dialect has."""
+    fixed_name = MESSAGE_COMMANDS[command]
+    if fixed_name is not None:
+        return fixed_name
+    message_type = message_types().get(int(parameter)) if parameter.is_integer() else None
+    return None if message_type is None else message_type.name

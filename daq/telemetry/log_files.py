@@ -41,7 +41,7 @@ class LogFiles:
         self._real: tuple[str, ...] = ()  # the directories without links
         self._given_up = given_up
         self._paths: list[str] = []  # the number of a file is its place, from 1 on, and stays what it was
-        self._known: set[str] = set()
+        self._listed_paths: set[str] = set()
 
     def listing(self) -> tuple[LogFileEntry, ...]:
         """All recordings there are now."""
@@ -64,24 +64,24 @@ class LogFiles:
         if not 0 < number <= len(self._paths) or size <= 0:
             return b""
         try:
-            path = self._within(self._paths[number - 1])
+            path = self._resolved_within(self._paths[number - 1])
             return _read(path, offset, size) if path is not None else b""
         except OSError:
             return b""  # removed meanwhile: the client sees the end of the log
 
     def _refresh(self) -> None:
-        found = _in_order(p for p in self._found() if p not in self._known)
+        new_paths = _in_order(p for p in self._paths_on_card() if p not in self._listed_paths)
         room = MAX_FILES - len(self._paths)
-        new = found[-room:] if room else []
+        new = new_paths[-room:] if room else []
         self._paths += new
-        self._known.update(new)
+        self._listed_paths.update(new)
 
-    def _found(self) -> Iterator[str]:
+    def _paths_on_card(self) -> Iterator[str]:
         self._real = tuple(os.path.realpath(d) for d in self._directories)
         looked_at = 0
-        waiting = [(str(d), 0) for d in self._directories]
-        while waiting and not self._given_up():
-            directory, depth = waiting.pop()
+        queue = [(str(d), 0) for d in self._directories]
+        while queue and not self._given_up():
+            directory, depth = queue.pop()
             for entry in _entries(directory):
                 looked_at += 1
                 self._make_way(looked_at)
@@ -89,7 +89,7 @@ class LogFiles:
                     return
                 kind = _kind(entry)
                 if kind == "directory" and depth < _MAX_DEPTH:
-                    waiting.append((entry.path, depth + 1))
+                    queue.append((entry.path, depth + 1))
                 elif entry.name.endswith(".mcap") and (
                     kind == "file" or (kind == "link" and self._leads_within(entry))
                 ):
@@ -97,14 +97,14 @@ class LogFiles:
 
     def _leads_within(self, link: "os.DirEntry[str]") -> bool:
         try:
-            return link.is_file() and self._within(link.path) is not None
+            return link.is_file() and self._resolved_within(link.path) is not None
         except OSError:
             return False
 
-    def _within(self, path: str) -> str | None:
+    def _resolved_within(self, path: str) -> str | None:
         """Where a path really leads; None where that is not below one of the directories. OSError where to nothing."""
         real = os.path.realpath(path, strict=True)
-        return real if self._below(real) else None
+        return real if self._is_below(real) else None
 
     def _status(self, path: str, folders: dict[str, str]) -> os.stat_result | None:
         """Of the file a path leads to; None where it leads out, to nothing, or to no ordinary file.
@@ -116,8 +116,8 @@ class LogFiles:
             if folder not in folders:
                 folders[folder] = os.path.realpath(folder, strict=True)
             status = os.lstat(f"{folders[folder]}/{name}")
-            if stat.S_ISLNK(status.st_mode) or not self._below(folders[folder]):
-                real = self._within(path)
+            if stat.S_ISLNK(status.st_mode) or not self._is_below(folders[folder]):
+                real = self._resolved_within(path)
                 if real is None:
                     return None
                 status = os.lstat(real)
@@ -125,7 +125,7 @@ class LogFiles:
             return None
         return status if stat.S_ISREG(status.st_mode) else None
 
-    def _below(self, real: str) -> bool:
+    def _is_below(self, real: str) -> bool:
         return any(real == d or real.startswith(f"{d}{os.sep}") for d in self._real)
 
     @staticmethod

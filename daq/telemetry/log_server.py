@@ -36,48 +36,46 @@ class LogServer:
         self._closing = False
         self._files = LogFiles(directories, lambda: self._closing)
         self._worker = Worker("log-server")
-        self._listed: tuple[int, tuple[LogFileEntry, ...]] | None = None  # when, and what
+        self._last_listing: tuple[int, tuple[LogFileEntry, ...]] | None = None  # when, and what
         self._listing: Future[tuple[LogFileEntry, ...]] | None = None
-        self._wanted: tuple[int, int] | None = None  # first and last id to be told
-        self._telling: Iterator[Item] | None = None
+        self._requested_ids: tuple[int, int] | None = None  # first and last id to be told
+        self._entries_to_send: Iterator[Item] | None = None
         self._transfer: _Transfer | None = None
 
     def request_list(self, first: int, last: int) -> None:
         """Have a LOG_ENTRY sent for each file whose id is in the range."""
-        self._telling = None
-        self._wanted = (first, last)
+        self._entries_to_send = None
+        self._requested_ids = (first, last)
 
     def request_data(self, number: int, offset: int, count: int) -> None:
         """Begin to send `count` bytes of a file from `offset` on."""
         self._transfer = _Transfer(number, offset, min(offset + count, _UINT32 + 1))
 
     def request_end(self) -> None:
-        """Stop sending."""
-        self._transfer = self._wanted = self._telling = None
+        self._transfer = self._requested_ids = self._entries_to_send = None
 
     @property
     def busy(self) -> bool:
-        """Whether a list or a download is under way."""
-        return self._transfer is not None or self._wanted is not None or self._telling is not None
+        return self._transfer is not None or self._requested_ids is not None or self._entries_to_send is not None
 
     def next_item(self) -> Item | None:
         """The next message to send; None while there is nothing, or while the card is being read."""
-        if self._wanted is not None:
-            self._begin_to_tell(*self._wanted)
-        if self._telling is not None:
-            made = next(self._telling, None)
-            if made is not None:
-                return made
-            self._telling = None
+        if self._requested_ids is not None:
+            self._begin_listing(*self._requested_ids)
+        if self._entries_to_send is not None:
+            entry = next(self._entries_to_send, None)
+            if entry is not None:
+                return entry
+            self._entries_to_send = None
         return self._next_data()
 
-    def _begin_to_tell(self, first: int, last: int) -> None:
+    def _begin_listing(self, first: int, last: int) -> None:
         if self._listing is not None and self._listing.done():
-            self._listed = (self._now_ns(), self._listing.result())
+            self._last_listing = (self._now_ns(), self._listing.result())
             self._listing = None
-        if self._listed is not None and self._now_ns() - self._listed[0] < LIST_AGAIN_NS:
-            self._telling = _log_entries(self._listed[1], first, last)
-            self._wanted = None
+        if self._last_listing is not None and self._now_ns() - self._last_listing[0] < LIST_AGAIN_NS:
+            self._entries_to_send = _log_entries(self._last_listing[1], first, last)
+            self._requested_ids = None
         elif self._listing is None:
             self._listing = self._worker.submit(self._files.listing)
 
@@ -100,7 +98,6 @@ class LogServer:
         return item("LOG_DATA", id=t.number, ofs=offset, count=len(data), data=data)
 
     def close(self) -> None:
-        """End the worker."""
         self.request_end()
         self._closing = True
         self._worker.close(_PATIENCE_S)

@@ -8,12 +8,12 @@ not replaced, so that a restart flies what was checked on the ground.
 import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any
 
-from daq.contract import manoeuvre_wire as wire
-from daq.contract.control import Control, Weigh
 from daq.contract.errors import UserError
+from daq.contract.link import manoeuvre_wire as wire
+from daq.contract.manoeuvre import Weigh
+from daq.telemetry.control import Control
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.worker import Worker
 
@@ -21,12 +21,8 @@ _PATIENCE_S = 0.5
 _WARNING = 4
 
 
-@dataclass(frozen=True)
-class _Weighed:
-    """A manoeuvre that may be flown. put: see Weigh."""
-
-    digest: str
-    put: Callable[[], str]
+_Weighed = tuple[str, Callable[[], str]]
+"""Digest of a manoeuvre that may be flown, and what puts it in place (see Weigh)."""
 
 
 class ManoeuvreInbox:
@@ -35,13 +31,13 @@ class ManoeuvreInbox:
     def __init__(self, text: Callable[[int, str], None]) -> None:
         self._text = text
         self._checksum: int | None = None
-        self._wanted = 0
-        self._pieces: dict[int, bytes] = {}
+        self._fragment_count = 0
+        self._fragments: dict[int, bytes] = {}
         self._result = wire.RECEIVING
         self._checking: Future[_Weighed | str] | None = None
         self._worker = Worker("manoeuvre")
 
-    def take(self, fields: Mapping[str, Any], control: Control) -> Item | None:
+    def receive(self, fields: Mapping[str, Any], control: Control) -> Item | None:
         """Use a MANOEUVRE_DATA; the answer, or None for one that makes no sense."""
         checksum, number, count = fields["checksum"], fields["fragment"], fields["fragments"]
         length = fields["length"]
@@ -50,32 +46,31 @@ class ManoeuvreInbox:
             return None
         if not last and length != wire.FRAGMENT_BYTES:
             return None
-        again = self._result == wire.REFUSED and number == 0  # sent anew: what spoke against it may be over
-        if again or (checksum, count) != (self._checksum, self._wanted):
+        is_retry = self._result == wire.REFUSED and number == 0  # sent anew: what spoke against it may be over
+        if is_retry or (checksum, count) != (self._checksum, self._fragment_count):
             if self._checking is not None:
                 return self._status()  # one at a time; the sender tries again
-            self._checksum, self._wanted, self._pieces, self._result = checksum, count, {}, wire.RECEIVING
+            self._checksum, self._fragment_count, self._fragments, self._result = checksum, count, {}, wire.RECEIVING
         if self._result == wire.RECEIVING:
-            self._pieces.setdefault(number, bytes(fields["data"][:length]))
-            if len(self._pieces) == self._wanted:
-                self._check(b"".join(self._pieces[i] for i in range(self._wanted)), control)
+            self._fragments.setdefault(number, bytes(fields["data"][:length]))
+            if len(self._fragments) == self._fragment_count:
+                self._check(b"".join(self._fragments[i] for i in range(self._fragment_count)), control)
         return self._status()
 
     def service(self, control: Control) -> Item | None:
         """Hand on what has been checked; the word for the ground about it, if it is time for one."""
         if self._checking is None or not self._checking.done():
             return None
-        found, self._checking = self._checking.result(), None
-        why = found if isinstance(found, str) else found.put()
-        if why:
-            self._refuse(why)
-        elif isinstance(found, _Weighed):
+        result, self._checking = self._checking.result(), None
+        digest, refusal = ("", result) if isinstance(result, str) else (result[0], result[1]())
+        if refusal:
+            self._refuse(refusal)
+        else:
             self._result = wire.TAKEN
-            control.mark_event(f"manoeuvre {found.digest[:6]} taken from the ground", "ground")
+            control.mark_event(f"manoeuvre {digest[:6]} taken from the ground", "ground")
         return self._status()
 
     def close(self) -> None:
-        """End the thread."""
         self._worker.close(_PATIENCE_S)
 
     def _check(self, data: bytes, control: Control) -> None:
@@ -94,13 +89,13 @@ class ManoeuvreInbox:
         self._text(_WARNING, f"manoeuvre from the ground refused: {why}")
 
     def _status(self) -> Item:
-        held = sum(1 << i for i in self._pieces)
-        return item("MANOEUVRE_STATUS", held=held, checksum=self._checksum, result=self._result)
+        received_mask = sum(1 << i for i in self._fragments)
+        return item("MANOEUVRE_STATUS", held=received_mask, checksum=self._checksum, result=self._result)
 
 
 def _weighed(weigh: Weigh, data: bytes) -> _Weighed | str:
     try:
         manoeuvre = wire.unpack(data)
-        return _Weighed(manoeuvre.digest, weigh(manoeuvre))
+        return manoeuvre.digest, weigh(manoeuvre)
     except UserError as error:
         return str(error)

@@ -37,8 +37,8 @@ class Item:
 
 def item(name: str, /, **values: object) -> Item:
     """A message of the dialect by name and fields."""
-    made = message_by_name()[name]
-    return Item(made.msg_id, made.pack(values))
+    message_type = message_by_name()[name]
+    return Item(message_type.msg_id, message_type.pack(values))
 
 
 class SendQueue:
@@ -62,8 +62,8 @@ class SendQueue:
         self._low: deque[Item] = deque(maxlen=_LOW_ROOM)
         self._answers: deque[Item] = deque()
         self._answer_share = _Share()
-        self._asked: deque[Item] = deque()
-        self._asked_share = _Share()
+        self._requested: deque[Item] = deque()
+        self._requested_share = _Share()
         self._bulk_next = False
         self._partial = b""
         self._current: Item | None = None
@@ -75,7 +75,6 @@ class SendQueue:
 
     @property
     def budget(self) -> float:
-        """Bytes a second."""
         return self._budget
 
     @budget.setter
@@ -83,7 +82,6 @@ class SendQueue:
         self._budget = value
 
     def put_urgent(self, message: Item) -> None:
-        """Send before everything else."""
         self._urgent.append(message)
 
     def put_scan(self, messages: Sequence[Item]) -> None:
@@ -105,11 +103,10 @@ class SendQueue:
 
     def put_asked(self, message: Item) -> bool:
         """Send when nothing but bulk waits; False when too many wait. Equal ones are sent once."""
-        return _put(self._asked, message, _ASKED_ROOM)
+        return _put(self._requested, message, _ASKED_ROOM)
 
     @property
     def has_low(self) -> bool:
-        """Whether low-rate messages are still waiting."""
         return bool(self._low)
 
     def service(self, now_ns: int) -> None:
@@ -119,7 +116,7 @@ class SendQueue:
             earned = (now_ns - self._last_ns) / NS * self._budget
             self._tokens = min(bucket, self._tokens + earned)
             self._answer_share.earn(earned, bucket)
-            self._asked_share.earn(earned, bucket)
+            self._requested_share.earn(earned, bucket)
         else:
             self._tokens = bucket
         self._last_ns = now_ns
@@ -134,9 +131,9 @@ class SendQueue:
     def _push(self) -> bool:
         """Hand the rest of the present frame to the port; whether it is gone."""
         if self._partial:
-            taken = self._port.write(self._partial)
-            self.bytes_sent += taken
-            self._partial = self._partial[taken:]
+            count = self._port.write(self._partial)
+            self.bytes_sent += count
+            self._partial = self._partial[count:]
             if self._partial:
                 return False
         if self._current is not None:
@@ -160,18 +157,18 @@ class SendQueue:
             return self._following.popleft()
         if self._low:
             return self._low.popleft()
-        if self._asked and self._asked_share.tokens > 0:
-            return self._asked_share.pay(self._asked.popleft())
-        return self._asked_or_bulk() if self._tokens > bucket / 2 else None
+        if self._requested and self._requested_share.tokens > 0:
+            return self._requested_share.pay(self._requested.popleft())
+        return self._requested_or_bulk() if self._tokens > bucket / 2 else None
 
-    def _asked_or_bulk(self) -> Item | None:
+    def _requested_or_bulk(self) -> Item | None:
         """Neither keeps the other waiting: they take turns."""
         bulk_first, self._bulk_next = self._bulk_next, False
-        if bulk_first and (made := self.bulk()) is not None:
-            return made
-        if self._asked:
+        if bulk_first and (message := self.bulk()) is not None:
+            return message
+        if self._requested:
             self._bulk_next = True
-            return self._asked.popleft()
+            return self._requested.popleft()
         return None if bulk_first else self.bulk()
 
 

@@ -75,7 +75,7 @@ class StandardMessages:
         self._makers: Mapping[str, Callable[[Scan], Item | None]] = {
             "ATTITUDE": attitude,
             "GPS_RAW_INT": lambda _: gps_raw(self.fix),
-            "SYS_STATUS": self._sys_status,
+            "SYS_STATUS": lambda scan: sys_status(scan, self._recording(), self.supply_voltage),
             "VFR_HUD": self._vfr_hud,
             "AOA_SSA": self._aoa_ssa,
             "GLOBAL_POSITION_INT": self._global_position,
@@ -87,10 +87,9 @@ class StandardMessages:
             "NAMED_VALUE_FLOAT": self._next_named,
             "HIGH_LATENCY2": self._summary,
         }
-        self._named: OrderedDict[str, float] = OrderedDict()  # the one to be sent next first
+        self._named_values: OrderedDict[str, float] = OrderedDict()  # the one to be sent next first
 
     def offer(self, scan: Scan) -> None:
-        """Take a scan."""
         self.last = scan
         if "gnss_fix" not in scan.values:
             return
@@ -117,19 +116,18 @@ class StandardMessages:
         Named values take turns, so that very many come less often instead of crowding out the others. Names are cut to ten
         bytes; there is room for 64, later ones are not shown.
         """
-        if name in self._named or len(self._named) < _NAMES:
-            self._named[name] = value if abs(value) <= _LARGEST else _NAN
+        if name in self._named_values or len(self._named_values) < _NAMES:
+            self._named_values[name] = value if abs(value) <= _LARGEST else _NAN
 
     def _next_named(self, scan: Scan) -> Item | None:
-        if not self._named:
+        if not self._named_values:
             return None
-        name = next(iter(self._named))
-        self._named.move_to_end(name)
-        return item("NAMED_VALUE_FLOAT", time_boot_ms=_boot_ms(scan), name=name[:10], value=self._named[name])
+        name = next(iter(self._named_values))
+        self._named_values.move_to_end(name)
+        return item("NAMED_VALUE_FLOAT", time_boot_ms=_boot_ms(scan), name=name[:10], value=self._named_values[name])
 
     @property
     def names(self) -> Collection[str]:
-        """The messages that `make` knows."""
         return self._makers.keys()
 
     def make(self, name: str) -> Item | None:
@@ -176,15 +174,12 @@ class StandardMessages:
             autopilot=GENERIC,
             latitude=v.get("latitude_e7", 0),
             longitude=v.get("longitude_e7", 0),
-            altitude=_within(round(v.get("height_msl_mm", 0) * 1e-3), 32767),
+            altitude=_clipped(round(v.get("height_msl_mm", 0) * 1e-3), 32767),
             heading=0 if turn is None else round(math.degrees(d.heading(turn)) / 2) % 180,
             airspeed=_fifths(self.display.airspeed(scan) or 0.0),
             groundspeed=_fifths(math.hypot(speeds[0], speeds[1])),
             battery=-1,
         )
-
-    def _sys_status(self, scan: Scan) -> Item:
-        return sys_status(scan, self._recording(), self.supply_voltage)
 
     def _fresh_fix(self, scan: Scan) -> Scan | None:
         fix = self.fix
@@ -227,8 +222,8 @@ class StandardMessages:
             lat=v.get("latitude_e7", 0),
             lon=v.get("longitude_e7", 0),
             alt=height,
-            relative_alt=_within(height - int(self.home.values.get("height_msl_mm", 0)), 2**31 - 1),
-            **{name: _within(round(u * 100), 32767) for name, u in zip(("vx", "vy", "vz"), _speeds(fix), strict=True)},
+            relative_alt=_clipped(height - int(self.home.values.get("height_msl_mm", 0)), 2**31 - 1),
+            **{name: _clipped(round(u * 100), 32767) for name, u in zip(("vx", "vy", "vz"), _speeds(fix), strict=True)},
             hdg=_UNKNOWN_16 if turn is None else round(math.degrees(d.heading(turn)) * 100) % 36000,
         )
 
@@ -242,7 +237,7 @@ class StandardMessages:
             time_boot_ms=_boot_ms(scan),
             press_abs=static[0] / 100,
             press_diff=_NAN if dynamic is None else dynamic / 100,
-            temperature=_within(round(d.celsius(static[1]) * 100), 32767),
+            temperature=_clipped(round(d.celsius(static[1]) * 100), 32767),
         )
 
     def _battery(self, scan: Scan) -> Item | None:
@@ -261,18 +256,18 @@ class StandardMessages:
         )
 
     def _wind_cov(self, scan: Scan) -> Item | None:
-        found = self._wind.estimate(scan.time)
-        if found is None:
+        wind = self._wind.estimate(scan.time)
+        if wind is None:
             return None
         fix = self._fresh_fix(scan)
         return item(
             "WIND_COV",
             time_usec=_usec(scan),
-            wind_x=found.mean[0],
-            wind_y=found.mean[1],
-            wind_z=found.mean[2],
-            var_horiz=found.horizontal,
-            var_vert=found.vertical,
+            wind_x=wind.mean[0],
+            wind_y=wind.mean[1],
+            wind_z=wind.mean[2],
+            var_horiz=wind.horizontal,
+            var_vert=wind.vertical,
             wind_alt=_NAN if fix is None else fix.values.get("height_msl_mm", 0) * 1e-3,
         )
 
@@ -329,19 +324,19 @@ def sys_status(scan: Scan, recording: bool, volts: float | None) -> Item:
     at its geofence) would report a breach otherwise. volts: the main supply, None where it is not known.
     """
     present = _LOGGING_BIT | (0 if volts is None else _BATTERY_BIT)
-    wrong = 0 if recording else _LOGGING_BIT
+    unhealthy = 0 if recording else _LOGGING_BIT
     for group, bits in _SENSOR_BITS.items():
         state = scan.groups.get(group)
         if state is None or state.state is SensorState.OFF:
             continue
         present |= bits
         if state.state not in (SensorState.OK, SensorState.STALE):
-            wrong |= bits
+            unhealthy |= bits
     return item(
         "SYS_STATUS",
         onboard_control_sensors_present=present,
         onboard_control_sensors_enabled=present,
-        onboard_control_sensors_health=_ALL_BITS & ~wrong,
+        onboard_control_sensors_health=_ALL_BITS & ~unhealthy,
         voltage_battery=_UNKNOWN_16 if volts is None else _millivolts(volts),
         current_battery=-1,
         battery_remaining=-1,
@@ -407,5 +402,5 @@ def _millivolts(volts: float) -> int:
     return min(_UNKNOWN_16 - 1, max(0, round(volts * 1000)))
 
 
-def _within(value: int, limit: int) -> int:
+def _clipped(value: int, limit: int) -> int:
     return min(limit, max(-limit, value))

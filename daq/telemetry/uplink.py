@@ -16,20 +16,18 @@ from statistics import fmean
 from typing import Any
 
 from daq.clock import NS, Clock
-from daq.contract.control import Control
 from daq.contract.link import commands as c
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_FAST_ID
 from daq.telemetry import gcs_replies
 from daq.telemetry.backfill import BackfillServer
+from daq.telemetry.control import Control
 from daq.telemetry.downlink import Downlink
-from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.log_server import LogServer
 from daq.telemetry.manoeuvre_inbox import ManoeuvreInbox
-from daq.telemetry.refusals import REPORT_NS, Refusals
+from daq.telemetry.request_limits import REPORT_NS, CommandBudget, Refusals, SenderLimits, flight_evidence
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.standard_messages import autopilot_version
-from daq.telemetry.uplink_limits import CommandBudget, SenderLimits
 from daq.telemetry.worker import Worker
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, MavlinkFrame
 from daq.transport.ports import BytePort
@@ -90,70 +88,59 @@ class Uplink:
         self._budget = CommandBudget(downlink.config.limits)
         self._refusals = Refusals(downlink.text)
         self._dropped = dropped
-        self._dropped_told = 0
+        self._dropped_reported = 0
         self._dropped_asked_ns = 0
         self._introduced_ns: int | None = None
-        self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
+        self._command_results: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._saver: Future[None] | None = None
         self._heard_ns: int | None = None  # when a frame of the ground was last taken
         self._worker = Worker("uplink-signing")
         self._manoeuvres = ManoeuvreInbox(downlink.text)
         downlink.send_queue.bulk = self._next_bulk
-        self._handlers: Mapping[str, Callable[[Fields, int], bool]] = {
-            "RADIO_STATUS": self._on_radio_status,
-            "TIMESYNC": self._on_timesync,
-            "SENT_MAP_REQUEST": self._on_sent_map_request,
-            "BACKFILL_REQUEST": self._on_backfill_request,
-            "BACKFILL_SUMMARY_REQUEST": self._on_backfill_summary_request,
-            "LOG_REQUEST_LIST": self._on_log_request_list,
-            "LOG_REQUEST_DATA": self._on_log_request_data,
-            "LOG_REQUEST_END": self._on_log_request_end,
-            "LOG_ERASE": self._on_log_erase,
-        }
 
     def _next_bulk(self) -> Item | None:
         """The next message of one of the servers; they take turns."""
         for _ in range(len(self._servers)):
             server = self._servers[0]
             self._servers.rotate(-1)
-            if server.busy and (made := server.next_item()) is not None:
-                return made
+            if server.busy and (message := server.next_item()) is not None:
+                return message
         return None
 
     def service(self, now_ns: int, control: Control) -> None:
         """Act on what has arrived, as far as this turn goes."""
         until_ns = self._clock.monotonic_ns() + self._turn_ns
         for _, frame in zip(range(FRAMES), self._arriving(until_ns), strict=False):
-            self._take(frame, now_ns, control)
+            self._receive(frame, now_ns, control)
             if self._clock.monotonic_ns() >= until_ns:
                 break
         if now_ns - self._dropped_asked_ns >= REPORT_NS:
             self._dropped_asked_ns = now_ns
             self._note_dropped()
-        self._refusals.tell(now_ns)
+        self._refusals.report(now_ns)
         self._answer(self._manoeuvres.service(control))
         if self._signer is not None and self._signer.needs_saving():
             self._save_signing(self._signer)
 
     def _arriving(self, until_ns: int) -> Iterator[MavlinkFrame]:
         """Frames that were left from the last turn, then those of what is read in this one."""
-        left = READ_BYTES
+        bytes_left = READ_BYTES
         while True:
             while self._frames:
                 yield self._frames.popleft()
-            if left <= 0 or self._clock.monotonic_ns() >= until_ns:
+            if bytes_left <= 0 or self._clock.monotonic_ns() >= until_ns:
                 return
-            data = self._port.read(min(left, _PIECE_BYTES))
+            data = self._port.read(min(bytes_left, _PIECE_BYTES))
             if not data:
                 return
-            left -= len(data)
+            bytes_left -= len(data)
             self._frames.extend(f for f in self._decoder.feed(data) if isinstance(f, MavlinkFrame) and f.known)
 
     def _note_dropped(self) -> None:
-        dropped = self._dropped()
-        more, self._dropped_told = dropped - self._dropped_told, dropped
-        if more:
-            self._refusals.note(f"{more} datagrams dropped unread: too long, or too many to be read")
+        total = self._dropped()
+        new, self._dropped_reported = total - self._dropped_reported, total
+        if new:
+            self._refusals.note(f"{new} datagrams dropped unread: too long, or too many to be read")
 
     def silence_s(self, now_ns: int) -> float | None:
         """Seconds since a frame of the ground was last taken; None when none ever was. A radio's own report does not count."""
@@ -182,7 +169,7 @@ class Uplink:
                 _LOG.error("signing timestamps not saved: %s", error)
         self._saver = self._worker.submit(signer.save)
 
-    def _take(self, frame: MavlinkFrame, now_ns: int, control: Control) -> None:
+    def _receive(self, frame: MavlinkFrame, now_ns: int, control: Control) -> None:
         ours = self._downlink.config
         if frame.system == ours.system_id and frame.component in (ours.component_id, ours.data_component_id):
             return  # our own words come back: an echoing line
@@ -210,13 +197,14 @@ class Uplink:
             self._manoeuvre(frame, fields, control)
             return
         if frame.name in gcs_replies.REQUESTS:
-            made = gcs_replies.answers(frame.name, fields, sender, self._about)
-            taken = [self._downlink.send_queue.put_asked(reply) for reply in made]
-            if not all(taken):
+            has_voltage = self._downlink.messages.supply_voltage is not None
+            parameters = gcs_replies.parameters(self._downlink.config.rate_hz, has_voltage)
+            replies = gcs_replies.answers(frame.name, fields, sender, parameters)
+            queued = [self._downlink.send_queue.put_asked(reply) for reply in replies]
+            if not all(queued):
                 self._refuse(frame, _BUSY)
             return
-        handler = self._handlers.get(frame.name)
-        if handler is not None and not handler(fields, now_ns):
+        if not self._serve(frame.name, fields, now_ns):
             self._refuse(frame, _BUSY)
 
     def _manoeuvre(self, frame: MavlinkFrame, fields: Fields, control: Control) -> None:
@@ -224,17 +212,12 @@ class Uplink:
         if self._signer is None:
             self._refuse(frame, "this link has no key; set downlink.key_file")
             return
-        answer = self._manoeuvres.take(fields, control)
+        answer = self._manoeuvres.receive(fields, control)
         if answer is None or not self._answer(answer):
             self._refuse(frame, "not a fragment" if answer is None else _BUSY)
 
     def _answer(self, answer: Item | None) -> bool:
         return answer is None or self._downlink.send_queue.put_asked(answer)
-
-    def _about(self) -> gcs_replies.AircraftStatus:
-        return gcs_replies.AircraftStatus(
-            self._downlink.config.rate_hz, self._downlink.messages.supply_voltage is not None
-        )
 
     def _introduce(self, now_ns: int) -> None:
         """Say who is here to a station that asks whoever may hear it: it has not taken us for an aircraft.
@@ -244,68 +227,45 @@ class Uplink:
         """
         if self._introduced_ns is None or now_ns - self._introduced_ns >= _INTRODUCE_NS:
             self._introduced_ns = now_ns
-            made = self._downlink.messages.make("HIGH_LATENCY2")
-            if made is not None:
-                self._downlink.send_queue.put_asked(made)
+            summary = self._downlink.messages.make("HIGH_LATENCY2")
+            if summary is not None:
+                self._downlink.send_queue.put_asked(summary)
 
     def _refuse_unproven(self, frame: MavlinkFrame, verdict: SignatureVerdict) -> None:
         if frame.name in _HARMLESS and verdict is SignatureVerdict.UNSIGNED:
-            self._downlink.refusals.rejected_frames += 1
+            self._downlink.rejected_frames += 1
         else:
             self._refuse(frame, verdict.value)
 
     def _refuse(self, frame: MavlinkFrame, why: str) -> None:
-        self._downlink.refusals.rejected_frames += 1
+        self._downlink.rejected_frames += 1
         self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {why}")
 
     # ----------------------------------------------------------------------------------------- messages
-    # Each handler says whether the message could be taken; False when too much waits already.
 
-    def _on_radio_status(self, fields: Fields, now_ns: int) -> bool:
-        self._downlink.radio_status(min(100, fields["txbuf"]), now_ns)
-        return True
-
-    def _on_timesync(self, fields: Fields, now_ns: int) -> bool:
-        if fields["tc1"] != 0:
-            return True
-        now = self._clock.monotonic_ns()
-        return self._downlink.send_queue.put_answer(item("TIMESYNC", tc1=now, ts1=fields["ts1"]))
-
-    def _on_sent_map_request(self, fields: Fields, now_ns: int) -> bool:
-        if fields["boot"] != self._downlink.boot:
-            return True
-        return self._downlink.send_queue.put_asked(self._downlink.sent_map(fields["first_number"] // BLOCK))
-
-    def _on_backfill_request(self, fields: Fields, now_ns: int) -> bool:
-        if self._backfill is None or fields["boot"] != self._downlink.boot:
-            return True
-        return self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
-
-    def _on_backfill_summary_request(self, fields: Fields, now_ns: int) -> bool:
-        if self._backfill is None or fields["boot"] not in (0, self._downlink.boot):
-            return True
-        send_queue = self._downlink.send_queue
-        return send_queue.put_asked(self._backfill.summary(fields["through_number"])) and send_queue.put_asked(
-            self._downlink.statistics()
-        )
-
-    def _on_log_request_list(self, fields: Fields, now_ns: int) -> bool:
-        if self._logs is not None:
-            self._logs.request_list(fields["start"], fields["end"])
-        return True
-
-    def _on_log_request_data(self, fields: Fields, now_ns: int) -> bool:
-        if self._logs is not None:
-            self._logs.request_data(fields["id"], fields["ofs"], fields["count"])
-        return True
-
-    def _on_log_request_end(self, fields: Fields, now_ns: int) -> bool:
-        if self._logs is not None:
-            self._logs.request_end()
-        return True
-
-    def _on_log_erase(self, fields: Fields, now_ns: int) -> bool:
-        self._refusals.note("LOG_ERASE refused: recordings are not erased from the ground")
+    def _serve(self, name: str, fields: Fields, now_ns: int) -> bool:
+        """Act on a message that is neither command nor manoeuvre; False when too much waits already."""
+        downlink, queue = self._downlink, self._downlink.send_queue
+        match name:
+            case "RADIO_STATUS":
+                downlink.radio_status(min(100, fields["txbuf"]), now_ns)
+            case "TIMESYNC" if fields["tc1"] == 0:
+                return queue.put_answer(item("TIMESYNC", tc1=self._clock.monotonic_ns(), ts1=fields["ts1"]))
+            case "SENT_MAP_REQUEST" if fields["boot"] == downlink.boot:
+                return queue.put_asked(downlink.sent_map(fields["first_number"] // BLOCK))
+            case "BACKFILL_REQUEST" if self._backfill is not None and fields["boot"] == downlink.boot:
+                return self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
+            case "BACKFILL_SUMMARY_REQUEST" if self._backfill is not None and fields["boot"] in (0, downlink.boot):
+                summary = self._backfill.summary(fields["through_number"])
+                return queue.put_asked(summary) and queue.put_asked(downlink.statistics())
+            case "LOG_REQUEST_LIST" if self._logs is not None:
+                self._logs.request_list(fields["start"], fields["end"])
+            case "LOG_REQUEST_DATA" if self._logs is not None:
+                self._logs.request_data(fields["id"], fields["ofs"], fields["count"])
+            case "LOG_REQUEST_END" if self._logs is not None:
+                self._logs.request_end()
+            case "LOG_ERASE":
+                self._refusals.note("LOG_ERASE refused: recordings are not erased from the ground")
         return True
 
     # ----------------------------------------------------------------------------------------- commands
@@ -313,23 +273,23 @@ class Uplink:
     def _command(self, frame: MavlinkFrame, fields: Fields, now_ns: int, control: Control) -> None:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
-        if command in gcs_replies.TELLING:
-            self._acknowledge(frame, command, self._tell(command, parameters[0]))
+        if command in gcs_replies.MESSAGE_COMMANDS:
+            self._acknowledge(frame, command, self._send_asked_message(command, parameters[0]))
             return
         key = (frame.system, frame.component, command, *(p.hex() for p in parameters))
-        known = self._done.get(key)
+        previous = self._command_results.get(key)
         # The same request again, its acknowledgement lost: the answer is repeated, the action is not.
         repeated = fields["confirmation"] > 0 or command == c.EVENT_MARK
-        if known is not None and repeated and now_ns - known[0] < _REPEAT_NS:
-            result = known[1]
+        if previous is not None and repeated and now_ns - previous[0] < _REPEAT_NS:
+            result = previous[1]
         else:
-            result = self._obey(frame, command, parameters, now_ns, control)
+            result = self._execute(frame, command, parameters, now_ns, control)
             if result != c.TEMPORARILY_REJECTED:  # which may be another answer the next time
-                self._done[key] = (now_ns, result)
-            if len(self._done) > _MEMORY:
-                self._done.popitem(last=False)
+                self._command_results[key] = (now_ns, result)
+            if len(self._command_results) > _MEMORY:
+                self._command_results.popitem(last=False)
             if result not in (c.ACCEPTED, c.UNSUPPORTED):
-                self._downlink.refusals.rejected_commands += 1
+                self._downlink.rejected_commands += 1
         self._acknowledge(frame, command, result)
 
     def _acknowledge(self, frame: MavlinkFrame, command: int, result: int) -> None:
@@ -343,27 +303,27 @@ class Uplink:
         if not self._downlink.send_queue.put_answer(ack):
             self._refuse(frame, _BUSY)
 
-    def _tell(self, command: int, parameter: float) -> int:
+    def _send_asked_message(self, command: int, parameter: float) -> int:
         """Send the message that a command asks for, and say what came of it; nothing of it is a refusal worth a word."""
         name = gcs_replies.message_asked_for(command, parameter)
         if name == "AUTOPILOT_VERSION":
-            made: Item | None = autopilot_version()
+            message: Item | None = autopilot_version()
         elif name is None or name not in self._downlink.messages.names:
             return c.UNSUPPORTED
         else:
-            made = self._downlink.messages.make(name)
-        if made is None or not self._downlink.send_queue.put_asked(made):
+            message = self._downlink.messages.make(name)
+        if message is None or not self._downlink.send_queue.put_asked(message):
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
-    def _obey(
+    def _execute(
         self, frame: MavlinkFrame, command: int, parameters: tuple[float, ...], now_ns: int, control: Control
     ) -> int:
         match command:
             case c.LOGGING_START | c.LOGGING_STOP | c.EVENT_MARK:
-                why = self._change_recording(command, parameters, now_ns, control)
-                if why:
-                    self._refusals.note(f"refused command {command} from {frame.system}/{frame.component}: {why}")
+                refusal = self._change_recording(command, parameters, now_ns, control)
+                if refusal:
+                    self._refusals.note(f"refused command {command} from {frame.system}/{frame.component}: {refusal}")
                     return c.TEMPORARILY_REJECTED
                 return c.FAILED if command == c.LOGGING_START and not control.recording else c.ACCEPTED
             case c.SET_MESSAGE_INTERVAL:
@@ -377,20 +337,20 @@ class Uplink:
 
     def _change_recording(self, command: int, parameters: tuple[float, ...], now_ns: int, control: Control) -> str:
         """Begin, end or mark the recording; why not, where the budget speaks against it."""
-        why = ""
+        refusal = ""
         if command == c.EVENT_MARK:
-            why = self._budget.against_mark(now_ns)
-            if not why:
-                control.mark_event(f"mark {_whole(parameters[0])}", "ground")
+            refusal = self._budget.against_mark(now_ns)
+            if not refusal:
+                control.mark_event(f"mark {_number_text(parameters[0])}", "ground")
         elif command == c.LOGGING_STOP and control.recording:
-            why = self._budget.against_stop(now_ns)
-            if not why:
+            refusal = self._budget.against_stop(now_ns)
+            if not refusal:
                 control.stop_recording()
         elif command == c.LOGGING_START and not control.recording:
-            why = self._budget.against_start()
-            if not why and control.start_recording():
+            refusal = self._budget.against_start()
+            if not refusal and control.start_recording():
                 self._budget.started(now_ns)
-        return why
+        return refusal
 
     def _sequence(self, frame: MavlinkFrame, parameters: tuple[float, ...], control: Control) -> int:
         """Start or stop the sequencer. To start moves the controls: only a frame that a key has proven may."""
@@ -400,9 +360,9 @@ class Uplink:
         if start and self._signer is None:
             self._refusals.note("refused to start the sequencer: this link has no key; set downlink.key_file")
             return c.DENIED
-        why = control.ask_sequencer(int(parameters[1]) if start else None)
-        if why:
-            self._downlink.text(_WARNING, f"sequencer does not {'start' if start else 'stop'}: {why}")
+        refusal = control.ask_sequencer(int(parameters[1]) if start else None)
+        if refusal:
+            self._downlink.text(_WARNING, f"sequencer does not {'start' if start else 'stop'}: {refusal}")
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
@@ -417,8 +377,8 @@ class Uplink:
         return c.ACCEPTED
 
     def _zero_pitot(self, parameters: tuple[float, ...], now_ns: int, control: Control) -> int:
-        others = [p for i, p in enumerate(parameters[:6]) if i != c.AIRSPEED_PARAMETER - 1]
-        if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(others):
+        unused_parameters = [p for i, p in enumerate(parameters[:6]) if i != c.AIRSPEED_PARAMETER - 1]
+        if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(unused_parameters):
             return c.UNSUPPORTED
         scans = list(self._downlink.recent)
         evidence = flight_evidence(scans) or self._budget.against_mark(now_ns)
@@ -432,5 +392,5 @@ class Uplink:
         return c.ACCEPTED
 
 
-def _whole(value: float) -> str:
+def _number_text(value: float) -> str:
     return str(int(value)) if value.is_integer() else repr(value)

@@ -89,15 +89,15 @@ class MessageType:
     def unpack(self, payload: bytes) -> dict[str, Value]:
         """The fields of a payload, whose trailing zeros may be missing."""
         numbers = self.codec.unpack(padded(payload, self.codec.size))
-        out: dict[str, Value] = {}
-        at = 0
+        values: dict[str, Value] = {}
+        place = 0
         for name, count, text in zip(self.fields, self.counts, self.text, strict=True):
             if text:
-                out[name] = numbers[at].split(b"\0", 1)[0].decode("utf-8", "replace")
+                values[name] = numbers[place].split(b"\0", 1)[0].decode("utf-8", "replace")
             else:
-                out[name] = numbers[at] if count == 1 else tuple(numbers[at : at + count])
-            at += count
-        return out
+                values[name] = numbers[place] if count == 1 else tuple(numbers[place : place + count])
+            place += count
+        return values
 
 
 def padded(payload: bytes, size: int) -> bytes:
@@ -107,21 +107,25 @@ def padded(payload: bytes, size: int) -> bytes:
 
 @cache
 def message_types() -> Mapping[int, MessageType]:
-    """All messages of the dialect by id."""
-    out = {}
-    for msg_id, made in sideslip_dialect.mavlink_map.items():
-        types = dict(zip(made.fieldnames, made.fieldtypes, strict=True))
-        text = tuple(types[f] == "char" for f in made.ordered_fieldnames)
-        counts = tuple(1 if t else max(1, n) for n, t in zip(made.array_lengths, text, strict=True))
-        out[msg_id] = MessageType(
-            msg_id, made.msgname, made.unpacker, tuple(made.ordered_fieldnames), counts, text, made.crc_extra
+    types_by_id = {}
+    for msg_id, generated in sideslip_dialect.mavlink_map.items():
+        types = dict(zip(generated.fieldnames, generated.fieldtypes, strict=True))
+        text = tuple(types[f] == "char" for f in generated.ordered_fieldnames)
+        counts = tuple(1 if t else max(1, n) for n, t in zip(generated.array_lengths, text, strict=True))
+        types_by_id[msg_id] = MessageType(
+            msg_id,
+            generated.msgname,
+            generated.unpacker,
+            tuple(generated.ordered_fieldnames),
+            counts,
+            text,
+            generated.crc_extra,
         )
-    return out
+    return types_by_id
 
 
 @cache
 def message_by_name() -> Mapping[str, MessageType]:
-    """All messages of the dialect by name."""
     return {m.name: m for m in message_types().values()}
 
 
@@ -156,8 +160,8 @@ class MavlinkFrame(NamedTuple):
     @property
     def name(self) -> str:
         """Name of the message; its number where the dialect does not define it."""
-        made = message_types().get(self.msg_id)
-        return made.name if made else f"MESSAGE_{self.msg_id}"
+        message_type = message_types().get(self.msg_id)
+        return message_type.name if message_type else f"MESSAGE_{self.msg_id}"
 
     def fields(self) -> dict[str, Value]:
         """The message's fields; KeyError for a message the dialect does not define."""
@@ -204,36 +208,36 @@ class FrameDecoder:
         counts = self.counts
         counts.received_bytes += len(data)
         buffer = self._rest + data if self._rest else data
-        out: list[MavlinkFrame | Junk] = []
-        at, size = 0, len(buffer)
-        while at < size:
-            if _BEGINS.match(buffer, at) is None:
-                possible = _BEGINS.search(buffer, at)
+        items: list[MavlinkFrame | Junk] = []
+        offset, size = 0, len(buffer)
+        while offset < size:
+            if _BEGINS.match(buffer, offset) is None:
+                possible = _BEGINS.search(buffer, offset)
                 begin = possible.start() if possible is not None else size
-                self._junk += buffer[at:begin]
-                at = begin
-                if at == size:
+                self._junk += buffer[offset:begin]
+                offset = begin
+                if offset == size:
                     break
-            examine = _frame_at if buffer[at] == MAGIC else _sik_frame_at
-            found = examine(buffer, at, size, last)
-            if found is None:
+            examine = _frame_at if buffer[offset] == MAGIC else _sik_frame_at
+            result = examine(buffer, offset, size, last)
+            if result is None:
                 break
-            if isinstance(found, MavlinkFrame):
+            if isinstance(result, MavlinkFrame):
                 if self._junk:
-                    self._flush_junk(out)
-                out.append(found)
-                length = len(found.raw)
-                at += length
+                    self._flush_junk(items)
+                items.append(result)
+                length = len(result.raw)
+                offset += length
                 counts.frames += 1
                 counts.frame_bytes += length
                 continue
-            self._damaged += found
-            self._junk.append(buffer[at])
-            at += 1
-        self._rest = bytes(buffer[at:])
+            self._damaged += result
+            self._junk.append(buffer[offset])
+            offset += 1
+        self._rest = bytes(buffer[offset:])
         if self._junk and (last or len(self._junk) > MAX_FRAME_BYTES * 4):
-            self._flush_junk(out)
-        return out
+            self._flush_junk(items)
+        return items
 
     def _flush_junk(self, out: list[MavlinkFrame | Junk]) -> None:
         if not self._junk:
@@ -251,8 +255,8 @@ def frame_at(buffer: bytes, at: int) -> MavlinkFrame | None:
     if at >= len(buffer):
         return None
     find = {MAGIC: _frame_at, MAGIC_V1: _sik_frame_at}.get(buffer[at])
-    found = find(buffer, at, len(buffer), True) if find else None
-    return found if isinstance(found, MavlinkFrame) else None
+    frame = find(buffer, at, len(buffer), True) if find else None
+    return frame if isinstance(frame, MavlinkFrame) else None
 
 
 def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | int | None:
@@ -282,8 +286,8 @@ def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | i
 def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> MavlinkFrame | int | None:
     """A MAVLink 1 RADIO_STATUS as SiK radios inject it, payload length, ids and checksum all as they make them."""
     head = buffer[at + 1 : at + 6]
-    wanted = (head[0:1] in (b"", bytes([_SIK_PAYLOAD])), head[2:4] in (b"", _SIK_HEADER[: len(head[2:4])], _SIK_HEADER))
-    if not all(wanted) or head[4:5] not in (b"", bytes([RADIO_STATUS_ID])):
+    fits = (head[0:1] in (b"", bytes([_SIK_PAYLOAD])), head[2:4] in (b"", _SIK_HEADER[: len(head[2:4])], _SIK_HEADER))
+    if not all(fits) or head[4:5] not in (b"", bytes([RADIO_STATUS_ID])):
         return 0
     if size - at < _SIK_FRAME:
         return 0 if last else None
@@ -312,11 +316,10 @@ class FrameEncoder:
 
     def message(self, name: str, **values: Any) -> bytes:
         """A frame of a message by name and fields; fields not given are zero."""
-        made = message_by_name()[name]
-        return self.frame(made.msg_id, made.pack(values))
+        message_type = message_by_name()[name]
+        return self.frame(message_type.msg_id, message_type.pack(values))
 
     def frame(self, msg_id: int, payload: bytes) -> bytes:
-        """A frame of a packed payload."""
         payload = payload.rstrip(b"\0") or payload[:1]
         flags = SIGNED if self._signer else 0
         component = self._private if msg_id >= FIRST_OWN_ID else self.component

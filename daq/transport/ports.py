@@ -46,15 +46,12 @@ class BytePort(Protocol):
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived, at most `limit`; empty when there are none."""
-        ...
 
     def write(self, data: bytes) -> int:
         """Hand over bytes; returns how many were taken, 0 when the port is busy."""
-        ...
 
     def close(self) -> None:
         """Give the port back."""
-        ...
 
 
 PortKind = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
@@ -85,24 +82,29 @@ def parse_port(text: str) -> PortSpec:
     raise PortError(f"port {text!r} cannot be understood; {usage}")
 
 
+def connected(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
+    """A UDP or TCP port; OSError when the address is taken or nobody answers."""
+    match spec.kind:
+        case "udp":
+            return UdpPort(remote=(spec.address, spec.number))
+        case "udpin":
+            return UdpPort(local=(spec.address, spec.number))
+        case "tcp":
+            return TcpClientPort(spec.address, spec.number)
+        case "tcpin":
+            return TcpServerPort(spec.address, spec.number)
+        case _:
+            raise PortError(f"{spec.kind}:{spec.address} is not a network port")
+
+
 def open_socket_port(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
-    """Open a UDP or TCP port; PortError when the address is taken or nobody answers."""
+    """`connected`, but PortError with advice when it cannot be opened."""
     try:
-        match spec.kind:
-            case "udp":
-                return UdpPort(remote=(spec.address, spec.number))
-            case "udpin":
-                return UdpPort(local=(spec.address, spec.number))
-            case "tcp":
-                return TcpClientPort(spec.address, spec.number)
-            case "tcpin":
-                return TcpServerPort(spec.address, spec.number)
-            case _:
-                raise PortError(f"{spec.kind}:{spec.address} is not a network port")
+        return connected(spec)
     except OSError as error:
-        what = error.strerror or str(error)
+        cause = error.strerror or str(error)
         raise PortError(
-            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({what}); {_advice(spec, error)}"
+            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({cause}); {_advice(spec, error)}"
         ) from error
 
 
@@ -120,6 +122,8 @@ def _advice(spec: PortSpec, error: OSError) -> str:
 
 class UdpPort:
     """Datagrams: to a fixed remote, or (listening) to everyone heard from, the latest few of them."""
+
+    is_open = True  # who is not heard may be heard again
 
     def __init__(self, *, local: tuple[str, int] | None = None, remote: tuple[str, int] | None = None) -> None:
         host = (local or remote or (_LOOPBACK, 0))[0]
@@ -141,13 +145,7 @@ class UdpPort:
         self._too_long = 0
 
     @property
-    def is_open(self) -> bool:
-        """Always: who is not heard may be heard again."""
-        return True
-
-    @property
     def address(self) -> tuple[str, int]:
-        """Local host and port."""
         name = self._socket.getsockname()
         return str(name[0]), int(name[1])
 
@@ -165,22 +163,22 @@ class UdpPort:
         One that does not fit into what is left of the limit comes with the next call; only one longer than the
         limit itself is given in parts.
         """
-        out: list[tuple[str, bytes]] = []
+        datagrams: list[tuple[str, bytes]] = []
         for _ in range(DATAGRAMS):
             name, data = self._held or self._next_datagram()
             self._held = None
-            if len(data) > limit and not out:
+            if len(data) > limit and not datagrams:
                 data, rest = data[:limit], data[limit:]
                 self._held = (name, rest)
             elif len(data) > limit:
                 self._held = (name, data)
                 break
             if data:
-                out.append((name, data))
+                datagrams.append((name, data))
                 limit -= len(data)
             if not name or not limit:
                 break
-        return out
+        return datagrams
 
     def _next_datagram(self) -> tuple[str, bytes]:
         """The next datagram and its sender's name; no data for one that is of no use, no name when none has arrived."""
@@ -209,8 +207,8 @@ class UdpPort:
         """Send one datagram to each peer; with nobody to send to it is taken and gone, as on a radio."""
         if self._fixed:
             return self._send(data, None)
-        taken = [self._send(data, peer) for peer in list(self._peers)]
-        return min(taken, default=len(data))
+        counts = [self._send(data, peer) for peer in list(self._peers)]
+        return min(counts, default=len(data))
 
     def _send(self, data: bytes, peer: Any) -> int:
         try:
@@ -265,8 +263,8 @@ class _Stream:
 
     def push(self, data: bytes) -> None:
         """Hand over all of `data`; a peer that falls too far behind is disconnected."""
-        taken = self.write(data)
-        self._backlog += data[taken:]
+        count = self.write(data)
+        self._backlog += data[count:]
         if len(self._backlog) > _CLIENT_BACKLOG:
             self.close()
 
@@ -283,7 +281,6 @@ class TcpClientPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether the peer is still there."""
         return self._stream.open
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
@@ -299,33 +296,29 @@ class TcpClientPort:
 class TcpServerPort:
     """A listener; every peer that connects hears everything and may speak."""
 
+    is_open = True  # who is not heard may be heard again
+
     def __init__(self, host: str, number: int) -> None:
         self._listener = socket.create_server((host, number))
         self._listener.setblocking(False)
         self._streams: list[_Stream] = []  # the first is asked first, and goes to the end
 
     @property
-    def is_open(self) -> bool:
-        """Always: who is not heard may be heard again."""
-        return True
-
-    @property
     def address(self) -> tuple[str, int]:
-        """Local host and port."""
         name = self._listener.getsockname()
         return str(name[0]), int(name[1])
 
     def receive(self, limit: int = _READ_BYTES) -> list[tuple[str, bytes]]:
         """What has arrived, by peer, at most `limit` bytes together; peers take turns at being first."""
         self._accept()
-        out: list[tuple[str, bytes]] = []
-        for waiting, stream in zip(range(len(self._streams), 0, -1), tuple(self._streams), strict=True):
-            data = stream.read(limit // waiting)  # its fair share of what those before it left
+        pieces: list[tuple[str, bytes]] = []
+        for remaining, stream in zip(range(len(self._streams), 0, -1), tuple(self._streams), strict=True):
+            data = stream.read(limit // remaining)  # its fair share of what those before it left
             if data:
-                out.append((stream.name, data))
+                pieces.append((stream.name, data))
                 limit -= len(data)
         self._streams = [s for s in (*self._streams[1:], *self._streams[:1]) if s.open]
-        return out
+        return pieces
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         return b"".join(data for _, data in self.receive(limit))
@@ -395,6 +388,13 @@ class SerialPort:
         self._device.close()
 
 
+def open_serial_port(device: str, baud: int) -> SerialPort:
+    """Open a serial device; OSError or ValueError where it cannot be had."""
+    import serial
+
+    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
+
+
 class MemoryPort:
     """One end of a pair that exchanges bytes within a process; see `memory_pair`."""
 
@@ -403,14 +403,14 @@ class MemoryPort:
         self._outbox = outbox
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
-        out = bytearray()
-        while self._inbox and len(out) < limit:
+        data_read = bytearray()
+        while self._inbox and len(data_read) < limit:
             data = self._inbox.popleft()
-            room = limit - len(out)
-            out += data[:room]
+            room = limit - len(data_read)
+            data_read += data[:room]
             if len(data) > room:
                 self._inbox.appendleft(data[room:])
-        return bytes(out)
+        return bytes(data_read)
 
     def write(self, data: bytes) -> int:
         self._outbox.append(memoryview(bytes(data)))  # what is left of it is not copied at every read
@@ -422,6 +422,6 @@ class MemoryPort:
 
 def memory_pair() -> tuple[MemoryPort, MemoryPort]:
     """Two connected ports: what one writes the other reads."""
-    left: deque[memoryview] = deque()
+    one_way: deque[memoryview] = deque()
     right: deque[memoryview] = deque()
-    return MemoryPort(left, right), MemoryPort(right, left)
+    return MemoryPort(one_way, right), MemoryPort(right, one_way)

@@ -14,11 +14,9 @@ from typing import Protocol
 from daq.transport.ports import (
     BytePort,
     PortError,
-    PortSpec,
     SerialPort,
-    TcpClientPort,
-    TcpServerPort,
-    UdpPort,
+    connected,
+    open_serial_port,
     open_socket_port,
     parse_port,
 )
@@ -44,7 +42,6 @@ class ClosingPort(BytePort, Protocol):
     @property
     def is_open(self) -> bool:
         """Whether it can still be of use."""
-        ...
 
 
 class ReconnectingPort:
@@ -73,13 +70,12 @@ class ReconnectingPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether the other end is there at present."""
         return self._port is not None
 
     @property
     def why_away(self) -> str:
         """Why the other end is not there, or empty."""
-        return "" if self.is_open else str(self._away().strerror)
+        return "" if self.is_open else str(self._away_error().strerror)
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived; OSError while the port is away."""
@@ -87,9 +83,9 @@ class ReconnectingPort:
         try:
             data = port.read(limit)
         except OSError as error:
-            raise self._lost(error.strerror or str(error)) from error
+            raise self._port_lost(error.strerror or str(error)) from error
         if not data and not port.is_open:
-            raise self._lost("the other end has gone")
+            raise self._port_lost("the other end has gone")
         if data:
             self._pause_ns = FIRST_RETRY_NS
         return data
@@ -98,12 +94,12 @@ class ReconnectingPort:
         """Hand over bytes; OSError while the port is away."""
         port = self._usable()
         try:
-            taken = port.write(data)
+            count = port.write(data)
         except OSError as error:
-            raise self._lost(error.strerror or str(error)) from error
+            raise self._port_lost(error.strerror or str(error)) from error
         if not port.is_open:
-            raise self._lost("the other end has gone")
-        return taken
+            raise self._port_lost("the other end has gone")
+        return count
 
     def close(self) -> None:
         """Give the port back; an attempt to open it that is still under way gives its own back when it is done."""
@@ -118,7 +114,7 @@ class ReconnectingPort:
         if self._port is None:
             self._try()
         if self._port is None:
-            raise self._away()
+            raise self._away_error()
         return self._port
 
     def _try(self) -> None:
@@ -131,14 +127,14 @@ class ReconnectingPort:
             self._pause_ns = min(LONGEST_RETRY_NS, 2 * self._pause_ns)
             self._attempt = _Attempt(self._open_again)
 
-    def _lost(self, why: str) -> OSError:
+    def _port_lost(self, why: str) -> OSError:
         if self._port is not None:
             self._port.close()
         self._port, self._why = None, why
         self._next_ns = self._now_ns() + self._pause_ns
-        return self._away()
+        return self._away_error()
 
-    def _away(self) -> OSError:
+    def _away_error(self) -> OSError:
         return OSError(errno.ENOTCONN, f"away ({self._why}); it is opened again as soon as it is back")
 
 
@@ -175,48 +171,37 @@ class _Attempt:
                 self.port = port
 
 
-def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort], *, wait: bool = False) -> BytePort:
+def open_lasting(
+    text: str, open_serial: Callable[[str, int], SerialPort] = open_serial_port, *, wait: bool = False
+) -> BytePort:
     """Open a port by its description. PortError says what is wrong with the description or the port.
 
     A TCP peer that is not there yet is no error: it is tried again. wait: nor is anything else that may come later, as a serial
-    adapter, a network or a name on it: on an aircraft everything starts in some order. open_serial: opens a device at a baud
-    rate, for the contract itself knows no hardware library; raises OSError or ValueError.
+    adapter, a network or a name on it: on an aircraft everything starts in some order.
     """
     spec = parse_port(text)
-    again = partial(_opened, spec, open_serial)
-    first = _Attempt(again)
+    if spec.kind == "serial":
+        open_again: Callable[[], ClosingPort] = partial(open_serial, spec.address, spec.number)
+    else:
+        open_again = partial(connected, spec)
+    first = _Attempt(open_again)
     first.thread.join(PATIENCE_S if wait else None)
     port, error = first.port, first.error
     if port is not None:
-        return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(again, port)
-    if wait and (error is None or (isinstance(error, OSError) and not _refused(error))):
-        return ReconnectingPort(again, None, why=_words(error), attempt=first if error is None else None)
+        return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(open_again, port)
+    if wait and (error is None or (isinstance(error, OSError) and not _is_final(error))):
+        return ReconnectingPort(open_again, None, why=_cause_text(error), attempt=first if error is None else None)
     if spec.kind == "tcp" and (isinstance(error, TimeoutError) or getattr(error, "errno", None) in _NOBODY_THERE):
-        return ReconnectingPort(again, None, why=_words(error))
+        return ReconnectingPort(open_again, None, why=_cause_text(error))
     if spec.kind != "serial":
         return open_socket_port(spec)  # says in words why it cannot be had
     raise PortError(f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it") from error
 
 
-def _words(error: Exception | None) -> str:
+def _cause_text(error: Exception | None) -> str:
     return (getattr(error, "strerror", None) or str(error)) if error is not None else "no answer yet"
 
 
-def _opened(spec: PortSpec, open_serial: Callable[[str, int], SerialPort]) -> ClosingPort:
-    """A port of any kind; OSError or ValueError where it cannot be had."""
-    match spec.kind:
-        case "serial":
-            return open_serial(spec.address, spec.number)
-        case "udp":
-            return UdpPort(remote=(spec.address, spec.number))
-        case "udpin":
-            return UdpPort(local=(spec.address, spec.number))
-        case "tcp":
-            return TcpClientPort(spec.address, spec.number)
-        case "tcpin":
-            return TcpServerPort(spec.address, spec.number)
-
-
-def _refused(error: OSError) -> bool:
+def _is_final(error: OSError) -> bool:
     """Whether waiting does not help: another program has the address, or this user may not take it."""
     return error.errno in (errno.EADDRINUSE, errno.EACCES)

@@ -11,7 +11,6 @@ import hmac
 import json
 import logging
 import os
-import secrets
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import make_directories, sync_directory
+from daq.contract.durable import make_directories, replacing
 from daq.contract.errors import UserError
 
 KEY_BYTES = 32
@@ -56,7 +55,6 @@ class SignatureVerdict(Enum):
 
     @property
     def accepted(self) -> bool:
-        """Whether the frame may be acted on."""
         return self is SignatureVerdict.GOOD
 
 
@@ -158,38 +156,30 @@ def _state_of(table: Any) -> SigningState:
         raise ValueError(f"streams is not a list of at most {MAX_STREAMS}")
     streams = {}
     for system, component, link, stamp in rows:
-        stream = (_whole(system, 255), _whole(component, 255), _whole(link, 255))
-        streams[stream] = _whole(stamp, _STAMP_LIMIT)
-    return SigningState(_whole(table["sent"], _STAMP_LIMIT), _whole(table["heard"], _STAMP_LIMIT), streams)
+        stream = (_bounded_integer(system, 255), _bounded_integer(component, 255), _bounded_integer(link, 255))
+        streams[stream] = _bounded_integer(stamp, _STAMP_LIMIT)
+    return SigningState(
+        _bounded_integer(table["sent"], _STAMP_LIMIT), _bounded_integer(table["heard"], _STAMP_LIMIT), streams
+    )
 
 
-def _whole(value: object, most: int) -> int:
+def _bounded_integer(value: object, most: int) -> int:
     if type(value) is not int or not 0 <= value <= most:
         raise ValueError(f"not a whole number from 0 to {most}")
     return value
 
 
 def save_state(state: SigningState, path: Path) -> None:
-    """Write the state so that either the old or the new one is on disk at any instant.
+    """Write the state so that either the old or the new one is on disk at any instant, and a power cut brings no old one back.
 
     It is written under a name that nobody can foresee, into a file that must not be there yet: a link planted in a folder
     that others may write to is not followed. Raises OSError.
     """
     rows = [[*stream, stamp] for stream, stamp in sorted(state.streams.items())]
-    text = json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows})
     make_directories(path.parent)
-    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    try:
-        with os.fdopen(os.open(new, flags, 0o600), "w") as handle:
-            handle.write(text)
-            handle.flush()
-            os.fsync(handle.fileno())
-        new.replace(path)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
-    sync_directory(path.parent)  # or a power cut brings the old state back, and with it timestamps used since
+    with replacing(path) as new:
+        new.chmod(0o600)
+        new.write_text(json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows}))
 
 
 class Signer:
@@ -219,18 +209,18 @@ class Signer:
         try:
             return load_state(path)
         except SigningError as error:
-            now = stamp_of(self._now())
+            now_stamp = stamp_of(self._now())
             if path is None or not path.is_file():
                 raise
-            if now < CLOCK_KNOWN:
+            if now_stamp < CLOCK_KNOWN:
                 raise SigningError(f"{error}; it is not replaced, because this computer's clock is not set") from error
-            aside = path.with_name(path.name + ".unusable")
-            path.replace(aside)
+            unusable = path.with_name(path.name + ".unusable")
+            path.replace(unusable)
             self.notice = (
-                f"{path}: not a signing state; set aside as {aside}, timestamps begin with this computer's clock"
+                f"{path}: not a signing state; set aside as {unusable}, timestamps begin with this computer's clock"
             )
             _LOG.warning("%s", self.notice)
-            return SigningState(now, now)
+            return SigningState(now_stamp, now_stamp)
 
     def sign(self, frame: bytes) -> bytes:
         """The 13 signature bytes of a frame (magic to checksum, signed flag set)."""
@@ -246,11 +236,11 @@ class Signer:
         if not hmac.compare_digest(signature_hash(self._key, frame, link, stamp), signature[7:13]):
             return SignatureVerdict.FORGED
         key = (*stream, link)
-        known = self.state.streams.get(key)
-        floor = self.state.heard - NEW_STREAM_MARGIN if known is None else known + 1
+        last_stamp = self.state.streams.get(key)
+        floor = self.state.heard - NEW_STREAM_MARGIN if last_stamp is None else last_stamp + 1
         if stamp < floor:
             return SignatureVerdict.REPLAYED
-        if known is None and len(self.state.streams) >= MAX_STREAMS:
+        if last_stamp is None and len(self.state.streams) >= MAX_STREAMS:
             return SignatureVerdict.REPLAYED
         self.state.streams[key] = stamp
         self.state.heard = max(self.state.heard, stamp)
@@ -263,7 +253,7 @@ class Signer:
     def save(self) -> None:
         """Save the state; a file-system call, so not for a loop that must not wait."""
         reserved = max(self._last, stamp_of(self._now())) + RESERVE
-        heard = self.state.heard
+        heard_stamp = self.state.heard
         if self._path is not None:
-            save_state(SigningState(reserved, heard, dict(self.state.streams)), self._path)
-        self._reserved, self._saved_heard = reserved, heard
+            save_state(SigningState(reserved, heard_stamp, dict(self.state.streams)), self._path)
+        self._reserved, self._saved_heard = reserved, heard_stamp

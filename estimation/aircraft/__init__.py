@@ -1,7 +1,6 @@
 """The aircraft as data: what it is, the files it is read from, and what is believed of it before flying."""
 
 from estimation.aircraft.aircraft import (
-    GRAVITY,
     SOURCES,
     Aircraft,
     Engine,
@@ -13,7 +12,6 @@ from estimation.aircraft.aircraft import (
 from estimation.aircraft.library import built_in_aircraft, load_aircraft
 
 __all__ = [
-    "GRAVITY",
     "SOURCES",
     "Aircraft",
     "Engine",

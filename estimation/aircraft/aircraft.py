@@ -13,9 +13,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+from daq.contract.constants import GRAVITY
 from estimation.errors import AircraftError
 
-GRAVITY = 9.80665  # m/s2, standard
 SOURCES = ("wind tunnel", "engineering estimate", "flight", "computed", "handbook")
 
 _KEYS = {

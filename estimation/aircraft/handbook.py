@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
+
 if TYPE_CHECKING:
     from estimation.aircraft.aircraft import Aircraft, PriorDerivative
 
@@ -129,7 +131,7 @@ def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     """Fin: Etkin and Reid sections 3.8 to 3.11. Wing: lifting line, and strips for what depends on lift."""
     aspect = aircraft.span**2 / aircraft.area
     wing, fin = lift_slope(aspect, s.sweep), TAIL_PRESSURE * _surface(s.fin_area, s.fin_span)
-    lift = aircraft.mass * 9.80665 / (0.5 * 1.225 * s.speed**2 * aircraft.area)
+    lift = aircraft.mass * GRAVITY / (0.5 * SEA_LEVEL_DENSITY * s.speed**2 * aircraft.area)
     share, arm, height = s.fin_area / aircraft.area, s.fin_arm / aircraft.span, s.fin_height / aircraft.span
     middle = (1.0 + 2.0 * s.taper) / (6.0 * (1.0 + s.taper))  # mean of |y|/b over the wing's area
     outer = (1.0 + 3.0 * s.taper) / (12.0 * (1.0 + s.taper))  # mean of 2 (y/b)^2 over it

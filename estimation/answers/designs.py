@@ -53,7 +53,7 @@ def design(
     density [kg/m3]; rate_hz: samples a second. held: a pilot holds bank and pitch gently meanwhile. values, noise: of
     parameters and of outputs, in place of beliefs. Raises EstimationError for what cannot be designed, with the way out.
     """
-    from estimation.aircraft import GRAVITY
+    from daq.contract.constants import GRAVITY
     from estimation.design.design import DesignTask
     from estimation.design.design import design as designed
     from estimation.design.limits import load_limits

@@ -82,7 +82,7 @@ class GapAnswer(Answer):
 
     def with_models(self, folder: str | Path) -> "GapAnswer":
         """Write the models before and after, with their lineage, to a folder; the answer that names these files."""
-        from estimation.gap.run import with_models
+        from estimation.gap.decision.lineage import with_models
 
         return replace(self, result=with_models(self.result, self.flights, self.seed, Path(folder)))
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.constants import RADIAN
 from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
 from estimation.answers.notebook import Figures, panels
 from estimation.threads import single_threaded
@@ -135,7 +136,7 @@ class Performance(Answer):
 
         offset = self.polar["alpha_offset"]
         rows = [("CD_0", self.polar["CD_0"], ""), ("CD_k", self.polar["CD_k"], ""),
-                ("alpha offset", Bounded(DEGREES * offset.estimate, DEGREES * offset.std), "deg")]  # fmt: skip
+                ("alpha offset", Bounded(RADIAN * offset.estimate, RADIAN * offset.std), "deg")]  # fmt: skip
         if self.passed:
             glide, sink = self.best_glide, self.least_sink
             rows += [("glide ratio", glide["ratio"], ""), ("  at speed", glide["speed"], "m/s"),
@@ -184,7 +185,6 @@ class Performance(Answer):
 
 
 BOUNDS = 1.96  # standard deviations: 95 %
-DEGREES = 57.29577951308232
 
 
 def _json(bounded: "Bounded") -> dict[str, float]:

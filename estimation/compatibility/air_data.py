@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import RADIAN, SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
     ATTITUDE,
     GUST,
@@ -53,7 +54,6 @@ LEAST_FORCE_NOISE = 0.02
 """Of a specific force [m/s2 per root Hz]: vibration and scale errors that a still sensor does not show."""
 FAST_ATTITUDE = 0.35
 """Part of an attitude's slow error that comes and goes within a second; see docs/compatibility.md."""
-SEA_LEVEL_DENSITY = 1.225
 """[kg/m3] that calibrated airspeed refers to (ICAO standard atmosphere)."""
 
 
@@ -180,7 +180,7 @@ def with_air(flight: Flight, air: AirData) -> Flight:
 
 def sentence(air: AirData, names: Sequence[str] = AIR) -> str:
     """How sure the reconstruction is, for a person."""
-    size = {"alpha": (57.29577951308232, "deg"), "beta": (57.29577951308232, "deg"), "V": (1.0, "m/s")}
+    size = {"alpha": (RADIAN, "deg"), "beta": (RADIAN, "deg"), "V": (1.0, "m/s")}
     parts = [f"{n} +- {air.typical(n) * size[n][0]:.2g} {size[n][1]}" for n in names]
     return f"{', '.join(parts)} (1 sigma, gusts of {air.gust:.2g} m/s included)"
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from daq.contract.constants import GRAVITY
 from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
 from estimation.errors import DataError
@@ -17,7 +18,6 @@ Array = NDArray[np.float64]
 
 INERTIAL = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
 FIX = ("vn", "ve", "vd")
-GRAVITY = 9.80665
 
 SMOOTH_S = 1.0
 """Over this long a gyro tells the change of attitude better than any attitude does; its noise over 1 s is 0.001 rad."""

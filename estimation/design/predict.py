@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import GRAVITY
 from estimation.design.limits import Condition, Limits
 from estimation.engine.data import Segment
 from estimation.engine.simulate import Simulator
@@ -201,7 +202,7 @@ def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: P
     ]
     signals = dict(motion.signals)
     if "az" in signals:
-        signals["load_factor"] = -signals["az"] / 9.80665
+        signals["load_factor"] = -signals["az"] / GRAVITY
     for name, (lowest, highest, relative) in limits.response.items():
         if name not in signals:
             continue

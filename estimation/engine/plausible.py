@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import RADIAN
 from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
@@ -27,7 +28,6 @@ RATES = {"p": "phi", "q": "theta"}
 FASTEST = 20.0  # rad/s: 1100 deg/s
 LARGE = 0.7  # rad: an angle of flow or surface beyond 40 deg is rare
 RELATED = 0.7  # correlation from which a rate and the slope of its angle tell of each other's unit
-DEGREES = 57.29577951308232
 WILD = 2.0  # times the range of a channel: a spike within it may be real, and pulls a fit of hundreds of samples little
 SLOWEST = 5.0  # s between samples: a fifth of a phugoid; nothing that an estimate needs shows in slower records
 SAME_UNITS = {
@@ -89,7 +89,7 @@ def _angle(flight: Flight, name: str, values: Array, notes: list[Note]) -> None:
     if name in FOLDED:
         _refuse_degrees(flight, name, size, 0.5 * np.pi, "rad")
         if name != "theta" and size > LARGE:
-            text = f"{name} reaches {size:.2g} rad ({size * DEGREES:.0f} deg): make sure that it is in radians"
+            text = f"{name} reaches {size:.2g} rad ({size * RADIAN:.0f} deg): make sure that it is in radians"
             notes.append(Note(NoteKind.UNLIKELY, text))
     elif name in TURNING and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
         _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
@@ -118,7 +118,7 @@ def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
     if ratio is None:
         return
     for wrong, right, factor in ((rate, angle, ratio), (angle, rate, 1.0 / ratio)):
-        if 0.5 * DEGREES < factor < 2.0 * DEGREES:
+        if 0.5 * RADIAN < factor < 2.0 * RADIAN:
             raise DataError(
                 f"{flight.name}: {wrong} is {factor:.0f} times too large beside {right}: one is in degrees, the other in "
                 "radians; convert the file with 'sideslip import'"

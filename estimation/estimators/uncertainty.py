@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import RADIAN
 from estimation.engine.data import FlightData
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.coloured import (
@@ -331,7 +332,7 @@ def _useful_bound(parameter: Parameter, value: float) -> float:
 
 def _face(model: Model, name: str) -> tuple[str, float]:
     unit = next((s.unit for s in model.inputs if s.name == name), "")
-    return ("deg", 57.29577951308232) if unit == "rad" else (unit, 1.0)
+    return ("deg", RADIAN) if unit == "rad" else (unit, 1.0)
 
 
 def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[float, float]]:

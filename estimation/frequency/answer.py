@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from daq.contract.constants import RADIAN
 from estimation.frequency.figure import response_picture
 from estimation.frequency.handling import Craft, Number, handling
 from estimation.frequency.response import FrequencyResponse
@@ -16,7 +17,6 @@ from estimation.report.tables import ReportTable, number, significant, value_and
 from groundstation.flight import Flight
 
 ACCEPTABLE = 100.0  # CIFER's J; Tischler and Remple, chapter 11
-DEGREES = 57.29577951308232
 LINES = 16  # frequencies that the terminal shows
 
 
@@ -72,7 +72,7 @@ def response_lines(result: FrequencyResult) -> Iterator[str]:
     )
     yield f"  {'rad/s':>8}{'magnitude':>12}{'+-':>10}{'phase [deg]':>13}{'+-':>8}{'coherence':>11}"
     for k in range(0, r.omega.size, max(1, -(-r.omega.size // LINES))):
-        phase, error = DEGREES * r.phase[k], DEGREES * r.std_phase[k]
+        phase, error = RADIAN * r.phase[k], RADIAN * r.std_phase[k]
         yield (
             f"  {r.omega[k]:8.3g}{r.magnitude[k]:12.4g}{r.std[k]:10.2g}{phase:13.1f}{error:8.1f}{r.coherence[k]:11.2f}"
         )
@@ -142,7 +142,7 @@ def response_table(result: FrequencyResult) -> ReportTable:
         (
             significant(float(r.omega[k]), 4),
             *value_and_bound(float(r.magnitude[k]), float(r.std[k])),
-            *value_and_bound(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])),
+            *value_and_bound(RADIAN * float(r.phase[k]), RADIAN * float(r.std_phase[k])),
             number(float(r.coherence[k]), 3),
         )
         for k in range(r.omega.size)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from estimation.errors import EstimationError
 from estimation.frequency.forms import SURFACE_OF
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction
 from groundstation.flight import Array
 
-G = 9.80665
 LIGHTEST = 150.0  # kg; the standards were drawn from aircraft with a pilot aboard
 CLASSES = ("I", "II", "III", "IV")
 CATEGORIES = ("A", "B", "C")
@@ -174,8 +174,8 @@ def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Cra
     if response.output != "q" or lead is None or not lead.estimate > 0.0 or not math.isfinite(response.speed):
         return
     V = response.speed
-    yield _number("n/alpha", *_derived(fit, lambda v: V / G * v["1/T_theta2"]))
-    cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * G / (V * v["1/T_theta2"]))
+    yield _number("n/alpha", *_derived(fit, lambda v: V / GRAVITY * v["1/T_theta2"]))
+    cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * GRAVITY / (V * v["1/T_theta2"]))
     level = _level_within(cap, ANTICIPATION[craft.category]) if rated else None
     yield _number("CAP", cap, cap_std, level)
 

@@ -8,12 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.gap.answer.result import GapResult
+from estimation.gap.decision.conclusion import concluded
+from estimation.gap.decision.lineage import turned_signs
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
-from estimation.gap.likelihood.baseline import fit_baseline
-from estimation.gap.likelihood.channel_noise import (
+from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.fit.channel_noise import (
     bank_error,
     channel_noise,
     filtered_attitudes,
@@ -21,21 +23,16 @@ from estimation.gap.likelihood.channel_noise import (
     sample_interval,
 )
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.candidate_model import with_dormant
-from estimation.gap.records.doubts import doubts_of, refuse_twice
+from estimation.gap.records.candidate_model import stamped_attitudes, with_dormant, with_nuisance
+from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
-from estimation.gap.records.lost_rows import with_lost_rows, without_unseen_moves
-from estimation.gap.records.nuisance import stamped_attitudes, with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
-from estimation.gap.records.sample_faults import sample_notes, stale_channels
-from estimation.gap.records.slow_controls import at_own_rates
+from estimation.gap.records.sampling import at_own_rates, with_lost_rows, without_unseen_moves
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
-from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
-from estimation.gap.tests_of_fit.nulls import input_errors, with_errors
-from estimation.gap.verdict.conclusion import concluded
-from estimation.gap.verdict.turned_signs import turned_signs
+from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
+from estimation.gap.significance.kinematic_check import kinematic_check
+from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
 from estimation.models.driven import force_states
 from groundstation.flight import Flight
@@ -56,23 +53,25 @@ def run_gap(
     if not training:
         raise GapError("no training flight given; name at least one flight file before --holdout")
     refuse_twice(training, holdout)
-    given = [*training, *holdout]
-    whole, (model, apart) = model, compared(model, given)
-    chosen = tuple(effects) if effects is not None else catalogue(model=model)
-    chosen += missing_derivatives(model, {e.name for e in chosen})
+    flights = [*training, *holdout]
+    full_model, (model, comparison_notes) = model, compared(model, flights)
+    candidates = tuple(effects) if effects is not None else catalogue(model=model)
+    candidates += missing_derivatives(model, {e.name for e in candidates})
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
-    even = ([with_lost_rows(f) for f in some] for some in (training, holdout))
-    read = (at_own_rates(some, controls, outputs, options.criteria) for some in even)
-    flown, kept = ([without_unseen_moves(f, controls, outputs, options.criteria) for f in some] for some in read)
-    prepared = prepare_flights(model, chosen, flown, kept, options.criteria)
-    told = sample_notes(given, [*outputs, *(s.source for s in model.inputs)], options.criteria)
-    stale = stale_channels(flown, outputs, options.criteria)
-    prepared = replace(prepared, notes=(*apart, *prepared.notes, *told), stale=stale)
-    setting = _setting(prepared, chosen, levels(model, given), stamped_attitudes(model, given), options, tell)
+    gridded = ([with_lost_rows(f) for f in group] for group in (training, holdout))
+    read = (at_own_rates(group, controls, outputs, options.criteria) for group in gridded)
+    training_flights, holdout_flights = (
+        [without_unseen_moves(f, controls, outputs, options.criteria) for f in group] for group in read
+    )
+    prepared = prepare_flights(model, candidates, training_flights, holdout_flights, options.criteria)
+    fault_notes = sample_notes(flights, [*outputs, *(s.source for s in model.inputs)], options.criteria)
+    stale = stale_channels(training_flights, outputs, options.criteria)
+    prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
+    setting = _setting(prepared, candidates, levels(model, flights), stamped_attitudes(model, flights), options, tell)
     tell("fitting the baseline", 0.05)
-    doubts = doubts_of(given, model)
+    doubts = doubts_of(flights, model)
     try:
         baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
         doubts += turned_signs(baseline)
@@ -81,10 +80,10 @@ def run_gap(
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
     measured = [as_measured(f) for f in training]
-    check = kinematic_check(measured, chosen, options.nulls, options.seed, options.criteria, model)
+    check = kinematic_check(measured, candidates, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
-    answer = replace(answer, text=" ".join(t for t in (answer.text, not_compared(whole, model)) if t))
+    answer = replace(answer, text=" ".join(t for t in (answer.text, not_compared(full_model, model)) if t))
     return _with_doubts(answer, doubts)
 
 
@@ -100,8 +99,8 @@ def _setting(
     uncertain the level of a signal is that was found from the motion; stamped: attitude -> interval of its own times."""
     base, records = prepared.base, prepared.of(prepared.training)
     following = only_following(records, base, options.criteria)
-    effects, untold = without_hardware_of(effects, following)
-    told = [f"{prepared.names[k]}: {words_on(n)}" for n in following for k in prepared.training if untold]
+    effects, unasked = without_hardware_of(effects, following)
+    control_notes = [f"{prepared.names[k]}: {words_on(n)}" for n in following for k in prepared.training if unasked]
     white = channel_noise(records)
     scatter = pitch_error(records, base.output_names, bank_error(records, base.output_names, white))
     filtered = filtered_attitudes(records, base.output_names, white)
@@ -111,15 +110,17 @@ def _setting(
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
-    prepared = replace(prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *told))
-    return Setting(base, clean, working, prepared, effects, following, untold, errors, scatter, options, tell)
+    prepared = replace(
+        prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *control_notes)
+    )
+    return Setting(base, clean, working, prepared, effects, following, unasked, errors, scatter, options, tell)
 
 
 def _with_doubts(result: GapResult, doubts: Sequence[str]) -> GapResult:
     """The answer, told to be of flights that are to be looked at first."""
     if not doubts:
         return result
-    more = f" (and {len(doubts) - 1} more, in the notes)" if len(doubts) > 1 else ""
-    first = f"{doubts[0]}{more}".removesuffix(".")
+    suffix = f" (and {len(doubts) - 1} more, in the notes)" if len(doubts) > 1 else ""
+    first = f"{doubts[0]}{suffix}".removesuffix(".")
     text = f"Before any of this, look at the flights: {first}{'' if first.endswith('?') else '.'} {result.text}"
     return replace(result, text=text, notes=(*result.notes, *doubts))

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimation.aircraft import GRAVITY, Aircraft
+from daq.contract.constants import GRAVITY
+from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.estimators.coloured import ResidualSegment, score_covariance

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.contract.constants import ZERO_CELSIUS
 from estimation.aircraft.library import aircraft_of
 from estimation.errors import AircraftError
 from estimation.report.tables import ReportTable, number
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from estimation.aircraft import Aircraft
     from groundstation.flight import Flight
 
-KELVIN = 273.15
 UTC_KEY = "utc_offset_s"  # in a flight's provenance: UTC less the flight's time [s]
 LATEST = 1e11  # seconds since 1970 that a calendar still has a year for
 SURFACES = {"delta_e": "e", "delta_a": "a", "delta_r": "r"}
@@ -70,7 +70,7 @@ def _row(flight: "Flight", craft: "Aircraft | None") -> tuple[str, ...]:
         _range(flight, "altitude", 1.0, 0),
         _range(flight, "alpha", float(np.degrees(1.0)), 1),
         number(_median(flight, "p_static", 0.01), 1),
-        number(_median(flight, "temperature", 1.0, -KELVIN), 1),
+        number(_median(flight, "temperature", 1.0, -ZERO_CELSIUS), 1),
         number(_median(flight, "rho", 1.0), 3),
         _wind_text(flight),
         _surfaces(flight),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
@@ -47,7 +48,7 @@ def trim(model: Model, flight: Flight) -> tuple[Array, Array]:
     def usual(name: str, source: str) -> float:
         return 0.0 if name in AT_REST or not flight.measured(source) else float(np.nanmedian(flight[source]))
 
-    rho = {"rho": 1.225}
+    rho = {"rho": SEA_LEVEL_DENSITY}
     state = np.array([usual(s.name, s.source) for s in model.states])
     inputs = np.array([usual(s.name, s.source) or rho.get(s.name, 0.0) for s in model.inputs])
     return state, inputs

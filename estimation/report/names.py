@@ -4,6 +4,8 @@ import re
 
 from markupsafe import Markup, escape
 
+from daq.contract.constants import RADIAN
+
 _GREEK = {
     "alpha": "α",
     "beta": "β",
@@ -79,4 +81,4 @@ def literal(text: str) -> str:
 
 def face(name: str, unit: str) -> tuple[float, str]:
     """(factor, unit) in which a person reads a signal: degrees instead of radians."""
-    return (57.29577951308232, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
+    return (RADIAN, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from daq.contract.errors import UserError
 from estimation.engine.kernel import Array
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
@@ -16,7 +17,6 @@ from estimation.estimators.equation_error import equation_error
 from estimation.models.base import Model
 from groundstation.flight import Flight
 from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.quality.plausibility import GRAVITY
 from groundstation.flight.windows import summed
 
 KINEMATIC = "beta_kinematic"

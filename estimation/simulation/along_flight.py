@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.aircraft import GRAVITY
+from daq.contract.constants import GRAVITY
 from estimation.engine.data import FlightData, Preparation, prepare
 from estimation.engine.derived import bridged
 from estimation.models.base import Model, Signal

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
 from daq.contract.input_files import read_json
 from daq.contract.outputs import write_json
 from estimation.models.base import Model
@@ -25,7 +26,7 @@ from estimation.simulation.jsbsim.as_text import (
 )
 from estimation.simulation.jsbsim.export import JsbsimExport, export_aircraft
 from estimation.simulation.jsbsim.increments import simulation_named
-from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aerodynamics_of, aircraft_file, knows_property
+from estimation.simulation.jsbsim.library import PREFIX, aerodynamics_of, aircraft_file, knows_property
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from estimation.simulation.own_simulations import TextOracle
 from estimation.simulation.proof import ExportProof, proof_of
@@ -216,7 +217,7 @@ def random_states(simulation: Simulation, count: int = STATES) -> States:
     craft = simulation.aircraft
     assert craft is not None
     rng = np.random.default_rng(20261123)
-    cruise = math.sqrt(2.0 * craft.mass * 9.81 / (1.225 * craft.area * CRUISE))
+    cruise = math.sqrt(2.0 * craft.mass * 9.81 / (SEA_LEVEL_DENSITY * craft.area * CRUISE))
     values = {n: rng.uniform(-SIZES.get(n, 0.0), SIZES.get(n, 0.0), count) for n in VARIABLES}
     values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*ALPHAS, count)
     return States(values, rng.uniform(*DENSITIES, count), np.zeros(count))

@@ -8,6 +8,7 @@ pp 889-912, eq 4); moments are about body axes at the CG. The derivatives are th
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from daq.contract.constants import GRAVITY
 from estimation.aircraft import Aircraft, SimulatedFlight
 from firmware_sim.errors import ScenarioError
 
@@ -40,7 +41,7 @@ def true_derivatives(aircraft: Aircraft, overrides: Mapping[str, float]) -> dict
     values = {name: stated.get(name, 0.0) for name in names}
     if "Cm_0" not in overrides:
         pressure = 0.5 * REFERENCE_DENSITY * flown.speed**2
-        lift = aircraft.mass * 9.80665 / (pressure * aircraft.area)
+        lift = aircraft.mass * GRAVITY / (pressure * aircraft.area)
         values["Cm_0"] = -values["Cm_alpha"] * (lift - values["CL_0"]) / values["CL_alpha"]
     return values
 

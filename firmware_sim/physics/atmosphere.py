@@ -7,15 +7,11 @@ standard lapse in pressure altitude, temperature is the standard one plus the of
 import math
 from dataclasses import dataclass
 
+from daq.contract.constants import EARTH_RADIUS, GAS_CONSTANT, GRAVITY, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
+from daq.contract.constants import LAPSE_RATE as LAPSE
 from firmware_sim.physics.maths import Value
 
-GRAVITY = 9.80665  # m/s2
-GAS_CONSTANT = 287.05287  # J/(kg K), dry air
-SEA_LEVEL_PRESSURE = 101325.0  # Pa
-SEA_LEVEL_TEMPERATURE = 288.15  # K
-LAPSE = 0.0065  # K/m
 EXPONENT = GRAVITY / (GAS_CONSTANT * LAPSE)  # 5.2559
-EARTH_RADIUS = 6371008.8  # m, mean
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from estimation.aircraft import Aircraft, Engine, Servos
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import Aerodynamics
-from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
+from firmware_sim.physics.atmosphere import Site, air_at
 from firmware_sim.physics.effects.base import HiddenEffect, overrides
 from firmware_sim.physics.maths import Maths, State, Value
 from firmware_sim.physics.motion import Motion

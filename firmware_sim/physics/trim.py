@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.atmosphere import GRAVITY, air_at
+from daq.contract.constants import GRAVITY
+from firmware_sim.physics.atmosphere import air_at
 from firmware_sim.physics.maths import Value
 
 if TYPE_CHECKING:

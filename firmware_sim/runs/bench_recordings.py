@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.constants import GAS_CONSTANT, GRAVITY
 from daq.contract.durable import write_text
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.units import individual
-from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
+from firmware_sim.physics.atmosphere import Site, air_at
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.runs.flight import FlightFiles, prepare_flight
 from firmware_sim.toml_text import toml_text
@@ -139,7 +140,7 @@ def bench_truth(time: float, pose: Pose, models: SensorModels, site: Site | None
     air = air_at(site.elevation_m, site.temperature_offset_k)
     pressure = pose.pressure or float(air.pressure)
     temperature = float(air.temperature) + pose.warmer_k
-    density = pressure / (287.05287 * temperature)
+    density = pressure / (GAS_CONSTANT * temperature)
     turn = direction_cosines(*pose.attitude)
     force = turn @ np.array([0.0, 0.0, -GRAVITY])
     # The free stream that turns each vane to its angle: wash undone, and beta from the flank angle.

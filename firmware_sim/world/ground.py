@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at, geodetic
+from daq.contract.constants import GRAVITY
+from firmware_sim.physics.atmosphere import Site, air_at, geodetic
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.world.truth import Phase, Truth, supply_voltage
 

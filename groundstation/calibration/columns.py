@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.constants import ROUND_EARTH_RADIUS, SEA_LEVEL_PRESSURE
 from groundstation.calibration.align import derivative
 from groundstation.calibration.conversions import air_data, flow, inertial
 from groundstation.calibration.conversions.direct import direct_columns
@@ -17,7 +18,6 @@ from groundstation.calibration.schema import CalibrationSet, MountingAngles, Vec
 
 Array = NDArray[np.float64]
 
-EARTH_RADIUS = 6_371_000.0  # m, mean: an antenna is metres from the CG at most
 
 GNSS = tuple("latitude_e7 longitude_e7 height_msl_mm velocity_north_mm velocity_east_mm velocity_down_mm".split())
 
@@ -62,7 +62,7 @@ class CombinedColumns:
         self.columns["rho"] = air_data.density(static, temperature)
         self.columns["V"] = air_data.true_airspeed(impact, static, temperature)
         self.columns["V_cas"] = air_data.calibrated_airspeed(impact)
-        reference = site.sea_level_pressure if site else air_data.SEA_LEVEL_PRESSURE
+        reference = site.sea_level_pressure if site else SEA_LEVEL_PRESSURE
         self.columns["altitude"] = air_data.pressure_altitude(static, reference)
 
     def _rates(self) -> None:
@@ -131,8 +131,8 @@ class CombinedColumns:
         attitude, rates = (c["phi"], c["theta"], c["psi"]), (c["p"], c["q"], c["r"])
         place, speed = inertial.point_in_earth_axes(position, attitude, rates)
         north, east, down = (np.nan_to_num(v) for v in place)
-        c["latitude"] = c["latitude"] - np.degrees(north / EARTH_RADIUS)
-        c["longitude"] = c["longitude"] - np.degrees(east / (EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
+        c["latitude"] = c["latitude"] - np.degrees(north / ROUND_EARTH_RADIUS)
+        c["longitude"] = c["longitude"] - np.degrees(east / (ROUND_EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
         c["altitude_gnss"] = c["altitude_gnss"] + down
         for column, of_antenna in zip(("vn", "ve", "vd"), speed, strict=True):
             c[column] = c[column] - np.nan_to_num(of_antenna)

@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.constants import SEA_LEVEL_PRESSURE
 from daq.contract.input_files import parse_toml, read_text
 from groundstation.calibration.errors import CalibrationError
 
@@ -115,7 +116,7 @@ class Static(_CalibrationTable):
     feeds_pitot: bool = True
     pressure_offset: Finite = 0.0
     temperature_offset: Finite = 0.0
-    sea_level_pressure: Annotated[float, Field(gt=8e4, lt=1.2e5)] = 101325.0
+    sea_level_pressure: Annotated[float, Field(gt=8e4, lt=1.2e5)] = SEA_LEVEL_PRESSURE
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
     temperature_uncertainty: Annotated[float, Field(ge=0)] = 0.0
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import GRAVITY
 from groundstation.calibration.conversions import curves
 from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.schema import CalibrationCurve, CalibrationSet, Instrument
@@ -72,7 +73,7 @@ def _air(calibration: CalibrationSet, columns: Mapping[str, Array], out: dict[st
     if rho is not None and p and t:
         relative = float(np.hypot(pressure / p, warmth / t))
         _put(out, "rho", rho * relative)
-        _put(out, "altitude", pressure / (rho * 9.80665))
+        _put(out, "altitude", pressure / (rho * GRAVITY))
         if v and q and q > 0 and "p_dynamic" in out:
             # V = sqrt(2 q / rho): half of each relative error
             _put(out, "V", 0.5 * v * float(np.hypot(out["p_dynamic"] / q, relative)))

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import EARTH_RADIUS
 from daq.contract.durable import whole
 from groundstation.export import joint_state as js
 from groundstation.export.timescale import stamps_ns
 from groundstation.flight import Array, Flight
 from groundstation.flight.writing import Encoded, open_flight_writer
-
-_EARTH_RADIUS_M = 6371008.8  # mean radius; over a flight's extent the flat map is right to a few parts in a thousand
 
 
 def write_foxglove(flight: Flight, path: Path) -> None:
@@ -115,8 +114,8 @@ def local_position(flight: Flight) -> Array:
     latitude, longitude = np.radians(_held(flight["latitude"])), np.radians(_held(flight["longitude"]))
     height = _height(flight)
     up = _held(height) if np.isfinite(height).any() else np.zeros(len(flight))
-    east = (longitude - longitude[0]) * np.cos(latitude[0]) * _EARTH_RADIUS_M
-    north = (latitude - latitude[0]) * _EARTH_RADIUS_M
+    east = (longitude - longitude[0]) * np.cos(latitude[0]) * EARTH_RADIUS
+    north = (latitude - latitude[0]) * EARTH_RADIUS
     return np.column_stack([east, north, up - up[0]])
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from groundstation.flight.flight import Flight
 
 Array = NDArray[np.float64]
@@ -60,7 +61,7 @@ def _speed(flight: Flight) -> Array | None:
     if flight.measured("V"):
         return flight["V"]
     if flight.measured("p_dynamic"):
-        density = flight["rho"] if flight.measured("rho") else np.full(len(flight), 1.225)
+        density = flight["rho"] if flight.measured("rho") else np.full(len(flight), SEA_LEVEL_DENSITY)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(2.0 * np.maximum(flight["p_dynamic"], 0.0) / density))
     if flight.measured("V_cas"):

@@ -3,13 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import (
+    GAS_CONSTANT,
+    LAPSE_RATE,
+    SEA_LEVEL_DENSITY,
+    SEA_LEVEL_PRESSURE,
+    SEA_LEVEL_TEMPERATURE,
+)
+
 Array = NDArray[np.float64]
 
-GAS_CONSTANT = 287.05287  # J/(kg K), dry air
-SEA_LEVEL_PRESSURE = 101325.0  # Pa
-SEA_LEVEL_DENSITY = 1.225  # kg/m3, that equivalent and calibrated airspeed refer to
-_SEA_LEVEL_TEMPERATURE = 288.15  # K
-_LAPSE = 0.0065  # K/m
 _EXPONENT = 5.255876  # g / (R lapse)
 
 OUTSIDE_TEMPERATURE = 25.0
@@ -24,7 +27,7 @@ def density(p_static: Array, temperature: Array) -> Array:
 def standard_temperature(p_static: Array) -> Array:
     """Temperature [K] of the standard atmosphere where its pressure is p_static [Pa]."""
     share = np.maximum(p_static, 1.0) / SEA_LEVEL_PRESSURE
-    return np.asarray(_SEA_LEVEL_TEMPERATURE * share ** (1.0 / _EXPONENT))
+    return np.asarray(SEA_LEVEL_TEMPERATURE * share ** (1.0 / _EXPONENT))
 
 
 def is_of_the_air(p_static: Array, temperature: Array) -> bool:
@@ -39,5 +42,5 @@ def density_at_pressure(p_static: Array) -> Array:
 
 def density_at_altitude(altitude: Array) -> Array:
     """Density [kg/m3] at an altitude above mean sea level [m]."""
-    share = 1.0 - _LAPSE / _SEA_LEVEL_TEMPERATURE * altitude
+    share = 1.0 - LAPSE_RATE / SEA_LEVEL_TEMPERATURE * altitude
     return np.asarray(SEA_LEVEL_DENSITY * np.maximum(share, 0.0) ** (_EXPONENT - 1.0))

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from daq.contract.plain_words import one_line
-from daq.contract.recordings import claims
+from daq.contract.recordings.flight_rows import as_mapping, as_texts
 
 
 class NoteKind(Enum):
@@ -76,12 +76,12 @@ def to_meta(notes: Iterable[Note]) -> dict[str, Any]:
 
 def from_meta(meta: Mapping[str, Any]) -> list[Note]:
     """Notes of a flight file. A kind that is not known here, of a newer file, is `OTHER`."""
-    notes = [Note(NoteKind.OTHER, one_line(text)) for text in claims.texts(meta.get("notes"))]
+    notes = [Note(NoteKind.OTHER, one_line(text)) for text in as_texts(meta.get("notes"))]
     known = {k.value: k for k in NoteKind}
     facts = meta.get("facts")
-    for fact in map(claims.mapping, facts if isinstance(facts, list) else ()):
+    for fact in map(as_mapping, facts if isinstance(facts, list) else ()):
         index = fact.get("note")
-        pairs = [claims.texts(pair) for pair in fact.get("columns") or () if isinstance(pair, list)]
+        pairs = [as_texts(pair) for pair in fact.get("columns") or () if isinstance(pair, list)]
         if isinstance(index, int) and 0 <= index < len(notes):
             columns = tuple((pair[0], pair[1]) for pair in pairs if len(pair) == 2)
             notes[index] = Note(known.get(str(fact.get("kind")), NoteKind.OTHER), notes[index].text, columns)

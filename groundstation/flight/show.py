@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import RADIAN
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.tables import FlightView
 
 _USUAL = ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "ay", "az", "delta_e", "delta_a", "delta_r")
-_DEGREES = 57.29577951308232
 
 
 def _measured(flight: FlightView) -> list[str]:
@@ -55,7 +55,7 @@ def plot_flight(flight: FlightView, columns: Sequence[str], ax: Any = None) -> A
     for each, name in zip(axes, names, strict=True):
         known = COLUMN_BY_NAME.get(name)
         unit = known.unit if known else ""
-        factor, shown = (_DEGREES, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
+        factor, shown = (RADIAN, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)
         for rows in flight.segments:
             each.plot(flight.time[rows], factor * flight.columns[name][rows], color="C0", linewidth=1.0)
         each.set_ylabel(f"{name} [{shown}]" if shown else name)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.plain_words import LONGEST_NAME, listed
-from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
 from groundstation.flight.contradictions.air import independent_density
 from groundstation.flight.expression import parse
 from groundstation.flight.flight import HELD, INTERVAL

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import GRAVITY
 from groundstation.importers.units import UNITS, find_unit
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ _SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s",
           "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
-_GRAVITY = {"m/s2": 9.80665, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
+_GRAVITY = {"m/s2": GRAVITY, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
 _CLOSE = 0.25
 """Of gravity, by which the median specific force of a flight may differ from it: turns, and a filter."""
 _RATE_AGREES = 0.15

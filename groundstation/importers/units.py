@@ -2,6 +2,14 @@
 
 from dataclasses import dataclass
 
+from daq.contract.constants import DEGREE as _DEG
+from daq.contract.constants import FOOT as _FOOT
+from daq.contract.constants import GRAVITY as _G
+from daq.contract.constants import KNOT as _KNOT
+from daq.contract.constants import MILE_PER_HOUR as _MPH
+from daq.contract.constants import POUND as _LBF
+from daq.contract.constants import PSI as _PSI
+from daq.contract.constants import ZERO_CELSIUS as _ZERO_C
 from groundstation.importers.errors import ImportDataError
 
 
@@ -14,28 +22,23 @@ class Unit:
     offset: float = 0.0
 
 
-_DEG = 0.017453292519943295
-_G = 9.80665
-_LBF = 4.4482216152605
-_PSI = 6894.757293168
-
 UNITS: dict[str, Unit] = {
     # angle, rate
     "rad": Unit("rad", 1.0), "deg": Unit("rad", _DEG), "mrad": Unit("rad", 1e-3), "cdeg": Unit("rad", _DEG / 100),
     "rad/s": Unit("rad/s", 1.0), "mrad/s": Unit("rad/s", 1e-3), "deg/s": Unit("rad/s", _DEG), "rpm": Unit("rad/s", 6 * _DEG),
     # acceleration
-    "m/s2": Unit("m/s2", 1.0), "g": Unit("m/s2", _G), "mg": Unit("m/s2", _G / 1000), "ft/s2": Unit("m/s2", 0.3048),
+    "m/s2": Unit("m/s2", 1.0), "g": Unit("m/s2", _G), "mg": Unit("m/s2", _G / 1000), "ft/s2": Unit("m/s2", _FOOT),
     "cm/s2": Unit("m/s2", 0.01),
     # speed, length
-    "m/s": Unit("m/s", 1.0), "knots": Unit("m/s", 1852 / 3600), "km/h": Unit("m/s", 1 / 3.6), "mph": Unit("m/s", 0.44704),
-    "ft/s": Unit("m/s", 0.3048), "ft/min": Unit("m/s", 0.3048 / 60), "cm/s": Unit("m/s", 0.01), "mm/s": Unit("m/s", 1e-3),
-    "m": Unit("m", 1.0), "ft": Unit("m", 0.3048), "km": Unit("m", 1000.0), "cm": Unit("m", 0.01), "mm": Unit("m", 1e-3),
+    "m/s": Unit("m/s", 1.0), "knots": Unit("m/s", _KNOT), "km/h": Unit("m/s", 1 / 3.6), "mph": Unit("m/s", _MPH),
+    "ft/s": Unit("m/s", _FOOT), "ft/min": Unit("m/s", _FOOT / 60), "cm/s": Unit("m/s", 0.01), "mm/s": Unit("m/s", 1e-3),
+    "m": Unit("m", 1.0), "ft": Unit("m", _FOOT), "km": Unit("m", 1000.0), "cm": Unit("m", 0.01), "mm": Unit("m", 1e-3),
     # pressure, density, temperature
     "Pa": Unit("Pa", 1.0), "hPa": Unit("Pa", 100.0), "kPa": Unit("Pa", 1000.0), "psi": Unit("Pa", _PSI),
     "psf": Unit("Pa", _PSI / 144), "inHg": Unit("Pa", 3386.389), "mmHg": Unit("Pa", 133.322387415),
     "kg/m3": Unit("kg/m3", 1.0), "slug/ft3": Unit("kg/m3", 515.378818), "g/m3": Unit("kg/m3", 1e-3),
-    "K": Unit("K", 1.0), "degC": Unit("K", 1.0, 273.15), "cdegC": Unit("K", 0.01, 273.15),
-    "degF": Unit("K", 5 / 9, 273.15 - 32 * 5 / 9),
+    "K": Unit("K", 1.0), "degC": Unit("K", 1.0, _ZERO_C), "cdegC": Unit("K", 0.01, _ZERO_C),
+    "degF": Unit("K", 5 / 9, _ZERO_C - 32 * 5 / 9),
     # force, magnetic field, electricity
     "N": Unit("N", 1.0), "kgf": Unit("N", _G), "gf": Unit("N", _G / 1000), "lbf": Unit("N", _LBF), "ozf": Unit("N", _LBF / 16),
     "T": Unit("T", 1.0), "mT": Unit("T", 1e-3), "uT": Unit("T", 1e-6), "nT": Unit("T", 1e-9), "gauss": Unit("T", 1e-4),

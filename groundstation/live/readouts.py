@@ -7,6 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from daq.contract.constants import GRAVITY
+
 FRESH_S = 2.5
 """Longest age [s] of a number that is shown: slow channels come about once a second, and one of them may be lost."""
 
@@ -35,7 +37,7 @@ READOUTS = (
     Readout("altitude", "h", "m", places=0),
     Readout("alpha", "α", "°", math.degrees(1), signed=True),
     Readout("beta", "β", "°", math.degrees(1), signed=True),
-    Readout("az", "n", "g", -1 / 9.80665, 2, signed=True),  # load factor: specific force upwards
+    Readout("az", "n", "g", -1 / GRAVITY, 2, signed=True),  # load factor: specific force upwards
     Readout("supply_voltage", "battery", "V"),
 )
 

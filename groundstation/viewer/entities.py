@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMNS, GROUPS, FlightColumn
+from daq.contract.constants import ZERO_CELSIUS
 
 TIMELINE = "flight_time"
 APPLICATION = "sideslip"
@@ -46,7 +47,7 @@ _SHOWN: Mapping[str, tuple[str, float, float]] = {
     "rad": ("deg", math.degrees(1), 0.0),
     "rad/s": ("deg/s", math.degrees(1), 0.0),
     "T": ("µT", 1e6, 0.0),
-    "K": ("°C", 1.0, -273.15),
+    "K": ("°C", 1.0, -ZERO_CELSIUS),
 }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from daq.contract.constants import ROUND_EARTH_RADIUS
 from groundstation.flight import Flight
 from groundstation.identification.session import LiveState
 from groundstation.live.readouts import READOUTS, FreshValues, readout_line
@@ -21,7 +22,6 @@ from groundstation.viewer.airframe import airframe_mesh
 from groundstation.viewer.derivatives import DerivativeCurves
 from groundstation.viewer.glyphs import drawable
 
-EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400
 TRACK_SCALE = 12.0
 TRACK_PERIOD_S = 2.0
@@ -148,8 +148,8 @@ class Scene:
         if self._origin is None:
             self._origin = (latitude, longitude)
         lat0, lon0 = self._origin
-        north = math.radians(latitude - lat0) * EARTH_RADIUS
-        return north, math.radians(longitude - lon0) * EARTH_RADIUS * math.cos(math.radians(lat0))
+        north = math.radians(latitude - lat0) * ROUND_EARTH_RADIUS
+        return north, math.radians(longitude - lon0) * ROUND_EARTH_RADIUS * math.cos(math.radians(lat0))
 
     def states(self, time: float, states: Mapping[str, str]) -> None:
         """State of each sensor group in words; only changes are logged."""

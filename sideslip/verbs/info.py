@@ -43,7 +43,7 @@ def content_of(file: Path) -> dict[str, Any]:
         )
     if file.suffix in _READ_HERE:
         return _flight_info(file)
-    from daq.contract.recordings.accounting import info_mcap
+    from daq.contract.recordings.summary import info_mcap
 
     return info_mcap(file)
 

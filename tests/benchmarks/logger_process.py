@@ -7,20 +7,34 @@ description (`udpin:14550`), and how long a bus transfer takes [us]. Who measure
 import json
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
 
 from daq.acquisition.health import HealthSummary
 from daq.acquisition.sampler import Sampler
 from daq.assembly import HardwareEdge
 from daq.clock import RealClock
 from daq.config import load_config
-from daq.recorder.timing import describe
+from daq.contract.recordings.messages import Statistics
 from daq.service.run import run_until_signal
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort, memory_pair
 from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver, TimedBus
 
 _EMPTY_RADIO_S = 10.0
+
+
+def describe(books: Statistics) -> Iterator[tuple[str, float, float]]:
+    """(name, median, 99th percentile) [us] of each histogram with counts, as upper edges of their bins."""
+    edges = np.array([*books.edges_us, books.edges_us[-1]], float)
+    for name in ("lateness", "interval_error", "scan_duration", "write_latency", "sync_latency"):
+        counts = getattr(books, name)
+        if sum(counts):
+            reached = np.cumsum(counts)
+            p50, p99 = edges[np.searchsorted(reached, reached[-1] * np.array([0.5, 0.99]))]
+            yield name, float(p50), float(p99)
 
 
 def main(config_path: Path, answers: Path, seconds: float, radio: str = "", transfer_us: float = 0.0) -> None:

@@ -12,8 +12,9 @@ import pytest
 
 from daq.clock import SimulatedClock
 from daq.contract.durable import make_directories, whole, write_text
-from daq.contract.recordings.accounting import recover, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
+from daq.contract.recordings.recovery import recover
 from daq.contract.scan import encode_scan
 from daq.recorder.storage import RealStorage
 from daq.service.preflight import _probe

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from operator import add
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,7 @@ def test_a_channel_is_a_column_of_its_own_name_and_unit(tmp_path: Path) -> None:
         ),
     )
     assert rows.columns == (FlightColumn("smoke", "V", "smoke in the cockpit", "/smoke", (-32.768, 32.767)),)
-    check(BUILT_IN.plus(rows), "here")
+    check(TableRows(*map(add, BUILT_IN, rows)), "here")
     assert rows_of(tmp_path, ROWS + "columns = []\n").columns == ()
 
 
@@ -81,7 +82,7 @@ def test_a_row_that_is_wrong_is_named_with_file_and_key(tmp_path: Path, change: 
 )
 def test_rows_that_do_not_fit_the_table_are_refused(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(LaboratoryError, match=f"here: {says}"):
-        check(BUILT_IN.plus(rows_of(tmp_path, text)), "here")
+        check(TableRows(*map(add, BUILT_IN, rows_of(tmp_path, text))), "here")
 
 
 def test_missing_package_and_missing_file_are_said(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Channel, Rate
 from daq.contract.link.dialect import build, generate, sideslip_dialect
 from daq.contract.link.wire import (
+    _CODE,
     MAX_FAST_PAYLOAD,
     SCAN_FAST_ID,
     SCAN_RARE_ID,
@@ -93,7 +94,8 @@ def test_every_sent_channel_is_in_exactly_one_message_and_no_other_is() -> None:
 def test_layouts_agree_with_the_dialect_to_the_byte() -> None:
     for layout in layouts().values():
         made = sideslip_dialect.mavlink_map[layout.msg_id]
-        assert layout.codec.format == made.unpacker.format
+        codes = (f"{f.count or ''}{_CODE[f.raw_type]}" for f in layout.fields)
+        assert "<" + "".join(codes) == made.unpacker.format
         assert [f.name for f in layout.fields] == made.ordered_fieldnames
 
 

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from daq.contract.errors import UserError
-from daq.contract.recordings.accounting import info_mcap, recover, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.recording import RecordedMessage, RecordingWriter
+from daq.contract.recordings.recovery import recover
+from daq.contract.recordings.summary import info_mcap
 from daq.contract.scan import encode_scan
 from daq.contract.seal import SEAL_SIZE, seal
 from daq.transport.mavlink_codec import FrameEncoder

@@ -13,9 +13,10 @@ from daq import commands
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS
 from daq.contract.ranges import count, ranges, subtract
-from daq.contract.recordings.accounting import info_mcap, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError, RecordingWriter
+from daq.contract.recordings.summary import info_mcap
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
 from groundstation.flight import Flight, Provenance, write_flight

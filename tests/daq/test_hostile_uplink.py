@@ -24,10 +24,9 @@ from daq.contract.recordings.recording import RecordingInfo
 from daq.telemetry import backfill
 from daq.telemetry.config import DownlinkConfig, LinkLimits
 from daq.telemetry.link import RadioLink, radio_link
-from daq.telemetry.refusals import Refusals
+from daq.telemetry.request_limits import Bucket, CommandBudget, Refusals, SenderLimits
 from daq.telemetry.send_queue import SendQueue, item
 from daq.telemetry.uplink import FRAMES, READ_BYTES, TURN_NS, Uplink
-from daq.telemetry.uplink_limits import Bucket, CommandBudget, SenderLimits
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of, message_types
 from daq.transport.ports import BytePort, SerialPort, UdpPort
 from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan
@@ -105,7 +104,7 @@ class Aircraft:
 
     @property
     def refused(self) -> int:
-        return self.link.downlink.refusals.rejected_frames
+        return self.link.downlink.rejected_frames
 
 
 def told(texts: list[str]) -> int:
@@ -271,9 +270,9 @@ def test_sender_ids_chosen_freely_share_a_limit() -> None:
 
 def test_bucket_fills_at_its_rate_and_no_further_than_its_burst() -> None:
     bucket = Bucket(2.0, 3.0)
-    assert [bucket.take(0) for _ in range(4)] == [True, True, True, False]
-    assert [bucket.take(NS // 2), bucket.take(NS // 2)] == [True, False]
-    assert [bucket.take(1000 * NS) for _ in range(4)] == [True, True, True, False]
+    assert [bucket.allows(0) for _ in range(4)] == [True, True, True, False]
+    assert [bucket.allows(NS // 2), bucket.allows(NS // 2)] == [True, False]
+    assert [bucket.allows(1000 * NS) for _ in range(4)] == [True, True, True, False]
 
 
 def test_papers_are_made_once_and_not_in_the_scan_loop_s_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -361,7 +360,7 @@ def test_recordings_started_and_stopped_at_radio_speed_stay_few() -> None:
     assert aircraft.logger.recording, "a recording is under way at the end: ending it was refused"
     results = aircraft.acknowledged(c.LOGGING_STOP)
     assert c.TEMPORARILY_REJECTED in results
-    assert aircraft.link.downlink.refusals.rejected_commands > 100
+    assert aircraft.link.downlink.rejected_commands > 100
     aircraft.turns(60)
     assert any("a recording begun by command lasts at least 10 s" in t for t in aircraft.texts())
     aircraft.link.close()
@@ -386,7 +385,7 @@ def test_marks_at_radio_speed_stay_few_and_a_refused_one_may_be_repeated() -> No
     limits = LinkLimits()
     accepted = len(aircraft.logger.marks)
     assert limits.marks_at_once <= accepted <= limits.marks_at_once + 8 * limits.marks_per_s + 1
-    assert aircraft.link.downlink.refusals.rejected_commands >= 400 - accepted
+    assert aircraft.link.downlink.rejected_commands >= 400 - accepted
     assert c.TEMPORARILY_REJECTED in aircraft.acknowledged(c.EVENT_MARK)
     assert any("more than 1 marks a second" in t for t in aircraft.texts())
     aircraft.turns(40)
@@ -458,12 +457,12 @@ def test_of_many_kinds_of_refusals_some_are_told_and_all_are_counted() -> None:
     for i in range(100):
         refusals.note(f"refused {i}")
     refusals.note("refused 0")
-    refusals.tell(0)
+    refusals.report(0)
     assert texts == ["refused 0 (and 1 more)", "refused 1", "refused 2 (and 97 more)"]
     refusals.note("refused 0")
-    refusals.tell(4 * NS)
+    refusals.report(4 * NS)
     assert len(texts) == 3
-    refusals.tell(5 * NS)
+    refusals.report(5 * NS)
     assert texts[3:] == ["refused 0"]
 
 

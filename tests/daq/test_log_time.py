@@ -9,10 +9,11 @@ import pytest
 from mcap.reader import make_reader
 
 from daq.clock import NS, SimulatedClock
-from daq.contract.recordings.accounting import recover, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.messages import EventMessage, LogLevel
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import LogTime, RecordingWriter
+from daq.contract.recordings.recovery import recover
 from daq.contract.scan import Scan, encode_scan
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
@@ -41,7 +42,7 @@ def record(folder: Path, system_utc_ns: int, gps: Any, scans: int = SCANS) -> li
     for n in range(scans):
         clock.sleep_until(n * PERIOD_NS)
         recorder.scan(scan_of(n, gps(n)))
-    recorder.event(EventMessage(scans * PERIOD_NS, 0, scans - 1, "switch", "mark"))
+    recorder.message(EventMessage(scans * PERIOD_NS, 0, scans - 1, "switch", "mark"))
     recorder.close()
     return sorted(folder.glob("*.mcap"))
 

@@ -15,10 +15,11 @@ from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.messages import EventMessage, LogLevel, Statistics
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.logger import Control, Logger, Opening
+from daq.logger import Logger, Opening
 from daq.recorder.config import RecorderConfig
+from daq.recorder.counts import LoopTiming
 from daq.recorder.recorder import Recorder
-from daq.recorder.timing import LoopTiming
+from daq.telemetry.control import Control
 from tests.daq.synthetic import START_UTC_NS, make_info
 
 

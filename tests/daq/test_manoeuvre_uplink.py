@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.actuation.servos import ServoManoeuvre, plan_of
-from daq.contract import manoeuvre_wire as wire
+from daq.contract.link import manoeuvre_wire as wire
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.contract.sequencing import State
 from daq.telemetry.manoeuvre_inbox import ManoeuvreInbox
@@ -214,9 +214,9 @@ def test_any_fragments_are_answered_and_hold_little(shower: list[dict[str, objec
     inbox, logger = ManoeuvreInbox(lambda severity, text: said.append(text)), FakeLogger()
     logger.weigh = Deck().weigh
     for fields in shower:
-        inbox.take(fields, logger)
+        inbox.receive(fields, logger)
         inbox.service(logger)
-        assert len(inbox._pieces) <= wire.MOST_FRAGMENTS
+        assert len(inbox._fragments) <= wire.MOST_FRAGMENTS
     inbox.close()
 
 

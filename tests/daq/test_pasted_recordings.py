@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.recordings.accounting import recover
-from daq.contract.recordings.apart import sessions_apart
 from daq.contract.recordings.mcap_records import CHUNK
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingWriter, scan_entry
+from daq.contract.recordings.recovery import recover
+from daq.contract.recordings.segments import sessions_apart
 from daq.contract.scan import encode_scan
 from tests.daq.synthetic import make_info, make_scan
 

@@ -204,7 +204,7 @@ def test_events_details_and_log_lines_are_recorded(tmp_path: Path) -> None:
         clock.sleep_until(n * PERIOD_NS)
         recorder.scan(make_scan(n))
         if n == 60:
-            recorder.event(event)
+            recorder.message(event)
             recorder.log(LogLevel.WARNING, "imu", "spike")
             recorder.detail({"nvm bmp390": "00ff"})
     recorder.close()

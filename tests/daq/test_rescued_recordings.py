@@ -10,10 +10,13 @@ import pytest
 import zstandard
 
 from daq import commands
-from daq.contract.recordings.accounting import info_mcap, recover, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.mcap_records import ATTACHMENT_INDEX, CHUNK, METADATA_INDEX, STATISTICS, SUMMARY_OFFSET
-from daq.contract.recordings.reading import read_parts, read_recording, read_recordings, read_segment
+from daq.contract.recordings.reading import read_recording, read_recordings
 from daq.contract.recordings.recording import LogTime, RecordingError, RecordingWriter
+from daq.contract.recordings.recovery import recover
+from daq.contract.recordings.segments import read_parts
+from daq.contract.recordings.summary import info_mcap
 from daq.contract.scan import encode_scan
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.receiver.kept.recording import ReceivedWriter
@@ -48,7 +51,7 @@ def chunks(data: bytes) -> list[int]:
 
 
 def numbers(path: Path) -> list[int]:
-    return sorted(e.sequence for e in read_segment(path).entries if e.topic == "/scan")
+    return sorted(e.sequence for part in read_parts(path) for e in part.entries if e.topic == "/scan")
 
 
 # ------------------------------------------------------------------------------------------------- altered codes
@@ -77,7 +80,7 @@ def test_messages_that_have_no_seal_are_not_lost_either(code: int, tmp_path: Pat
     data = path.read_bytes()
     at = chunks(data)[0]
     path.write_bytes(data[:at] + bytes([code]) + data[at + 1 :])
-    assert read_segment(path).foreign == {"/link": 20}
+    assert [part.foreign for part in read_parts(path)] == [{"/link": 20}]
 
 
 # ------------------------------------------------------------------------------------------------- sectors
@@ -211,7 +214,7 @@ def test_two_segments_of_a_session_in_one_file_are_one_recording(tmp_path: Path)
     recording = read_recording(joined)
     assert recording.numbers == list(range(100))
     assert len(recording.segments) == 2
-    assert read_segment(joined).sound
+    assert all(part.sound for part in read_parts(joined))
     assert verify(joined).ok
 
 

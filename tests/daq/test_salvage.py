@@ -13,9 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from daq.contract.recordings.accounting import recover, verify
-from daq.contract.recordings.reading import read_recording, read_segment
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError
+from daq.contract.recordings.recovery import recover
+from daq.contract.recordings.segments import read_parts
 from daq.contract.scan import encode_scan
 from tests.daq.synthetic import PER_CHUNK, SCANS, make_scan
 
@@ -64,7 +66,7 @@ def check_damaged(data: bytes, path: Path, *, compressed: bool = False) -> None:
     """All promises for one damaged file."""
     path.write_bytes(data)
     try:
-        segment = read_segment(path)
+        (segment,) = read_parts(path)
     except RecordingError:
         assert not any(e in data for e in encoded().values())
         return
@@ -127,7 +129,7 @@ def test_identity_survives_damage_to_its_metadata(plain: bytes, tmp_path: Path) 
     damaged[plain.index(b"simulated")] ^= 1
     path = tmp_path / "x_000.mcap"
     path.write_bytes(damaged)
-    segment = read_segment(path)
+    (segment,) = read_parts(path)
     assert segment.info is not None
     assert segment.info.source == "simulated", "the copy among the attachments must be used"
     assert not segment.sound

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from daq.contract.constants import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.telemetry.config import DisplayConfig, DownlinkConfig
 from daq.telemetry.display import WindMean, calibrated_airspeed, standard_density
@@ -72,7 +73,7 @@ def shown(about: StandardMessages, name: str, *scans: Scan) -> dict[str, Any] | 
 
 @pytest.mark.parametrize("speed", [0.0, 5.0, 15.0, 40.0, 200.0])
 def test_airspeed_is_that_of_the_ground_s_calibration(speed: float) -> None:
-    pressure = air_data.impact_pressure(speed, air_data.SEA_LEVEL_PRESSURE, air_data.SEA_LEVEL_TEMPERATURE)
+    pressure = air_data.impact_pressure(speed, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE)
     assert calibrated_airspeed(pressure) == pytest.approx(speed, abs=1e-6)
     assert calibrated_airspeed(-pressure) == 0.0
 

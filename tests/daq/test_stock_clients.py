@@ -173,7 +173,7 @@ def test_messages_asked_for_come_and_others_are_refused(session: Session) -> Non
         assert ask(m.MAV_CMD_REQUEST_MESSAGE, number) == m.MAV_RESULT_UNSUPPORTED
     # WIND_COV, which cannot be known here
     assert ask(m.MAV_CMD_REQUEST_MESSAGE, 231) == m.MAV_RESULT_TEMPORARILY_REJECTED
-    assert session.link.downlink.refusals.rejected_commands == 0
+    assert session.link.downlink.rejected_commands == 0
 
 
 def test_missions_files_and_unknown_parameters_are_refused_in_words_of_the_protocol(session: Session) -> None:

@@ -143,7 +143,7 @@ def test_with_a_key_unsigned_and_badly_signed_commands_do_nothing_and_are_report
     rig.ground.commander.stop_recording(1)
     at_rest(rig)
     assert rig.logger.stops == 1
-    assert rig.link.downlink.refusals.rejected_frames == 2
+    assert rig.link.downlink.rejected_frames == 2
     rig.close()
 
 

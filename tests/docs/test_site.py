@@ -79,4 +79,5 @@ def test_every_page_is_in_the_contents() -> None:
     docs = ROOT / "docs"
     pages = {path.relative_to(docs).with_suffix("").as_posix() for path in docs.rglob("*.md")} - {"index"}
     assert pages == listed & pages
-    assert not {name for name in listed if not (ROOT / "docs" / f"{name}.md").is_file()}
+    generated = {"effects", "gap-criteria"}  # when the site is built
+    assert not {name for name in listed - generated if not (ROOT / "docs" / f"{name}.md").is_file()}

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from firmware_sim.physics.atmosphere import GRAVITY, air_at, geodetic, pressure_altitude
+from daq.contract.constants import GRAVITY
 from firmware_sim.physics.atmosphere import Site as FlyingSite
+from firmware_sim.physics.atmosphere import air_at, geodetic, pressure_altitude
 from firmware_sim.physics.plant import ARMS, ATTITUDE, POSITION, RATES, RIGID_STATES, THRUST, Commands, Plant
 from tests.firmware_sim.plants import fly, level_state, motion_of, no_air, plain_plant
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES
-from daq.contract.recordings.reading import join, read_segments
+from daq.contract.recordings.reading import join
+from daq.contract.recordings.segments import read_segments
 from daq.contract.scan import GroupStatus, Scan, SensorState, encode_scan
 from daq.telemetry.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
 from daq.telemetry.config import DownlinkConfig

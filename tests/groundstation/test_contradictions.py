@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from daq.contract.constants import GRAVITY
 from groundstation.flight import Flight, Provenance, read_flight
 from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
-from groundstation.flight.contradictions.fits import GRAVITY
 from tests.groundstation.turning import RHO, Columns, turning_flight
 
 

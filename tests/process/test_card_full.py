@@ -9,7 +9,8 @@ import pytest
 
 from daq.clock import SimulatedClock
 from daq.contract.recordings.accounting import verify
-from daq.contract.recordings.reading import read_recording, read_segment
+from daq.contract.recordings.reading import read_recording
+from daq.contract.recordings.segments import read_parts
 from daq.contract.scan import encode_scan
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
@@ -52,7 +53,7 @@ def found(*directories: Path) -> dict[int, bytes]:
     scans: dict[int, bytes] = {}
     for directory in directories:
         for path in directory.glob("*.mcap"):
-            scans |= {e.sequence: e.data for e in read_segment(path).entries if e.topic == "/scan"}
+            scans |= {e.sequence: e.data for part in read_parts(path) for e in part.entries if e.topic == "/scan"}
     assert all(data == encode_scan(make_scan(n)) for n, data in scans.items())
     return scans
 

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.recordings.accounting import recover, verify
+from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
+from daq.contract.recordings.recovery import recover
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = 4.0

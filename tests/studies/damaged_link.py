@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.recordings.reading import join, read_segments
+from daq.contract.recordings.reading import join
+from daq.contract.recordings.segments import read_segments
 from daq.contract.scan import encode_scan
 from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
 from groundstation.receiver.link_config import LinkConfig

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq.contract.recordings.accounting import verify
-from daq.contract.recordings.reading import read_recording, read_segment
+from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError
+from daq.contract.recordings.segments import read_parts
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 
@@ -88,7 +89,7 @@ def _row(
         path.write_bytes(damaged)
         intact += sum(1 for d in truth.values() if d in damaged)
         try:
-            segment = read_segment(path)
+            (segment,) = read_parts(path)
             result = verify(path)
         except RecordingError:
             continue

@@ -20,9 +20,8 @@ import numpy as np
 
 from estimation.gap.answer.result import GapResult
 from estimation.gap.criteria import AS_SET
-from estimation.gap.effects.catalogue import BUILT_IN, LONGITUDINAL
-from estimation.gap.effects.cross_axis import CROSS_AXIS
-from estimation.gap.tests_of_fit.hypotheses import one_sided
+from estimation.gap.effects.catalogue import plane
+from estimation.gap.significance.screen import one_sided
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -82,7 +81,7 @@ SUBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str
 """Model -> effects, effects outside the catalogue, pairs, manoeuvres."""
 ONE_SIDED = frozenset(
     e.name
-    for e in (*BUILT_IN, *LONGITUDINAL, *CROSS_AXIS)
+    for e in (*plane("lateral"), *plane("longitudinal"), *plane("across_axes"))
     if e.forms
     and all(not isinstance(p.none, str) and one_sided(p, p.none, AS_SET) for f in e.forms for p in f.parameters)
 )

@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.contract.errors import UserError
 from estimation.gap.effects import catalogue
-from estimation.gap.search.search_state import Options
+from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

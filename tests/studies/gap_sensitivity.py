@@ -21,8 +21,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from docs.generated_pages import SENSITIVITY
 from estimation.gap.criteria import AS_SET, Criteria, Criterion
-from estimation.gap.pages.criteria_page import SENSITIVITY
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from estimation.aircraft import Aircraft, PriorDerivative, load_aircraft
-from estimation.gap.search.search_state import Options
+from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
 from tests.studies import second_truth as truth

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from daq.clock import SimulatedClock
-from daq.contract.recordings.reading import join, read_segments
+from daq.contract.recordings.reading import join
+from daq.contract.recordings.segments import read_segments
 from daq.telemetry.config import DownlinkConfig
 from daq.transport.ports import memory_pair
 from groundstation.live.config import GroundConfig

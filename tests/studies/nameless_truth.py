@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
+from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from tests.studies import second_truth as truth
@@ -99,16 +99,16 @@ def one(
     }
 
 
-def said(shape: ShapeCurve | Late | Swinging | Happened | HeldInstrument | None) -> str:
+def said(shape: ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | None) -> str:
     """A shape in few words."""
     if isinstance(shape, ShapeCurve):
         return f"{shape.output} by {' times '.join(shape.variables)}" + (
             f"; {shape.analytic}" if shape.analytic else ""
         )
-    if isinstance(shape, Late):
-        return f"{shape.output} late after {shape.variable} ({shape.time:g} s)"
-    if isinstance(shape, Swinging):
-        return f"{shape.output} swings at {shape.frequency:.2g} rad/s"
+    if isinstance(shape, LaggedTerm):
+        return f"{shape.line} late after {shape.variable} ({shape.time:g} s)"
+    if isinstance(shape, SwingingTerm):
+        return f"{shape.line} swings at {shape.frequency:.2g} rad/s"
     if isinstance(shape, Happened):
         return "; ".join(dict.fromkeys(f"{e.what} {e.channel} {e.start:.1f} s" for e in shape.events))
     if isinstance(shape, HeldInstrument):

@@ -18,8 +18,8 @@ import numpy as np
 
 from estimation.gap.answer.result import GapResult
 from estimation.gap.effects import catalogue
-from estimation.gap.run import analyse
-from estimation.gap.search.search_state import Options
+from estimation.gap.search.state import Options
+from estimation.gap.workflow import run_gap
 from estimation.models.load import write_model
 from estimation.simulation.attach import attach, simulation_of
 from estimation.simulation.conversion import ProvedExport, export_to_jsbsim
@@ -120,9 +120,7 @@ def run(case: Case, seed: int, nulls: int, rate: float, folder: Path) -> Outcome
     begin = time.process_time()
     told = attach(case.simulation, case.model, [flight(f, f"f{i}") for i, f in enumerate(asked)])
     options = Options(seed=seed, nulls=nulls)
-    result = analyse(
-        told.model, told.training(3), told.holdout(3), catalogue(model=told.model), options, lambda what, share: None
-    )
+    result = run_gap(told.model, told.training(3), told.holdout(3), catalogue(model=told.model), options)
     if not result.steps or result.steps[0].effect == "unknown":
         return Outcome(result, None, np.nan, time.process_time() - begin)
     write_model(result.model_after, folder / "child.toml")

@@ -46,5 +46,5 @@ def pitot_zero_text(count: float, scans: int) -> str:
 
 def parse_pitot_zero(text: str) -> float | None:
     """Mean raw count of a pitot zero event; None for any other text."""
-    found = _PITOT_ZERO.fullmatch(text)
-    return float(found[1]) if found else None
+    match = _PITOT_ZERO.fullmatch(text)
+    return float(match[1]) if match else None

@@ -71,32 +71,32 @@ class ScanMap:
 
     def minus(self, other: "ScanMap") -> "ScanMap":
         """Members that `other` does not have."""
-        out = ScanMap()
+        difference = ScanMap()
         for block, word in self._blocks.items():
-            out.set_word(block, word & ~other.word(block))
-        return out
+            difference.set_word(block, word & ~other.word(block))
+        return difference
 
     def both(self, other: "ScanMap") -> "ScanMap":
         """Members that `other` has too."""
-        out = ScanMap()
+        intersection = ScanMap()
         for block, word in self._blocks.items():
-            out.set_word(block, word & other.word(block))
-        return out
+            intersection.set_word(block, word & other.word(block))
+        return intersection
 
     def ranges(self) -> list[tuple[int, int]]:
         """Members as inclusive (first, last) ranges, ascending."""
-        out: list[tuple[int, int]] = []
+        runs: list[tuple[int, int]] = []
         for block in self.blocks():
-            word, at = self._blocks[block], block * BLOCK
+            word, number = self._blocks[block], block * BLOCK
             while word:
                 skip = (word & -word).bit_length() - 1
                 word >>= skip
                 run = (~word & (word + 1)).bit_length() - 1
                 word >>= run
-                first = at + skip
-                at = first + run
-                if out and out[-1][1] == first - 1:
-                    out[-1] = (out[-1][0], at - 1)
+                first = number + skip
+                number = first + run
+                if runs and runs[-1][1] == first - 1:
+                    runs[-1] = (runs[-1][0], number - 1)
                 else:
-                    out.append((first, at - 1))
-        return out
+                    runs.append((first, number - 1))
+        return runs

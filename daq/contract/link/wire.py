@@ -124,22 +124,14 @@ class ScanLayout:
     channels: tuple[Channel, ...]
     groups: tuple[str, ...]  # groups whose state and read offset travel in this message
     fields: tuple[WireField, ...]  # in wire order: larger types first, as MAVLink sorts them
-    codec: struct.Struct
-    bits: tuple[Channel, ...]
-    split: Mapping[str, int]  # name of a split quantity -> its bits
-    limits: Mapping[str, tuple[float, float]] = field(repr=False)
-    scalars: Mapping[str, int] = field(repr=False)  # field -> its place in the struct's output
-    arrays: Mapping[str, slice] = field(repr=False)
-    plain: tuple[str, ...] = field(repr=False)  # channels that are one field each
-    pick_plain: Callable[[Sequence[RawValue]], tuple[RawValue, ...]] = field(repr=False)
-    packer: "_Packer" = field(repr=False)
-    unpacker: "_Unpacker" = field(repr=False)
+    packer: _Packer = field(repr=False)
+    unpacker: _Unpacker = field(repr=False)
     table: int = 0  # checksum of the channels of SCAN_LABORATORY
 
     @property
     def size(self) -> int:
         """Payload bytes before trailing zeros are left out."""
-        return self.codec.size
+        return self.packer.codec.size
 
 
 _HEADER = (
@@ -193,37 +185,12 @@ def _layout(
         fields.append(WireField("states", "u8", size, f"sensor state, 3 bits each, of groups {listed}"))
     fields.append(WireField("missing", "u8", _bytes_for(len(channels)), "1: channel has no value; table order"))
     ordered = tuple(sorted(fields, key=lambda f: -_SIZE[f.raw_type]))
-    codec = struct.Struct("<" + "".join(f"{f.count or ''}{_CODE[f.raw_type]}" for f in ordered))
     split = {c.name: _CONVERTER_BITS[c.name] for c in channels if c.name in _CONVERTER_BITS}
     split["time_monotonic_ns"] = _TIME_BITS
     limits = {c.name: _limits(c) for c in channels}
-    scalars, arrays, at = {}, {}, 0
-    for f in ordered:
-        if f.count:
-            arrays[f.name] = slice(at, at + f.count)
-        else:
-            scalars[f.name] = at
-        at += f.count or 1
-    plain = tuple(c.name for c in channels if c.name in scalars)
-    pick = itemgetter(*(scalars[n] for n in plain)) if len(plain) > 1 else _pick_all(tuple(scalars[n] for n in plain))
-    return ScanLayout(
-        msg_id,
-        name,
-        meaning,
-        tuple(channels),
-        tuple(groups),
-        ordered,
-        codec,
-        bits,
-        split,
-        limits,
-        scalars,
-        arrays,
-        plain,
-        pick,
-        _packer(ordered, channels, bits, split, limits, len(groups)),
-        _unpacker(ordered, channels, bits, split, limits, groups),
-    )
+    packer = _packer(ordered, channels, bits, split, limits, len(groups))
+    unpacker = _unpacker(ordered, channels, bits, split, limits, groups)
+    return ScanLayout(msg_id, name, meaning, tuple(channels), tuple(groups), ordered, packer, unpacker)
 
 
 def _unpacker(
@@ -234,14 +201,14 @@ def _unpacker(
     limits: Mapping[str, tuple[float, float]],
     groups: Sequence[str],
 ) -> _Unpacker:
-    places, at, codes = {}, 0, []
+    places, place, codes = {}, 0, []
     for f in fields:
-        places[f.name] = at
+        places[f.name] = place
         as_bytes = f.count and f.raw_type == "u8"
         codes.append(f"{f.count}s" if as_bytes else f"{f.count or ''}{_CODE[f.raw_type]}")
-        at += f.count if f.count and not as_bytes else 1
-    plain = tuple(c.name for c in channels if c.name in places)
-    where = tuple(places[n] for n in plain)
+        place += f.count if f.count and not as_bytes else 1
+    names = tuple(c.name for c in channels if c.name in places)
+    name_places = tuple(places[n] for n in names)
     parts: list[tuple[str, tuple[tuple[int, int], ...], int, int]] = []
     for name, size in split.items():
         shift, pieces = 0, []
@@ -252,8 +219,10 @@ def _unpacker(
         parts.append((name, tuple(pieces), 1 << (size - 1) if signed else 0, 1 << size))
     return _Unpacker(
         codec=struct.Struct("<" + "".join(codes)),
-        names=plain,
-        pick=itemgetter(*where) if len(where) > 1 else _pick_all(where),
+        names=names,
+        pick=itemgetter(*name_places)
+        if len(name_places) > 1
+        else lambda numbers: tuple(numbers[i] for i in name_places),
         split=tuple(parts),
         bits=tuple((c.name, i) for i, c in enumerate(bits)),
         channels=tuple((c.name, i) for i, c in enumerate(channels)),
@@ -292,87 +261,82 @@ def _packer(
     )
 
 
-def _pick_all(places: tuple[int, ...]) -> Callable[[Sequence[RawValue]], tuple[RawValue, ...]]:
-    """What `itemgetter` would be for fewer than two places."""
-    return lambda numbers: tuple(numbers[i] for i in places)
-
-
 @cache
 def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, ScanLayout]:
     """The packed scan messages of a channel table, by message id."""
-    own = [c for c in channels if c.downlink != "none" and c.package]
-    sent = [c for c in channels if c.downlink != "none" and not c.package]
-    fast = [c for c in sent if c.downlink == "fast"]
-    slow = [c for c in sent if c.downlink == "slow" and c.rate is Rate.SCAN]
-    rare = [c for c in sent if c.downlink == "slow" and c.rate is Rate.SLOW]
+    laboratory_channels = [c for c in channels if c.downlink != "none" and c.package]
+    standard_channels = [c for c in channels if c.downlink != "none" and not c.package]
+    fast = [c for c in standard_channels if c.downlink == "fast"]
+    slow = [c for c in standard_channels if c.downlink == "slow" and c.rate is Rate.SCAN]
+    rare = [c for c in standard_channels if c.downlink == "slow" and c.rate is Rate.SLOW]
     # A group's state and offset travel with the most frequent message that has a channel of it.
     groups: list[list[str]] = []
-    seen: set[str] = set()
+    placed_groups: set[str] = set()
     for part in (fast, slow, rare):
-        groups.append(list(dict.fromkeys(c.group for c in part if c.group not in seen)))
-        seen.update(groups[-1])
+        groups.append(list(dict.fromkeys(c.group for c in part if c.group not in placed_groups)))
+        placed_groups.update(groups[-1])
     texts = (
         "One scan: the channels sent at the full downlink rate.",
         "One scan: slowly varying channels and the rest of its header.",
         "One scan: channels renewed less often than scans.",
     )
-    made = (
+    standard = (
         _layout(SCAN_FAST_ID, "SCAN_FAST", texts[0], (), fast, groups[0]),
         _layout(SCAN_SLOW_ID, "SCAN_SLOW", texts[1], _REST_OF_HEADER, slow, groups[1]),
         _layout(SCAN_RARE_ID, "SCAN_RARE", texts[2], (), rare, groups[2]),
     )
-    laboratory = (_laboratory_layout(own, seen),) if own else ()
-    return {layout.msg_id: layout for layout in (*made, *laboratory)}
+    laboratory = (_laboratory_layout(laboratory_channels, placed_groups),) if laboratory_channels else ()
+    return {layout.msg_id: layout for layout in (*standard, *laboratory)}
 
 
 def _laboratory_layout(channels: Sequence[Channel], seen: Iterable[str]) -> ScanLayout:
     """SCAN_LABORATORY; UserError when it would be too long for a frame."""
     text = "One scan: the channels that laboratory packages bring."
     groups = list(dict.fromkeys(c.group for c in channels if c.group not in set(seen)))
-    made = _layout(SCAN_LABORATORY_ID, "SCAN_LABORATORY", text, _WHICH_TABLE, channels, groups)
-    if made.size > MAX_LABORATORY_PAYLOAD:
+    layout = _layout(SCAN_LABORATORY_ID, "SCAN_LABORATORY", text, _WHICH_TABLE, channels, groups)
+    if layout.size > MAX_LABORATORY_PAYLOAD:
         raise UserError(
-            f"the channels of laboratory packages take {made.size} bytes of a frame, {MAX_LABORATORY_PAYLOAD} at most can be"
+            f"the channels of laboratory packages take {layout.size} bytes of a frame, {MAX_LABORATORY_PAYLOAD} at most can be"
             ' sent down; set downlink = "none" for some of them in channels.toml'
         )
     rows = [(c.name, c.group, c.raw_type) for c in channels]
-    return replace(made, table=zlib.crc32(repr(rows).encode()) & 0xFFFF)
+    return replace(layout, table=zlib.crc32(repr(rows).encode()) & 0xFFFF)
 
 
 def pack_scan(layout: ScanLayout, scan: Scan, boot: int) -> bytes:
     """The payload of one packed message of a scan; never raises for values a Scan can hold."""
     packer = layout.packer
-    found = dict(packer.blank)
-    found["boot"], found["number"], found["time_monotonic_ns"] = boot, scan.number, scan.time_monotonic_ns
-    unfit = _pack_groups(layout, scan.groups, found)
+    fields = dict(packer.blank)
+    fields["boot"], fields["number"], fields["time_monotonic_ns"] = boot, scan.number, scan.time_monotonic_ns
+    unfit = _pack_groups(layout, scan.groups, fields)
     values, missing = scan.values, 0
     for bit, name, group, low, high in packer.channels:
         value = values.get(name)
         if value is None or group in unfit or not low <= value <= high:
             missing |= bit
         else:
-            found[name] = value
-    found["missing"] = missing.to_bytes(_bytes_for(len(packer.channels)), "little")
+            fields[name] = value
+    fields["missing"] = missing.to_bytes(_bytes_for(len(packer.channels)), "little")
     if packer.bits:
-        word = sum(bit for bit, name in packer.bits if found.get(name))
-        found["bits"] = word.to_bytes(_bytes_for(len(packer.bits)), "little")
+        word = sum(bit for bit, name in packer.bits if fields.get(name))
+        fields["bits"] = word.to_bytes(_bytes_for(len(packer.bits)), "little")
     for name, bits, parts in packer.split:
-        word = int(found.get(name, 0)) % 2**bits
+        word = int(fields.get(name, 0)) % 2**bits
         for part, size in parts:
-            found[part] = word & (1 << size) - 1
+            fields[part] = word & (1 << size) - 1
             word >>= size
     if layout.msg_id == SCAN_LABORATORY_ID:
-        found["table"] = layout.table
+        fields["table"] = layout.table
     elif layout.msg_id == SCAN_SLOW_ID:
-        found["time_utc_ns"], found["utc_accuracy_ns"] = scan.time_utc_ns, scan.utc_accuracy_ns
-        found["lateness_us"] = scan.lateness_us
-    return packer.codec.pack(*packer.pick(found))
+        fields["time_utc_ns"], fields["utc_accuracy_ns"] = scan.time_utc_ns, scan.utc_accuracy_ns
+        fields["lateness_us"] = scan.lateness_us
+    return packer.codec.pack(*packer.pick(fields))
 
 
 def _pack_groups(
-    layout: ScanLayout, groups: Mapping[str, GroupStatus], found: dict[str, RawValue | bytes]
+    layout: ScanLayout, groups: Mapping[str, GroupStatus], fields: dict[str, RawValue | bytes]
 ) -> Sequence[str]:
-    """Put states and offsets into `found`; returns the groups whose offset does not fit."""
+    """Put states and offsets into `fields`; returns the groups whose offset does not fit."""
     if not layout.groups:
         return ()
     states, shift = 0, 0
@@ -388,8 +352,8 @@ def _pack_groups(
                 unfit.append(group)
         offsets.append(offset)
         shift += _STATE_BITS
-    found["offset_us"] = layout.packer.offsets.pack(*offsets)
-    found["states"] = states.to_bytes(_bytes_for(shift), "little")
+    fields["offset_us"] = layout.packer.offsets.pack(*offsets)
+    fields["states"] = states.to_bytes(_bytes_for(shift), "little")
     return unfit
 
 
@@ -412,18 +376,18 @@ def unpack_scan(layout: ScanLayout, payload: bytes) -> ScanPart:
 
     Raises ValueError for a payload of the wrong length or mark: a frame made from another channel table.
     """
-    if len(payload) != layout.codec.size:
-        raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {layout.codec.size}")
     u = layout.unpacker
+    if len(payload) != u.codec.size:
+        raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {u.codec.size}")
     numbers = u.codec.unpack(payload)
     if u.table >= 0 and numbers[u.table] != layout.table:
         raise ValueError(f"{layout.name} is of another table of laboratory channels")
     values = dict(zip(u.names, u.pick(numbers), strict=True))
-    for name, parts, half, whole in u.split:
+    for name, parts, half, span in u.split:
         word = 0
         for place, shift in parts:
             word |= numbers[place] << shift
-        values[name] = word - whole if half and word >= half else word
+        values[name] = word - span if half and word >= half else word
     time_ns = values.pop("time_monotonic_ns")
     if u.in_bits >= 0:
         word = int.from_bytes(numbers[u.in_bits], "little")
@@ -439,8 +403,8 @@ def unpack_scan(layout: ScanLayout, payload: bytes) -> ScanPart:
         states = int.from_bytes(numbers[u.states], "little")
         for group, offset in zip(u.groups, numbers[u.offsets], strict=True):
             if offset != NOT_IN_SCAN:
-                given = _STATES[states & 7], 0 if offset == UNFIT_OFFSET else offset
-                groups[group] = _new_tuple(GroupStatus, given)
+                state_and_offset = _STATES[states & 7], 0 if offset == UNFIT_OFFSET else offset
+                groups[group] = _new_tuple(GroupStatus, state_and_offset)
             states >>= _STATE_BITS
     rest = [numbers[place] for place in u.rest] if u.rest else _NO_REST
     return _new_tuple(ScanPart, (layout.msg_id, numbers[u.boot], numbers[u.number], time_ns, values, groups, *rest))
@@ -454,13 +418,13 @@ _new_tuple: Callable[..., Any] = tuple.__new__
 
 def join_parts(parts: Iterable[ScanPart]) -> Scan:
     """One scan from the parts of it that arrived; all of the same number and boot."""
-    first, *others = parts
-    if not others and first.msg_id != SCAN_SLOW_ID:
+    first, *later_parts = parts
+    if not later_parts and first.msg_id != SCAN_SLOW_ID:
         return Scan(first.number, first.time_monotonic_ns, groups=first.groups, values=first.values)
     groups: dict[str, GroupStatus] = {}
     values: dict[str, RawValue] = {}
     utc = accuracy = lateness = 0
-    for part in (first, *others):
+    for part in (first, *later_parts):
         groups.update(part.groups)
         values.update(part.values)
         if part.msg_id == SCAN_SLOW_ID:

@@ -1,4 +1,4 @@
-"""Does a recording hold every scan it should? Verification, recovery, and the summary `info` prints.
+"""Does a recording hold every scan it should?
 
 The books: scan numbers run from the first to the last slot the logger used. Each number is present, or the logger
 itself said that it is absent (dropped, lost, or missed), or it lies in a damaged stretch or after the last flush.
@@ -6,25 +6,22 @@ itself said that it is absent (dropped, lost, or missed), or it lies in a damage
 Several sessions in one file are accounted for one by one.
 """
 
-import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import make_directories, replacing
-from daq.contract.plain_words import visible
 from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
-from daq.contract.recordings.reading import Recording, RecordingWalk, by_session, join, read_segments
-from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter, utc_of
+from daq.contract.recordings.reading import Recording, by_session, join
 from daq.contract.recordings.salvage import Damage
-from daq.contract.recordings.summary import info_mcap
+from daq.contract.recordings.segments import RecordingWalk, read_segments
 
-__all__ = ["Recovery", "Verification", "info_mcap", "recover", "verify", "verify_recording", "verify_segments"]
+LOST_TO_DAMAGE = "lost_to_damage"
 
-_LOST_TO_DAMAGE = "lost_to_damage"
+
+COUNTS = ("scans", "written", "dropped", "lost", "missed", "slots")
 
 
 @dataclass(frozen=True)
@@ -54,20 +51,14 @@ class Verification:
     sessions: tuple[tuple[str, "Verification"], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `verify --json`."""
-        many = len({p for p, _ in self.damages}) > 1
+        several_files = len({p for p, _ in self.damages}) > 1
         return {
             "ok": self.ok,
-            "scans": self.scans,
-            "written": self.written,
-            "dropped": self.dropped,
-            "lost": self.lost,
-            "missed": self.missed,
-            "slots": self.slots,
+            **{n: getattr(self, n) for n in COUNTS},
             "missing": [list(r) for r in self.missing],
             "unexplained": [list(r) for r in self.unexplained],
             "damaged": [
-                {"at_byte": d.at_byte, "what": d.what, "length": d.length} | ({"file": str(p)} if many else {})
+                {"at_byte": d.at_byte, "what": d.what, "length": d.length} | ({"file": str(p)} if several_files else {})
                 for p, d in self.damages
             ],
             "closed": self.closed,
@@ -82,20 +73,14 @@ def verify(path: str | Path) -> Verification:
 
     Raises RecordingError when there is no recording to check.
     """
-    path = Path(path)
-    return verify_segments(path, read_segments(path))
+    return verify_segments(Path(path), read_segments(path))
 
 
 def verify_segments(path: Path, segments: list[RecordingWalk]) -> Verification:
     """`verify` of segments that have been walked through already."""
-    if path.is_dir() or len(segments) == 1:
-        groups = [segments]
-    else:
-        groups = list(by_session(segments).values())
-    found = [_verify_group(path, g) for g in groups]
-    if len(found) == 1:
-        return found[0][1]
-    return _together(found)
+    groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
+    verifications = [_verify_group(path, g) for g in groups]
+    return verifications[0][1] if len(verifications) == 1 else _summed(verifications)
 
 
 def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verification]:
@@ -105,25 +90,19 @@ def _verify_group(path: Path, segments: list[RecordingWalk]) -> tuple[str, Verif
     return recording.info.session, verify_recording(recording)
 
 
-def _together(found: Sequence[tuple[str, Verification]]) -> Verification:
+def _summed(verifications: Sequence[tuple[str, Verification]]) -> Verification:
     """The sessions of one file: sums, and each for itself."""
-    parts = [v for _, v in found]
-    said = "; ".join(f"session {name}: {v.text}" for name, v in found)
+    parts = [v for _, v in verifications]
+    texts = "; ".join(f"session {name}: {v.text}" for name, v in verifications)
+    ranges_and_files = ("missing", "unexplained", "damages", "given_up")
+    fields: dict[str, Any] = {n: tuple(r for v in parts for r in getattr(v, n)) for n in ranges_and_files}
     return Verification(
         ok=all(v.ok for v in parts),
-        scans=sum(v.scans for v in parts),
-        slots=sum(v.slots for v in parts),
-        written=sum(v.written for v in parts),
-        dropped=sum(v.dropped for v in parts),
-        lost=sum(v.lost for v in parts),
-        missed=sum(v.missed for v in parts),
-        missing=tuple(r for v in parts for r in v.missing),
-        unexplained=tuple(r for v in parts for r in v.unexplained),
-        damages=tuple(d for v in parts for d in v.damages),
+        **{n: sum(getattr(v, n) for v in parts) for n in COUNTS},
+        **fields,
         closed=all(v.closed for v in parts),
-        text=f"{len(found)} sessions in one file; {said}",
-        given_up=tuple(p for v in parts for p in v.given_up),
-        sessions=tuple(found),
+        text=f"{len(verifications)} sessions in one file; {texts}",
+        sessions=tuple(verifications),
     )
 
 
@@ -131,25 +110,21 @@ def verify_recording(recording: Recording) -> Verification:
     """Check a recording that has been walked through."""
     numbers = recording.numbers
     books = recording.last_statistics
-    whole_session = _is_whole(recording)
-    first, end = _span(numbers, books, whole_session)
+    first, end = _span(numbers, books, {s.info.segment for s in recording.segments if s.info})
     missing = subtract([(first, end - 1)], ranges(numbers))
-    not_told = subtract(missing, books.absent if books else ())
-    unexplained = subtract(not_told, _lost_before(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
+    unreported = subtract(missing, books.absent if books else ())
+    unexplained = subtract(unreported, _lost_before(recording.info.details.get(LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
-    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not _goes_on(
-        recording, books
-    )
-    gaps_expected = recording.info.role == "received"
+    role = recording.info.role
+    # a session's directory may end with a file closed in order after which the logger had begun, or meant, another
+    goes_on = recording.path.is_dir() and role == "onboard" and books is not None and not books.final
+    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not goes_on
+    gaps_expected = role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
-    dropped, lost, missed = _counts(books, count(missing) - count(not_told))
+    dropped, lost, missed = _counts(books, count(missing) - count(unreported))
     written = len(numbers) + count(unexplained)
-    lost += count(not_told) - count(unexplained)
-    text = _sentence(recording, ok, numbers, missing, unexplained, damages, closed)
-    if given_up:
-        names = ", ".join(s.path.name for s in given_up)
-        text += f"; {names} given up by the logger after a write error, the recording goes on in the next file"
-    return Verification(
+    lost += count(unreported) - count(unexplained)
+    verification = Verification(
         ok,
         len(numbers),
         end - first,
@@ -161,38 +136,27 @@ def verify_recording(recording: Recording) -> Verification:
         unexplained=unexplained,
         damages=damages,
         closed=closed,
-        text=text,
+        text="",
         given_up=tuple(s.path for s in given_up),
     )
-
-
-def _is_whole(recording: Recording) -> bool:
-    """Whether all segments from the first to the one with the last books are here."""
-    present = {s.info.segment for s in recording.segments if s.info}
-    return bool(present) and min(present) == 0 and max(present) == len(present) - 1
+    return replace(verification, text=_sentence(recording, verification))
 
 
 def _lost_before(text: str) -> list[Range]:
     """Numbers that an earlier recovery could not save, as its recording states them; none where it states nothing usable."""
     try:
-        stated = json.loads(text)
-        return [(int(first), int(last)) for first, last in stated]
+        ranges_text = json.loads(text)
+        return [(int(first), int(last)) for first, last in ranges_text]
     except (ValueError, TypeError, OverflowError, RecursionError):
         return []
 
 
-def _goes_on(recording: Recording, books: Statistics | None) -> bool:
-    """Whether a session's directory ends with a file closed in order after which the logger had begun, or meant, another."""
-    whole_directory = recording.path.is_dir() and recording.info.role == "onboard"
-    return whole_directory and books is not None and not books.final
-
-
-def _span(numbers: Sequence[int], books: Statistics | None, whole_session: bool) -> Range:
-    """First slot and the slot after the last that the recording should cover."""
+def _span(numbers: Sequence[int], books: Statistics | None, segments: Collection[int]) -> Range:
+    """First slot and the slot after the last that the recording should cover. segments: numbers of those that are here."""
     first, end = (numbers[0], numbers[-1] + 1) if numbers else (0, 0)
     if books is None:
         return first, end
-    if whole_session:
+    if segments and min(segments) == 0 and max(segments) == len(segments) - 1:  # all to the one with the last books
         first = min(first, books.first_number) if numbers else books.first_number
     if books.final or not numbers:
         end = max(end, books.next_number)
@@ -209,40 +173,33 @@ def _counts(books: Statistics | None, absent: int) -> tuple[int, int, int]:
     return absent, 0, 0
 
 
-def _sentence(
-    recording: Recording,
-    ok: bool,
-    numbers: Sequence[int],
-    missing: Sequence[Range],
-    unexplained: Sequence[Range],
-    damages: Sequence[tuple[Path, Damage]],
-    closed: bool,
-) -> str:
-    if not numbers:
-        parts = ["no scan in it"]
-    else:
-        parts = [f"{len(numbers)} scans, {numbers[0]} to {numbers[-1]}"]
-    if not missing:
+def _sentence(recording: Recording, v: Verification) -> str:
+    numbers = recording.numbers
+    parts = [f"{len(numbers)} scans, {numbers[0]} to {numbers[-1]}" if numbers else "no scan in it"]
+    if not v.missing:
         parts.append("none missing")
     elif recording.info.role == "received":
-        parts.append(f"{count(missing)} not received")
+        parts.append(f"{count(v.missing)} not received")
     else:
-        known = count(missing) - count(unexplained)
-        if known:
-            parts.append(f"{known} absent and accounted for")
-        if unexplained:
-            parts.append(f"{count(unexplained)} missing without account: {shown(unexplained)}")
-    if damages:
-        path, worst = damages[0]
-        more = f" and {len(damages) - 1} more" if len(damages) > 1 else ""
-        parts.append(f"damaged at byte {worst.at_byte} of {path.name} ({worst.what}){more}")
-    if not closed:
+        accounted = count(v.missing) - count(v.unexplained)
+        if accounted:
+            parts.append(f"{accounted} absent and accounted for")
+        if v.unexplained:
+            parts.append(f"{count(v.unexplained)} missing without account: {shown(v.unexplained)}")
+    if v.damages:
+        path, first_damage = v.damages[0]
+        rest = f" and {len(v.damages) - 1} more" if len(v.damages) > 1 else ""
+        parts.append(f"damaged at byte {first_damage.at_byte} of {path.name} ({first_damage.what}){rest}")
+    if not v.closed:
         parts.append(
             "not closed in order: at most the time since the last flush is lost, after a power cut since the last sync"
         )
-    if not ok and (damages or not closed):
+    if not v.ok and (v.damages or not v.closed):
         parts.append("'sideslip recover' saves what is intact")
-    return ("sound: " if ok else "not sound: ") + "; ".join(parts)
+    if v.given_up:
+        names = ", ".join(p.name for p in v.given_up)
+        parts.append(f"{names} given up by the logger after a write error, the recording goes on in the next file")
+    return ("sound: " if v.ok else "not sound: ") + "; ".join(parts)
 
 
 def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
@@ -251,85 +208,6 @@ def _verify_foreign(segments: Sequence[RecordingWalk]) -> Verification:
     closed = all(s.closed for s in segments)
     samples = sum(n for s in segments for n in s.foreign.values())
     ok = closed and not damages
-    what = f"{samples} messages, no raw scans"
+    content = f"{samples} messages, no raw scans"
     state = "every checksum holds" if ok else f"damaged at byte {damages[0][1].at_byte} ({damages[0][1].what})"
-    return Verification(ok, samples, samples, samples, 0, 0, 0, (), (), damages, closed, f"{what}; {state}")
-
-
-# ------------------------------------------------------------------------------------------------------- recovery
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What `recover` saved and where the original was damaged. sessions: name, file and scans of each session saved."""
-
-    path: Path
-    recovered: int
-    verification: Verification  # of the damaged original
-    sessions: tuple[tuple[str, Path, int], ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """The JSON object of `recover --json`."""
-        fields = self.verification.to_dict()
-        to = self.path if len(self.sessions) < 2 else ", ".join(f"{p} (session {s}, {n})" for s, p, n in self.sessions)
-        text = f"{self.recovered} scans recovered to {to}; original {self.verification.text}"
-        found: dict[str, Any] = {**fields, "recovered": self.recovered, "out": str(self.path), "text": text}
-        if len(self.sessions) > 1:
-            found["outs"] = [{"session": s, "out": str(p), "recovered": n} for s, p, n in self.sessions]
-        return found
-
-
-def recover(path: str | Path, out: str | Path) -> Recovery:
-    """Write everything in a recording that is surely right to a new, sound recording.
-
-    Of a file that holds several sessions the first is written to `out`, the others beside it as OUT_2.mcap and so on.
-    Raises RecordingError when nothing can be saved, or when `out` exists or is not a .mcap name.
-    """
-    path, out = Path(path), Path(out)
-    if out.suffix != ".mcap":
-        raise RecordingError(f"{out}: name the recovered recording .mcap")
-    if out.exists():
-        raise RecordingError(f"{out}: exists already; name a new file")
-    segments = read_segments(path)
-    recordings = _with_messages(path, segments)
-    outs = [out, *(out.with_stem(f"{out.stem}_{i}") for i in range(2, len(recordings) + 1))]
-    for other in outs[1:]:
-        if other.exists():
-            raise RecordingError(
-                f"{other}: exists already, and {path} holds {len(recordings)} sessions; name another OUT"
-            )
-    for recording, target in zip(recordings, outs, strict=True):
-        _write_recovered(recording, target)
-    saved = tuple((r.info.session, o, len(r.numbers)) for r, o in zip(recordings, outs, strict=True))
-    return Recovery(out, sum(n for *_, n in saved), verify_segments(path, segments), saved)
-
-
-def _with_messages(path: Path, segments: list[RecordingWalk]) -> list[Recording]:
-    """The recordings in a file or directory that hold a message."""
-    groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
-    raw = [g for g in groups if any(s.entries for s in g)]
-    if not raw:
-        join(path, segments)  # says so where it is no raw recording at all
-        raise RecordingError(f"{path}: not a single message in it is intact; there is nothing to recover")
-    return [join(path, g) for g in raw]
-
-
-def _write_recovered(recording: Recording, out: Path) -> None:
-    info = _recovered_info(recording, verify_recording(recording))
-    make_directories(out.parent)
-    with replacing(out) as partial, partial.open("wb") as stream:
-        writer = RecordingWriter(stream, info, log_time=utc_of(recording.entries))
-        for i, entry in enumerate(recording.entries, start=1):
-            writer.write(entry)
-            if i % 1000 == 0:
-                writer.flush()
-        writer.finish()
-
-
-def _recovered_info(recording: Recording, verification: Verification) -> RecordingInfo:
-    origin = "; ".join(
-        f"{visible(p.name)} sha256 {hashlib.sha256(p.read_bytes()).hexdigest()}" for p in recording.files
-    )
-    lost = json.dumps([list(r) for r in verification.unexplained])
-    details = {**recording.info.details, "recovered_from": origin, _LOST_TO_DAMAGE: lost}
-    return replace(recording.info, details=details)
+    return Verification(ok, samples, samples, samples, 0, 0, 0, (), (), damages, closed, f"{content}; {state}")

@@ -67,7 +67,6 @@ class Effort:
         self.checks -= size
 
     def expand(self, size: int) -> None:
-        """Pay for `size` bytes of content."""
         self.content -= size
         if self.content < 0:
             raise Bad(f"it holds more content than {_EXPANSION} times the file: not a recording's")
@@ -122,26 +121,26 @@ def expand_torn(data: memoryview | bytes, effort: Effort) -> tuple[bytes, int]:
     """As much of a zstd frame as can be decompressed, and the bytes it took where the frame is whole (0: it is torn)."""
     import zstandard
 
-    out = bytearray()
+    content = bytearray()
     try:
         effort.check(_TORN_FRAME)
     except Bad:
         return b"", 0
     decoder = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).decompressobj()
     step = 64  # small, for what an error leaves undecoded is lost with its step
-    for at in range(0, len(data), step):
+    for offset in range(0, len(data), step):
         try:
             effort.check(_TORN_STEP * step)
-            piece = decoder.decompress(data[at : at + step])
+            piece = decoder.decompress(data[offset : offset + step])
             effort.expand(len(piece))
         except (zstandard.ZstdError, Bad, MemoryError):
             break
-        out += piece
+        content += piece
         if decoder.eof:
-            return bytes(out), min(len(data), at + step) - len(decoder.unused_data)
-        if len(out) > MAX_CHUNK:
+            return bytes(content), min(len(data), offset + step) - len(decoder.unused_data)
+        if len(content) > MAX_CHUNK:
             break
-    return bytes(out), 0
+    return bytes(content), 0
 
 
 def crc_matches(stated: int, data: memoryview, effort: Effort) -> bool:

@@ -4,21 +4,28 @@ Nothing in the file is executed or believed: the schema in it gives names and nu
 decoded by a message class made here from them.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
-from daq.contract.recordings.claims import MAX_COLUMNS, json_object, table_fits
-from daq.contract.recordings.reading import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk
+from daq.contract.recordings.segments import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk
+from daq.contract.seal import message_class
 
 FLIGHT_SCHEMA = "sideslip.FlightSample"
+MAX_COLUMNS = 4096
+"""Columns of a flight. Ours has 52; a wide log of an autopilot some hundred."""
+_CELLS = 12_000_000
+_CELLS_PER_BYTE = 0.75
+"""Cells a table may have: as many as any file (96 MB), more where the file is larger. A cell takes nine bytes in a row before
+compression, more than one after it where values are measured; absent cells are nearly free, and so they are what is forged."""
 
 
 class FlightRowsError(UserError):
@@ -76,8 +83,8 @@ def _columns(segment: RecordingWalk) -> dict[str, int]:
     except DecodeError as error:
         raise FlightRowsError(f"{segment.path}: the schema of the flight is none ({error})") from error
     package, _, kind = FLIGHT_SCHEMA.partition(".")
-    found = [m for f in files.file if f.package == package for m in f.message_type if m.name == kind]
-    fields = found[0].field if name == FLIGHT_SCHEMA and found else []
+    messages = [m for f in files.file if f.package == package for m in f.message_type if m.name == kind]
+    fields = messages[0].field if name == FLIGHT_SCHEMA and messages else []
     numbers = {f.name: f.number for f in fields}
     usable = all(
         f.type == f.TYPE_DOUBLE
@@ -106,9 +113,7 @@ def _message_class(numbers: Mapping[str, int]) -> Any:
             oneof_index=i,
         )
         message.oneof_decl.add(name=f"_{i}_")
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)  # type: ignore[no-untyped-call]
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("sideslip.Row"))
+    return message_class("sideslip.Row", descriptor_pb2.FileDescriptorSet(file=[file]))
 
 
 def described(segment: RecordingWalk) -> tuple[dict[str, Any], str, str]:
@@ -116,3 +121,26 @@ def described(segment: RecordingWalk) -> tuple[dict[str, Any], str, str]:
     fields = next((m.fields for m in segment.metadata if m.name == FLIGHT_METADATA), {})
     text = fields.get("json", "")
     return json_object(text), text, fields.get("sha256", "")
+
+
+def table_fits(rows: int, columns: int, file_size: int) -> bool:
+    """Whether a file of `file_size` bytes can hold such a table: compressed, a few bytes claim billions of cells."""
+    return columns <= MAX_COLUMNS and rows * columns <= max(_CELLS, _CELLS_PER_BYTE * file_size)
+
+
+def json_object(text: str | bytes) -> dict[str, Any]:
+    """A JSON object; empty for any other text."""
+    try:
+        return as_mapping(json.loads(text))
+    except (ValueError, RecursionError):
+        return {}
+
+
+def as_mapping(value: object) -> dict[str, Any]:
+    """A value of somebody's JSON where an object belongs."""
+    return {str(k): v for k, v in value.items()} if isinstance(value, dict) else {}
+
+
+def as_texts(value: object) -> list[str]:
+    """A value of somebody's JSON where a list of sentences belongs."""
+    return [str(v) for v in value] if isinstance(value, list) else []

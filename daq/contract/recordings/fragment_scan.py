@@ -25,12 +25,12 @@ _LONG_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
 def salvage_region(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     """Messages whose seals hold within a damaged stretch, its compressed parts included."""
     yield from find_sealed(region, effort)
-    behind = 0
+    frame_end = 0
     for match in re.finditer(re.escape(_ZSTD_MAGIC), region):
-        if match.start() < behind:
+        if match.start() < frame_end:
             continue  # within a frame that was whole
-        content, taken = expand_torn(memoryview(region)[match.start() :], effort)
-        behind = match.start() + taken
+        content, frame_bytes = expand_torn(memoryview(region)[match.start() :], effort)
+        frame_end = match.start() + frame_bytes
         yield from _in_content(content, effort)
     for match in re.finditer(re.escape(_ZSTD_MARK), region):
         frame = match.end() + 8
@@ -41,10 +41,10 @@ def salvage_region(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
 
 def _in_content(content: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     """Messages in the content of a torn chunk: record by record as far as it is sound, by their seals from there on."""
-    at = 0
-    while at + _MESSAGE_HEAD <= len(content):
-        opcode, length = _RECORD_HEAD.unpack_from(content, at)
-        begin, end = at + _MESSAGE_HEAD, at + _RECORD_HEAD.size + length
+    offset = 0
+    while offset + _MESSAGE_HEAD <= len(content):
+        opcode, length = _RECORD_HEAD.unpack_from(content, offset)
+        begin, end = offset + _MESSAGE_HEAD, offset + _RECORD_HEAD.size + length
         if end > len(content):
             break
         if opcode == _MESSAGE:
@@ -54,14 +54,14 @@ def _in_content(content: bytes, effort: Effort) -> Iterator[RecordedMessage]:
                 break
             effort.record()
             yield from _entry(topic, data)
-        elif at > _DECLARATIONS:
+        elif offset > _DECLARATIONS:
             break
-        at = end
+        offset = end
     try:
-        effort.search(len(content) - at)
+        effort.search(len(content) - offset)
     except Bad:
         return
-    yield from find_sealed(content[at:], effort)
+    yield from find_sealed(content[offset:], effort)
 
 
 def find_sealed(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
@@ -80,11 +80,11 @@ def find_sealed(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
 def _find_long(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
     from daq.contract.recordings.sealed import REACH
 
-    done = 0
+    last_end = 0
     for match in _LONG_MESSAGE.finditer(region):
-        at = match.start()
-        begin, end = at + _MESSAGE_HEAD, at + _RECORD_HEAD.size + region[at + 1] + 256 * region[at + 2]
-        if at < done or end - begin <= REACH or end > len(region) or region[end - SEAL_SIZE] != SEAL_TAG[0]:
+        head = match.start()
+        begin, end = head + _MESSAGE_HEAD, head + _RECORD_HEAD.size + region[head + 1] + 256 * region[head + 2]
+        if head < last_end or end - begin <= REACH or end > len(region) or region[end - SEAL_SIZE] != SEAL_TAG[0]:
             continue
         try:
             effort.check((end - begin) * len(SCHEMA_OF_TOPIC))
@@ -94,7 +94,7 @@ def _find_long(region: bytes, effort: Effort) -> Iterator[RecordedMessage]:
         for topic in (t for t, schema in SCHEMA_OF_TOPIC.items() if seal_holds(schema, content)):
             effort.record()
             yield from _entry(topic, content)
-            done = end
+            last_end = end
 
 
 def _entry(topic: str, content: bytes) -> Iterator[RecordedMessage]:

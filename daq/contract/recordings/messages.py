@@ -5,23 +5,20 @@ the fields of the well-known schema `foxglove.Log` and appear as text in common 
 Times are those of the scan: monotonic and UTC nanoseconds, UTC 0 while unknown.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
 from typing import Any
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from google.protobuf import descriptor_pb2, timestamp_pb2
 from google.protobuf.message import DecodeError
 
 from daq.contract.errors import UserError
-from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, seal, seal_holds
+from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, message_class, seal, seal_holds
 
-EVENT_TOPIC, EVENT_SCHEMA = "/event", "sideslip.Event"
-LOG_TOPIC, LOG_SCHEMA = "/log", "foxglove.Log"
-STATISTICS_TOPIC, STATISTICS_SCHEMA = "/statistics", "sideslip.Statistics"
-HEALTH_TOPIC, HEALTH_SCHEMA = "/health", "sideslip.Health"
-SEQUENCER_TOPIC, SEQUENCER_SCHEMA = "/sequencer", "sideslip.Sequencer"
+EVENT_TOPIC, LOG_TOPIC, STATISTICS_TOPIC = "/event", "/log", "/statistics"
+HEALTH_TOPIC, SEQUENCER_TOPIC = "/health", "/sequencer"
 
 _NS = 1_000_000_000
 
@@ -163,67 +160,73 @@ Message = EventMessage | LogLine | Health | Statistics | SequencerFrame
 _F = descriptor_pb2.FieldDescriptorProto
 _Row = tuple[str, int, Any, bool]  # name, field number, protobuf type, repeated
 
-_TIMES: tuple[_Row, ...] = (
-    ("time_monotonic_ns", 1, _F.TYPE_UINT64, False),
-    ("time_utc_ns", 2, _F.TYPE_UINT64, False),
-)
-_EVENT: tuple[_Row, ...] = (
-    *_TIMES,
-    ("number", 3, _F.TYPE_UINT32, False),
-    ("origin", 4, _F.TYPE_STRING, False),
-    ("text", 5, _F.TYPE_STRING, False),
-)
-_HEALTH: tuple[_Row, ...] = (
-    *_TIMES,
-    ("number", 3, _F.TYPE_UINT32, False),
-    ("group", 4, _F.TYPE_STRING, True),
-    ("state", 5, _F.TYPE_UINT32, True),
-    ("text", 6, _F.TYPE_STRING, True),
-    ("since_monotonic_ns", 7, _F.TYPE_UINT64, True),
-    ("failures", 8, _F.TYPE_UINT32, True),
-)
-_SEQUENCER: tuple[_Row, ...] = (
-    *_TIMES,
-    ("number", 3, _F.TYPE_UINT32, False),
-    ("state", 4, _F.TYPE_UINT32, False),
-    ("reason", 5, _F.TYPE_UINT32, False),
-    ("switch", 6, _F.TYPE_UINT32, False),
-    ("elapsed_us", 7, _F.TYPE_UINT32, False),
-    ("beating", 8, _F.TYPE_BOOL, False),
-    ("limited", 9, _F.TYPE_BOOL, False),
-    ("increments", 10, _F.TYPE_FLOAT, True),
-    ("pilot_us", 11, _F.TYPE_FLOAT, True),
-    ("output_us", 12, _F.TYPE_FLOAT, True),
-)
-_COUNTS = ("first_number", "next_number", "written", "dropped", "lost", "missed", "pending", "write_errors")
-_HISTOGRAMS = ("edges_us", "lateness", "interval_error", "scan_duration", "write_latency", "sync_latency")
-_STATISTICS: tuple[_Row, ...] = (
-    *_TIMES,
-    ("session", 3, _F.TYPE_STRING, False),
-    ("segment", 4, _F.TYPE_UINT32, False),
-    ("final", 5, _F.TYPE_BOOL, False),
-    ("queue_high_water", 6, _F.TYPE_UINT32, False),
-    ("late_scans", 7, _F.TYPE_UINT32, False),
-    *((name, 16 + i, _F.TYPE_UINT32, False) for i, name in enumerate(_COUNTS)),
-    ("absent_first", 32, _F.TYPE_UINT32, True),
-    ("absent_last", 33, _F.TYPE_UINT32, True),
-    *((name, 40 + i, _F.TYPE_UINT32, True) for i, name in enumerate(_HISTOGRAMS)),
-    ("extra_name", 60, _F.TYPE_STRING, True),
-    ("extra_value", 61, _F.TYPE_UINT64, True),
-)
+
+def _rows(first: int, kind: Any, names: str, repeated: bool = False) -> tuple[_Row, ...]:
+    """Fields of one type with numbers from `first` on."""
+    return tuple((name, first + i, kind, repeated) for i, name in enumerate(names.split()))
 
 
-def _file(schema: str, rows: Sequence[_Row]) -> descriptor_pb2.FileDescriptorProto:
+_TIMES = _rows(1, _F.TYPE_UINT64, "time_monotonic_ns time_utc_ns")
+_NUMBER = _rows(3, _F.TYPE_UINT32, "number")
+_ROWS: Mapping[str, tuple[_Row, ...]] = {
+    "sideslip.Event": (*_TIMES, *_NUMBER, *_rows(4, _F.TYPE_STRING, "origin text")),
+    "sideslip.Statistics": (
+        *_TIMES,
+        *_rows(3, _F.TYPE_STRING, "session"),
+        *_rows(4, _F.TYPE_UINT32, "segment"),
+        *_rows(5, _F.TYPE_BOOL, "final"),
+        *_rows(6, _F.TYPE_UINT32, "queue_high_water late_scans"),
+        *_rows(16, _F.TYPE_UINT32, "first_number next_number written dropped lost missed pending write_errors"),
+        *_rows(32, _F.TYPE_UINT32, "absent_first absent_last", True),
+        *_rows(40, _F.TYPE_UINT32, "edges_us lateness interval_error scan_duration write_latency sync_latency", True),
+        *_rows(60, _F.TYPE_STRING, "extra_name", True),
+        *_rows(61, _F.TYPE_UINT64, "extra_value", True),
+    ),
+    "sideslip.Health": (
+        *_TIMES,
+        *_NUMBER,
+        *_rows(4, _F.TYPE_STRING, "group", True),
+        *_rows(5, _F.TYPE_UINT32, "state", True),
+        *_rows(6, _F.TYPE_STRING, "text", True),
+        *_rows(7, _F.TYPE_UINT64, "since_monotonic_ns", True),
+        *_rows(8, _F.TYPE_UINT32, "failures", True),
+    ),
+    "sideslip.Sequencer": (
+        *_TIMES,
+        *_NUMBER,
+        *_rows(4, _F.TYPE_UINT32, "state reason switch elapsed_us"),
+        *_rows(8, _F.TYPE_BOOL, "beating limited"),
+        *_rows(10, _F.TYPE_FLOAT, "increments pilot_us output_us", True),
+    ),
+}
+_LOG_SCHEMA = "foxglove.Log"
+_KINDS: Mapping[type, tuple[str, str]] = {
+    EventMessage: (EVENT_TOPIC, "sideslip.Event"),
+    LogLine: (LOG_TOPIC, _LOG_SCHEMA),
+    Statistics: (STATISTICS_TOPIC, "sideslip.Statistics"),
+    Health: (HEALTH_TOPIC, "sideslip.Health"),
+    SequencerFrame: (SEQUENCER_TOPIC, "sideslip.Sequencer"),
+}
+SCHEMA_OF_MESSAGES: Mapping[str, str] = dict(_KINDS.values())
+"""Schema by topic."""
+
+
+@cache
+def schema_files(schema: str) -> descriptor_pb2.FileDescriptorSet:
+    """The protobuf descriptor set of one of the message schemas."""
+    if schema == _LOG_SCHEMA:
+        return descriptor_pb2.FileDescriptorSet(file=_log_files())
     package, name = schema.split(".")
     file = descriptor_pb2.FileDescriptorProto(name=f"{package}/{name.lower()}.proto", package=package, syntax="proto3")
     message = file.message_type.add(name=name)
-    for field_name, number, kind, repeated in (*rows, (SEAL_FIELD, SEAL_NUMBER, _F.TYPE_FIXED32, False)):
+    for field_name, number, kind, repeated in (*_ROWS[schema], (SEAL_FIELD, SEAL_NUMBER, _F.TYPE_FIXED32, False)):
         label = _F.LABEL_REPEATED if repeated else _F.LABEL_OPTIONAL
         message.field.add(name=field_name, number=number, type=kind, label=label)
-    return file
+    return descriptor_pb2.FileDescriptorSet(file=[file])
 
 
 def _log_files() -> list[descriptor_pb2.FileDescriptorProto]:
+    """foxglove.Log, which refers to other types, with the aircraft's clock and the seal added."""
     stamp = descriptor_pb2.FileDescriptorProto()
     timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
     file = descriptor_pb2.FileDescriptorProto(name="foxglove/Log.proto", package="foxglove", syntax="proto3")
@@ -233,51 +236,85 @@ def _log_files() -> list[descriptor_pb2.FileDescriptorProto]:
     for member in LogLevel:
         level.value.add(name=member.name, number=member.value)
     optional = _F.LABEL_OPTIONAL
-    message.field.add(
-        name="timestamp", number=1, type=_F.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp", label=optional
-    )
-    message.field.add(name="level", number=2, type=_F.TYPE_ENUM, type_name=".foxglove.Log.Level", label=optional)
-    for number, name in ((3, "message"), (4, "name"), (5, "file")):
-        message.field.add(name=name, number=number, type=_F.TYPE_STRING, label=optional)
-    message.field.add(name="line", number=6, type=_F.TYPE_FIXED32, label=optional)
-    message.field.add(name="time_monotonic_ns", number=7, type=_F.TYPE_UINT64, label=optional)
-    message.field.add(name=SEAL_FIELD, number=SEAL_NUMBER, type=_F.TYPE_FIXED32, label=optional)
+    for number, name, kind, type_name in (
+        (1, "timestamp", _F.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
+        (2, "level", _F.TYPE_ENUM, ".foxglove.Log.Level"),
+    ):
+        message.field.add(name=name, number=number, type=kind, type_name=type_name, label=optional)
+    for name, number, kind, _ in (
+        *_rows(3, _F.TYPE_STRING, "message name file"),
+        *_rows(6, _F.TYPE_FIXED32, "line"),
+        *_rows(7, _F.TYPE_UINT64, "time_monotonic_ns"),
+        (SEAL_FIELD, SEAL_NUMBER, _F.TYPE_FIXED32, False),
+    ):
+        message.field.add(name=name, number=number, type=kind, label=optional)
     return [stamp, file]
 
 
 @cache
-def schema_files(schema: str) -> descriptor_pb2.FileDescriptorSet:
-    """The protobuf descriptor set of one of the message schemas."""
-    if schema == LOG_SCHEMA:
-        return descriptor_pb2.FileDescriptorSet(file=_log_files())
-    rows = {
-        EVENT_SCHEMA: _EVENT,
-        HEALTH_SCHEMA: _HEALTH,
-        STATISTICS_SCHEMA: _STATISTICS,
-        SEQUENCER_SCHEMA: _SEQUENCER,
-    }[schema]
-    return descriptor_pb2.FileDescriptorSet(file=[_file(schema, rows)])
-
-
-@cache
-def message_class(schema: str, files: bytes) -> Any:
-    """The protobuf message class of a schema, from its serialised descriptor set."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(files).file:
-        pool.Add(file)  # type: ignore[no-untyped-call]
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema))
-
-
-@cache
 def _class(schema: str) -> Any:
-    return message_class(schema, schema_files(schema).SerializeToString())
+    return message_class(schema, schema_files(schema))
 
 
 # ------------------------------------------------------------------------------------------------------ coding
 
 
-def _sealed(schema: str, fields: Mapping[str, Any]) -> bytes:
-    return seal(schema, _class(schema)(**fields).SerializeToString(deterministic=True))
+def topic_of(message: Message) -> str:
+    """The topic under which a message of its kind is recorded."""
+    return _KINDS[type(message)][0]
+
+
+def encode(message: Message) -> bytes:
+    """A message as sealed protobuf bytes."""
+    schema = _KINDS[type(message)][1]
+    return seal(schema, _class(schema)(**_fields(message, schema)).SerializeToString(deterministic=True))
+
+
+def _fields(message: Message, schema: str) -> dict[str, Any]:
+    """Protobuf fields: those of the dataclass, but for what has another form there."""
+    match message:
+        case LogLine():  # its timestamp is UTC, or monotonic time while UTC is unknown
+            stamp = message.time_utc_ns or message.time_monotonic_ns
+            plain_fields = {name: getattr(message, name) for name in ("message", "name", "time_monotonic_ns")}
+            return {
+                "timestamp": {"seconds": stamp // _NS, "nanos": stamp % _NS},
+                "level": int(message.level),
+                **plain_fields,
+            }
+        case Health():
+            special: dict[str, Any] = {
+                name: [getattr(e, name) for e in message.entries] for name, _, _, repeated in _ROWS[schema] if repeated
+            }
+        case Statistics():
+            special = {
+                "absent_first": [first for first, _ in message.absent],
+                "absent_last": [last for _, last in message.absent],
+                "extra_name": list(message.extra),
+                "extra_value": list(message.extra.values()),
+            }
+        case _:
+            special = {}
+    return special | {name: getattr(message, name) for name, *_ in _ROWS[schema] if name not in special}
+
+
+def decode(topic: str, data: bytes) -> Any:
+    """The message of a topic from its bytes; MessageError when they are damaged or something else."""
+    schema = SCHEMA_OF_MESSAGES[topic]
+    m = _parsed(schema, data)
+    if topic == LOG_TOPIC:
+        return _log_line(m)
+    if topic == HEALTH_TOPIC:
+        return _health(m)
+    fields: dict[str, Any] = {
+        n: tuple(getattr(m, n)) if repeated else getattr(m, n) for n, _, _, repeated in _ROWS[schema]
+    }
+    if topic == EVENT_TOPIC:
+        return EventMessage(**fields)
+    if topic == SEQUENCER_TOPIC:
+        return SequencerFrame(**fields)
+    absent = tuple(zip(fields.pop("absent_first"), fields.pop("absent_last"), strict=False))
+    extra = dict(zip(fields.pop("extra_name"), fields.pop("extra_value"), strict=False))
+    return Statistics(**fields, absent=absent, extra=extra)
 
 
 def _parsed(schema: str, data: bytes) -> Any:
@@ -291,88 +328,17 @@ def _parsed(schema: str, data: bytes) -> Any:
     return message
 
 
-def encode_event(event: EventMessage) -> bytes:
-    """An event as sealed protobuf bytes."""
-    return _sealed(EVENT_SCHEMA, {name: getattr(event, name) for name, *_ in _EVENT})
-
-
-def decode_event(data: bytes) -> EventMessage:
-    """An event from its bytes; MessageError when they are damaged or something else."""
-    message = _parsed(EVENT_SCHEMA, data)
-    return EventMessage(**{name: getattr(message, name) for name, *_ in _EVENT})
-
-
-def encode_log(line: LogLine) -> bytes:
-    """A log line as sealed foxglove.Log bytes; its timestamp is UTC, or monotonic time while UTC is unknown."""
-    stamp = line.time_utc_ns or line.time_monotonic_ns
-    fields = {
-        "timestamp": {"seconds": stamp // _NS, "nanos": stamp % _NS},
-        "level": int(line.level),
-        "message": line.message,
-        "name": line.name,
-        "time_monotonic_ns": line.time_monotonic_ns,
-    }
-    return _sealed(LOG_SCHEMA, fields)
-
-
-def decode_log(data: bytes) -> LogLine:
-    """A log line from its bytes; MessageError when they are damaged or something else."""
-    m = _parsed(LOG_SCHEMA, data)
+def _log_line(m: Any) -> LogLine:
     stamp = m.timestamp.seconds * _NS + m.timestamp.nanos
     utc = 0 if stamp == m.time_monotonic_ns else stamp
     level = LogLevel(m.level) if m.level in LogLevel._value2member_map_ else LogLevel.UNKNOWN
     return LogLine(m.time_monotonic_ns, utc, level, m.name, m.message)
 
 
-def encode_health(health: Health) -> bytes:
-    """A health report as sealed protobuf bytes."""
-    columns = {name: [getattr(e, name) for e in health.entries] for name, _, _, repeated in _HEALTH if repeated}
-    header = {name: getattr(health, name) for name, _, _, repeated in _HEALTH if not repeated}
-    return _sealed(HEALTH_SCHEMA, header | columns)
-
-
-def decode_health(data: bytes) -> Health:
-    """A health report from its bytes; MessageError when they are damaged or something else."""
-    m = _parsed(HEALTH_SCHEMA, data)
+def _health(m: Any) -> Health:
     rows = zip(m.group, m.state, m.text, m.since_monotonic_ns, m.failures, strict=True)
     try:
         entries = tuple(HealthEntry(*row) for row in rows)
     except ValueError as error:
         raise MessageError(f"health report of scan {m.number} has columns of different length") from error
     return Health(m.time_monotonic_ns, m.time_utc_ns, m.number, entries)
-
-
-_PLAIN = ("time_monotonic_ns", "time_utc_ns", "session", "segment", "final", "queue_high_water", "late_scans", *_COUNTS)
-
-
-def encode_statistics(statistics: Statistics) -> bytes:
-    """Statistics as sealed protobuf bytes."""
-    fields: dict[str, Any] = {name: getattr(statistics, name) for name in (*_PLAIN, *_HISTOGRAMS)}
-    fields["absent_first"] = [first for first, _ in statistics.absent]
-    fields["absent_last"] = [last for _, last in statistics.absent]
-    fields["extra_name"] = list(statistics.extra)
-    fields["extra_value"] = list(statistics.extra.values())
-    return _sealed(STATISTICS_SCHEMA, fields)
-
-
-def decode_statistics(data: bytes) -> Statistics:
-    """Statistics from their bytes; MessageError when they are damaged or something else."""
-    m = _parsed(STATISTICS_SCHEMA, data)
-    fields: dict[str, Any] = {name: getattr(m, name) for name in _PLAIN}
-    fields |= {name: tuple(getattr(m, name)) for name in _HISTOGRAMS}
-    absent = tuple(zip(m.absent_first, m.absent_last, strict=False))
-    return Statistics(**fields, absent=absent, extra=dict(zip(m.extra_name, m.extra_value, strict=False)))
-
-
-def encode_sequencer(frame: SequencerFrame) -> bytes:
-    """A frame of the sequencer as sealed protobuf bytes."""
-    return _sealed(SEQUENCER_SCHEMA, {name: getattr(frame, name) for name, *_ in _SEQUENCER})
-
-
-def decode_sequencer(data: bytes) -> SequencerFrame:
-    """A frame of the sequencer from its bytes; MessageError when they are damaged or something else."""
-    m = _parsed(SEQUENCER_SCHEMA, data)
-    fields: dict[str, Any] = {
-        name: tuple(getattr(m, name)) if repeated else getattr(m, name) for name, _, _, repeated in _SEQUENCER
-    }
-    return SequencerFrame(**fields)

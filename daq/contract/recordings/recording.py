@@ -13,11 +13,11 @@ it UTC; publish_time is UTC as well as the message itself knows it, and monotoni
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
@@ -43,14 +43,7 @@ _LONGEST_NAME = 256
 _MOST_SEGMENTS = 2**32 - 1  # what the accounting can count
 _LATEST_NS = 2**64 - 1  # what a message's times can hold
 
-SCHEMA_OF_TOPIC: Mapping[str, str] = {
-    SCAN_TOPIC: SCHEMA_NAME,
-    m.EVENT_TOPIC: m.EVENT_SCHEMA,
-    m.LOG_TOPIC: m.LOG_SCHEMA,
-    m.STATISTICS_TOPIC: m.STATISTICS_SCHEMA,
-    m.HEALTH_TOPIC: m.HEALTH_SCHEMA,
-    m.SEQUENCER_TOPIC: m.SEQUENCER_SCHEMA,
-}
+SCHEMA_OF_TOPIC: Mapping[str, str] = {SCAN_TOPIC: SCHEMA_NAME, **m.SCHEMA_OF_MESSAGES}
 
 
 class RecordingError(UserError):
@@ -62,7 +55,6 @@ LOG_TIME_NAME = "sideslip.log_time"
 """Name of the metadata record that says what log times are."""
 UTC_FROM_NS, UTC_TO_NS = 10**18, 4 * 10**18
 """Log times from here on (September 2001) are UTC: no computer runs for 31 years. From 2096 on, nobody believes it."""
-_LAST_NS = 2**64 - 1  # that a file can hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +97,6 @@ class RecordingInfo:
 
     @property
     def calibration(self) -> dict[str, bytes]:
-        """The embedded calibration files by name."""
         start = len(CALIBRATION_PREFIX)
         return {k[start:]: v for k, v in self.attachments.items() if k.startswith(CALIBRATION_PREFIX)}
 
@@ -129,17 +120,8 @@ def channel_table() -> bytes:
     rows = {
         "groups": [{"name": g.name, "title": g.title, "device": g.device} for g in GROUPS],
         "channels": [
-            {
-                "name": c.name,
-                "group": c.group,
-                "raw_type": c.raw_type,
-                "unit": c.unit,
-                "meaning": c.meaning,
-                "scale": c.scale,
-                "offset": c.offset,
-                "rate": c.rate.value,
-                "columns": list(c.columns),
-            }
+            {k: getattr(c, k) for k in ("name", "group", "raw_type", "unit", "meaning", "scale", "offset")}
+            | {"rate": c.rate.value, "columns": list(c.columns)}
             for c in CHANNELS
         ],
         "columns": [{"name": c.name, "unit": c.unit, "meaning": c.meaning} for c in COLUMNS],
@@ -194,8 +176,8 @@ def with_digest(fields: Mapping[str, str]) -> dict[str, str]:
 
 def metadata_digest(fields: Mapping[str, str]) -> str:
     """Digest of metadata fields, the digest itself left out."""
-    plain = {k: v for k, v in fields.items() if k != "sha256"}
-    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+    content = {k: v for k, v in fields.items() if k != "sha256"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def scan_entry(scan: Scan, data: bytes | None = None) -> RecordedMessage:
@@ -207,9 +189,8 @@ def scan_entry(scan: Scan, data: bytes | None = None) -> RecordedMessage:
 
 def message_entry(message: m.Message, sequence: int = 0) -> RecordedMessage:
     """An event, log line, health report, statistics or frame of the sequencer as a message."""
-    topic, encode = _ENCODERS[type(message)]
     utc = message.time_utc_ns or message.time_monotonic_ns
-    return RecordedMessage(topic, message.time_monotonic_ns, utc, sequence, encode(message))
+    return RecordedMessage(m.topic_of(message), message.time_monotonic_ns, utc, sequence, m.encode(message))
 
 
 def entry_of(topic: str, data: bytes) -> RecordedMessage:
@@ -217,7 +198,7 @@ def entry_of(topic: str, data: bytes) -> RecordedMessage:
     if topic == SCAN_TOPIC:
         number, monotonic, utc = scan_stamp(data)
         return RecordedMessage(topic, monotonic, utc or monotonic, number, data)
-    content = DECODERS[topic](data)
+    content = m.decode(topic, data)
     utc = content.time_utc_ns or content.time_monotonic_ns
     if not 0 <= utc <= _LATEST_NS:  # a log line carries seconds of any sign and size
         utc = content.time_monotonic_ns
@@ -230,12 +211,12 @@ def on_monotonic_clock(entry: RecordedMessage) -> RecordedMessage:
         return entry
     if entry.topic == SCAN_TOPIC:
         return entry._replace(log_time_ns=scan_stamp(entry.data)[1])
-    return entry._replace(log_time_ns=DECODERS[entry.topic](entry.data).time_monotonic_ns)
+    return entry._replace(log_time_ns=m.decode(entry.topic, entry.data).time_monotonic_ns)
 
 
 def utc_of(entries: Iterable[RecordedMessage]) -> LogTime:
     """The offset to UTC as the first scan knows it that knows any; nothing where none does."""
-    return next((known for known in map(utc_of_scan, entries) if known is not None), LogTime())
+    return next((log_time for log_time in map(utc_of_scan, entries) if log_time is not None), LogTime())
 
 
 def utc_of_scan(entry: RecordedMessage) -> LogTime | None:
@@ -243,22 +224,6 @@ def utc_of_scan(entry: RecordedMessage) -> LogTime | None:
     if entry.topic != SCAN_TOPIC or not UTC_FROM_NS <= entry.publish_time_ns < UTC_TO_NS:
         return None
     return LogTime(entry.publish_time_ns - entry.log_time_ns, GPS)
-
-
-_ENCODERS: dict[type, tuple[str, Callable[[Any], bytes]]] = {
-    m.EventMessage: (m.EVENT_TOPIC, m.encode_event),
-    m.LogLine: (m.LOG_TOPIC, m.encode_log),
-    m.Health: (m.HEALTH_TOPIC, m.encode_health),
-    m.Statistics: (m.STATISTICS_TOPIC, m.encode_statistics),
-    m.SequencerFrame: (m.SEQUENCER_TOPIC, m.encode_sequencer),
-}
-DECODERS: dict[str, Callable[[bytes], Any]] = {
-    m.EVENT_TOPIC: m.decode_event,
-    m.LOG_TOPIC: m.decode_log,
-    m.HEALTH_TOPIC: m.decode_health,
-    m.STATISTICS_TOPIC: m.decode_statistics,
-    m.SEQUENCER_TOPIC: m.decode_sequencer,
-}
 
 
 class RecordingWriter:
@@ -291,23 +256,17 @@ class RecordingWriter:
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
 
     def write(self, entry: RecordedMessage) -> None:
-        """Add a message to the chunk in progress."""
-        self._add(self._channels[entry.topic], entry)
-
-    def _add(self, channel: int, entry: RecordedMessage) -> None:
+        """Add a message to the chunk in progress; before the first one, say what log times are."""
         if not self._begun:
             self._begun = True
-            self._say_log_time()
-        log_time_ns = min(_LAST_NS, max(0, entry.log_time_ns + self.log_time.offset_ns))
+            if self.log_time.source:
+                fields = {"utc_minus_monotonic_ns": str(self.log_time.offset_ns), "known_by": self.log_time.source}
+                self._writer.add_metadata(LOG_TIME_NAME, with_digest(fields))
+        log_time_ns = min(_LATEST_NS, max(0, entry.log_time_ns + self.log_time.offset_ns))
+        channel = self._channels[entry.topic]
         self._writer.add_message(channel, log_time_ns, entry.data, entry.publish_time_ns, entry.sequence)
 
-    def _say_log_time(self) -> None:
-        if self.log_time.source:
-            fields = {"utc_minus_monotonic_ns": str(self.log_time.offset_ns), "known_by": self.log_time.source}
-            self._writer.add_metadata(LOG_TIME_NAME, with_digest(fields))
-
     def write_scan(self, scan: Scan) -> None:
-        """Add a scan."""
         self.write(scan_entry(scan))
 
     def write_message(self, message: m.Message) -> None:
@@ -315,7 +274,6 @@ class RecordingWriter:
         self.write(message_entry(message))
 
     def add_detail(self, details: Mapping[str, str]) -> None:
-        """Add facts found after the start."""
         self._writer.add_metadata(DETAIL_NAME, with_digest(dict(details)))
 
     def flush(self) -> None:

@@ -34,14 +34,15 @@ from daq.contract.recordings.mcap_records import (
     Cursor,
     McapRecord,
     Metadata,
+    begins,
     check_structure,
     chunk_content,
     chunk_plausible,
+    next_candidate,
     read_attachment,
     read_metadata,
 )
 from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_NAME, SCHEMA_OF_TOPIC, RecordedMessage
-from daq.contract.recordings.trust import begins, next_candidate
 from daq.contract.seal import seal_holds
 
 MAX_DAMAGES = 1000
@@ -106,8 +107,8 @@ class Walk:
         self._part = _SalvagedPart(0)
         self._damages = 0
         self._parts = 0
-        self._waiting: list[bytes] = []
-        self._waiting_bytes = 0
+        self._unsearched: list[bytes] = []
+        self._unsearched_bytes = 0
         self._unproven: McapRecord | None = None  # the record before, where nothing but its own lengths vouches for it
         self._content: tuple[int, bytes | memoryview] = (-1, b"")  # of the chunk expanded last
 
@@ -122,27 +123,27 @@ class Walk:
         return self._part.channel_schema
 
     def __iter__(self) -> Iterator[Item]:
-        at = len(MAGIC) if self._ends(0) else 0
-        lost_head = at == 0
+        offset = len(MAGIC) if self._ends(0) else 0
+        lost_head = offset == 0
         try:
-            while at < len(self._raw):
-                if begins(self._raw, at):
-                    yield from self._begin(at)
-                    at += len(MAGIC)
+            while offset < len(self._raw):
+                if begins(self._raw, offset):
+                    yield from self._begin(offset)
+                    offset += len(MAGIC)
                 elif lost_head or self._part.closed or self._given_up:
                     lost_head = False
-                    start, at = at, len(self._raw) if self._given_up else self._next_trusted(at)
-                    yield from self._stray(start, at)
+                    start, offset = offset, len(self._raw) if self._given_up else self._next_trusted(offset)
+                    yield from self._stray(start, offset)
                 else:
-                    items, at = self._step(at)
+                    items, offset = self._step(offset)
                     yield from items
             yield from self._searched()
         except Exhausted:
             yield self._damage(
-                at, len(self._raw) - at, "more records than a file of its size can hold: the rest left out"
+                offset, len(self._raw) - offset, "more records than a file of its size can hold: the rest left out"
             )
         if not self._part.closed:
-            yield self._damage(at, 0, "the file ends without an end mark: it was cut off or never closed")
+            yield self._damage(offset, 0, "the file ends without an end mark: it was cut off or never closed")
 
     # ------------------------------------------------------------------------------------------ records
 
@@ -165,8 +166,8 @@ class Walk:
             yield from self._lost(0, end, "the file does not begin like an MCAP file", shown=min(end, len(MAGIC)))
             return
         yield from self._begin(at)
-        what = f"{MAX_DAMAGES} damaged places before it" if self._given_up else "bytes behind the end mark"
-        yield from self._lost(at, end, what)
+        reason = f"{MAX_DAMAGES} damaged places before it" if self._given_up else "bytes behind the end mark"
+        yield from self._lost(at, end, reason)
 
     @property
     def _given_up(self) -> bool:
@@ -209,20 +210,20 @@ class Walk:
 
     def _chunk(self, record: McapRecord) -> Iterator[RecordedMessage]:
         content = memoryview(self._expanded(record))
-        at = 0
-        while at < len(content):
-            if at + RECORD_HEAD > len(content):
+        offset = 0
+        while offset < len(content):
+            if offset + RECORD_HEAD > len(content):
                 raise Bad("its content breaks off")
             self._effort.record()
-            opcode, length = struct.unpack_from("<BQ", content, at)
-            if at + RECORD_HEAD + length > len(content):
+            opcode, length = struct.unpack_from("<BQ", content, offset)
+            if offset + RECORD_HEAD + length > len(content):
                 raise Bad("its content breaks off")
-            inner = McapRecord(at, opcode, content[at + RECORD_HEAD : at + RECORD_HEAD + length])
+            inner = McapRecord(offset, opcode, content[offset + RECORD_HEAD : offset + RECORD_HEAD + length])
             if opcode == MESSAGE:
                 yield self._message(inner.body)
             elif opcode in (SCHEMA, CHANNEL):
                 self._declare(inner)
-            at = inner.end
+            offset = inner.end
 
     def _expanded(self, record: McapRecord) -> bytes | memoryview:
         if self._content[0] != record.at:
@@ -263,36 +264,36 @@ class Walk:
             self._part.channel_schema.setdefault(topic, schema_id)
 
     def _metadata(self, record: McapRecord) -> Iterator[Item]:
-        found = read_metadata(record.body, self._effort)
-        if found.name == INFO_NAME:
-            session = found.fields.get("session")
+        metadata = read_metadata(record.body, self._effort)
+        if metadata.name == INFO_NAME:
+            session = metadata.fields.get("session")
             if self._part.session not in (None, session):
                 yield from self._begin(record.at)
             self._part.session = session
-        yield found
+        yield metadata
 
     def _data_end(self, record: McapRecord) -> Iterator[Item]:
         cursor = Cursor(record.body)
-        stated = cursor.number(4)
+        checksum = cursor.number(4)
         cursor.finish()
         if self._part.data_ended:
             raise Bad("the data has ended before")
-        covered = self._data[self._part.at : record.at]
-        if stated and not self._part.damaged and not crc_matches(stated, covered, self._effort):
+        checked_bytes = self._data[self._part.at : record.at]
+        if checksum and not self._part.damaged and not crc_matches(checksum, checked_bytes, self._effort):
             yield self._damage(self._part.at, 0, "a byte outside the chunks was altered (checksum of the data section)")
         self._part.data_ended = True
 
     def _footer(self, record: McapRecord) -> Iterator[Item]:
         cursor = Cursor(record.body)
-        start, _, stated = cursor.number(8), cursor.number(8), cursor.number(4)
+        start, _, checksum = cursor.number(8), cursor.number(8), cursor.number(4)
         cursor.finish()
         if self._part.closed:
             raise Bad("the file has ended before")
         begin = self._part.at + start if start else record.at
         if not self._part.at <= begin <= record.at:
             raise Bad("it points outside the file")
-        covered = self._data[begin : record.end - 4]
-        if stated and not crc_matches(stated, covered, self._effort):
+        checked_bytes = self._data[begin : record.end - 4]
+        if checksum and not crc_matches(checksum, checked_bytes, self._effort):
             yield self._damage(begin, record.at - begin, "index at the end: checksum does not match")
         if not self._ends(record.end):
             yield self._damage(record.end, min(len(MAGIC), len(self._raw) - record.end), "the end mark is damaged")
@@ -326,15 +327,15 @@ class Walk:
         """A damaged stretch, to be searched for messages."""
         yield self._damage(at, end - at if shown is None else shown, what)
         region = self._raw[at if search_from is None else search_from : end]
-        self._waiting.append(region)
-        self._waiting_bytes += len(region)
-        if self._waiting_bytes >= _BATCH:
+        self._unsearched.append(region)
+        self._unsearched_bytes += len(region)
+        if self._unsearched_bytes >= _BATCH:
             yield from self._searched()
 
     def _searched(self) -> Iterator[RecordedMessage]:
         """Messages in the damaged stretches that wait."""
-        region = _APART.join(self._waiting)
-        self._waiting, self._waiting_bytes = [], 0
+        region = _APART.join(self._unsearched)
+        self._unsearched, self._unsearched_bytes = [], 0
         yield from salvage_region(region, self._effort)
 
     def _recover(self, at: int, error: Bad) -> tuple[list[Item], int]:
@@ -348,12 +349,12 @@ class Walk:
                 pass
             else:
                 return [self._damage(at, 1, f"{name}: {error}; it is a chunk, and whole"), *entries], record.end
-        before, self._unproven = self._unproven, None
-        found = self._swallowed(before, at) if before else None
-        if before and found is not None:
-            return list(self._lost(before.at, found, "record: it runs over others")), found
+        previous, self._unproven = self._unproven, None
+        inner_start = self._swallowed(previous, at) if previous else None
+        if previous and inner_start is not None:
+            return list(self._lost(previous.at, inner_start, "record: it runs over others")), inner_start
         resume = self._resume(at)
-        begin = before.at if before else at  # what it took for its own may be the beginning of a message
+        begin = previous.at if previous else at  # what it took for its own may be the beginning of a message
         return list(self._lost(at, resume, f"{name}: {error}", search_from=begin)), resume
 
     def _swallowed(self, before: McapRecord, at: int) -> int | None:
@@ -365,10 +366,10 @@ class Walk:
             self._effort.check(len(before.body))
         except Bad:
             return None
-        found = next_candidate(self._raw, before.at + 1, at + _HEAD_SPAN)
-        while found < at and not self._trusted(found):
-            found = next_candidate(self._raw, found + 1, at + _HEAD_SPAN)
-        return found if found < at else None
+        candidate = next_candidate(self._raw, before.at + 1, at + _HEAD_SPAN)
+        while candidate < at and not self._trusted(candidate):
+            candidate = next_candidate(self._raw, candidate + 1, at + _HEAD_SPAN)
+        return candidate if candidate < at else None
 
     def _record_whatever_code(self, at: int) -> McapRecord:
         if at + RECORD_HEAD > len(self._raw):
@@ -381,16 +382,16 @@ class Walk:
     def _resume(self, at: int) -> int:
         """Start of the next record to be trusted after a bad one."""
         if at + RECORD_HEAD <= len(self._raw):
-            stated = at + RECORD_HEAD + int.from_bytes(self._raw[at + 1 : at + RECORD_HEAD], "little")
-            if stated < len(self._raw) and self._trusted(stated):
-                return stated
+            stated_end = at + RECORD_HEAD + int.from_bytes(self._raw[at + 1 : at + RECORD_HEAD], "little")
+            if stated_end < len(self._raw) and self._trusted(stated_end):
+                return stated_end
         return self._next_trusted(at + 1)
 
     def _next_trusted(self, at: int) -> int:
-        found = next_candidate(self._raw, at)
-        while found < len(self._raw) and not self._trusted(found):
-            found = next_candidate(self._raw, found + 1)
-        return found
+        candidate = next_candidate(self._raw, at)
+        while candidate < len(self._raw) and not self._trusted(candidate):
+            candidate = next_candidate(self._raw, candidate + 1)
+        return candidate
 
     def _trusted(self, at: int) -> bool:
         """Whether checks prove that a record begins here; kinds too short to prove anything are not trusted."""

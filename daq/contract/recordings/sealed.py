@@ -40,7 +40,6 @@ Found = tuple[int, int, str]
 
 @cache
 def _byte_table() -> Keys:
-    """State after one byte from state 0."""
     return np.array([zlib.crc32(bytes([b]), 0xFFFFFFFF) ^ 0xFFFFFFFF for b in range(256)], np.uint32)
 
 
@@ -48,12 +47,12 @@ def _byte_table() -> Keys:
 def _powers() -> Keys:
     """(window, 256): what a byte at a position of the window adds to the state at the window's end."""
     table = _byte_table()
-    out = np.empty((_WINDOW, 256), np.uint32)
-    out[-1] = table
+    powers = np.empty((_WINDOW, 256), np.uint32)
+    powers[-1] = table
     for i in range(_WINDOW - 2, -1, -1):
-        later = out[i + 1]
-        out[i] = (later >> np.uint32(8)) ^ table[later & np.uint32(0xFF)]
-    return out
+        next_row = powers[i + 1]
+        powers[i] = (next_row >> np.uint32(8)) ^ table[next_row & np.uint32(0xFF)]
+    return powers
 
 
 @cache
@@ -61,10 +60,10 @@ def _start_keys(schema: str) -> Keys:
     """(window - 3,): the start of a schema's seal, put in at a position of the window and brought to its end."""
     state = (seal_start(schema) ^ 0xFFFFFFFF).to_bytes(4, "little")
     powers = _powers()
-    out = np.zeros(_WINDOW - 3, np.uint32)
+    keys = np.zeros(_WINDOW - 3, np.uint32)
     for k in range(4):
-        out ^= powers[k : _WINDOW - 3 + k, state[k]]
-    return out
+        keys ^= powers[k : _WINDOW - 3 + k, state[k]]
+    return keys
 
 
 def sealed_stretches(data: bytes, schemas: Mapping[str, str]) -> Iterator[Found]:
@@ -72,18 +71,18 @@ def sealed_stretches(data: bytes, schemas: Mapping[str, str]) -> Iterator[Found]
 
     end: behind the seal. From each beginning the nearest end is taken; after a find the search goes on behind it.
     """
-    done = 0
-    for at in range(0, max(len(data) - SHORTEST + 1, 0), _WINDOW - REACH):
-        window = data[at : at + _WINDOW]
+    last_end = 0
+    for window_start in range(0, max(len(data) - SHORTEST + 1, 0), _WINDOW - REACH):
+        window = data[window_start : window_start + _WINDOW]
         if window.find(SEAL_TAG, SHORTEST - SEAL_SIZE) < 0:
             continue
-        whole = at + _WINDOW >= len(data)
-        for begin, end, key in _in_window(window, schemas, max(0, done - at)):
-            if begin >= _WINDOW - REACH and not whole:
+        is_last = window_start + _WINDOW >= len(data)
+        for begin, end, key in _in_window(window, schemas, max(0, last_end - window_start)):
+            if begin >= _WINDOW - REACH and not is_last:
                 break
-            done = at + end
-            yield at + begin, done, key
-        if whole:
+            last_end = window_start + end
+            yield window_start + begin, last_end, key
+        if is_last:
             return
 
 
@@ -100,13 +99,13 @@ def _in_window(window: bytes, schemas: Mapping[str, str], begin_at: int) -> Iter
     ends = prefix[tails]
     for k in range(4):
         ends = ends ^ powers[tails + k, data[tails + 1 + k] ^ 0xFF]
-    done = begin_at
+    last_end = begin_at
     for begin, end, key in sorted(_pairs(prefix, starts, tails, ends, schemas)):
-        if begin < done:
+        if begin < last_end:
             continue
         content = window[begin : end - SEAL_SIZE]
         if zlib.crc32(content, seal_start(schemas[key])) == int.from_bytes(window[end - 4 : end], "little"):
-            done = end
+            last_end = end
             yield begin, end, key
 
 
@@ -120,11 +119,15 @@ def _pairs(
     places = np.sort(ends.astype(np.uint64) << _HALF | tails.astype(np.uint64))
     for name, schema in schemas.items():
         keys = prefix[starts] ^ _start_keys(schema)[starts]
-        likely = present[keys & (_BUCKETS - 1)]
-        begin, wanted = starts[likely], keys[likely].astype(np.uint64) << _HALF
-        nearest = np.searchsorted(places, wanted | (begin + (SHORTEST - SEAL_SIZE)).astype(np.uint64))
-        found = places[np.minimum(nearest, places.size - 1)]
-        tail = (found & _PLACE).astype(np.int64)
-        fits = (nearest < places.size) & (found >> _HALF == wanted >> _HALF) & (tail - begin + SEAL_SIZE <= REACH)
+        candidates = present[keys & (_BUCKETS - 1)]
+        begin, target_keys = starts[candidates], keys[candidates].astype(np.uint64) << _HALF
+        nearest = np.searchsorted(places, target_keys | (begin + (SHORTEST - SEAL_SIZE)).astype(np.uint64))
+        nearest_ends = places[np.minimum(nearest, places.size - 1)]
+        tail = (nearest_ends & _PLACE).astype(np.int64)
+        fits = (
+            (nearest < places.size)
+            & (nearest_ends >> _HALF == target_keys >> _HALF)
+            & (tail - begin + SEAL_SIZE <= REACH)
+        )
         for b, t in zip(begin[fits].tolist(), tail[fits].tolist(), strict=True):
             yield b, t + SEAL_SIZE, name

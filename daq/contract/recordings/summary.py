@@ -4,17 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.channels import CHANNELS, COLUMNS
-from daq.contract.recordings.claims import mapping, texts
-from daq.contract.recordings.reading import (
-    FLIGHT_METADATA,
-    FLIGHT_TOPIC,
-    Recording,
-    RecordingWalk,
-    by_session,
-    join,
-    read_segments,
-)
+from daq.contract.recordings.reading import Recording, by_session, join
 from daq.contract.recordings.recording import RecordingError
+from daq.contract.recordings.segments import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk, read_segments
 
 _SHOWN = 5  # topics named in a sentence; a file may have thousands
 
@@ -30,43 +22,43 @@ def info_mcap(path: str | Path) -> dict[str, Any]:
     raw = [s for s in segments if s.info is not None or s.entries]
     if raw:
         groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(raw).values())
-        return _together([_raw_info(path, join(path, g)) for g in groups])
+        return _summed([_raw_info(path, join(path, g)) for g in groups])
     flights = [s for s in segments if FLIGHT_TOPIC in s.kept]
     if flights:
-        return _together([_flight_info(path, s) for s in flights])
+        return _summed([_flight_info(path, s) for s in flights])
     if any(m.name == FLIGHT_METADATA for s in segments for m in s.metadata):
         raise RecordingError(f"{path}: a calibrated flight, damaged so that none of it can be read; calibrate it again")
     topics = sorted({t for s in segments for t in s.foreign})
-    named = ", ".join(t[:40] for t in topics[:_SHOWN]) + (", ..." if len(topics) > _SHOWN else "")
-    raise RecordingError(f"{path}: an MCAP file of another program (topics: {named or 'none'})")
+    topic_names = ", ".join(t[:40] for t in topics[:_SHOWN]) + (", ..." if len(topics) > _SHOWN else "")
+    raise RecordingError(f"{path}: an MCAP file of another program (topics: {topic_names or 'none'})")
 
 
-def _together(found: list[dict[str, Any]]) -> dict[str, Any]:
+def _summed(summaries: list[dict[str, Any]]) -> dict[str, Any]:
     """One summary of all sessions in a file, with each of them in it."""
-    if len(found) == 1:
-        return found[0]
-    first = found[0]
-    names = [f.get("session", "") for f in found]
-    numbered = [f for f in found if f["first_scan"] is not None]
-    duration = sum(f["duration_s"] for f in found)
-    steps = sum(f["rate_hz"] * f["duration_s"] for f in found)
+    if len(summaries) == 1:
+        return summaries[0]
+    first = summaries[0]
+    names = [f.get("session", "") for f in summaries]
+    numbered = [f for f in summaries if f["first_scan"] is not None]
+    duration = sum(f["duration_s"] for f in summaries)
+    steps = sum(f["rate_hz"] * f["duration_s"] for f in summaries)
     samples: dict[str, dict[str, Any]] = {}
-    for channel in (c for f in found for c in f["channels"]):
-        known = samples.setdefault(channel["name"], {**channel, "samples": 0})
-        known["samples"] += channel["samples"]
+    for channel in (c for f in summaries for c in f["channels"]):
+        totals = samples.setdefault(channel["name"], {**channel, "samples": 0})
+        totals["samples"] += channel["samples"]
     return {
         **first,
         "session": ", ".join(names),
-        "segments": sum(f.get("segments", 1) for f in found),
+        "segments": sum(f.get("segments", 1) for f in summaries),
         "duration_s": duration,
         "rate_hz": steps / duration if duration else 0.0,
-        "scans": sum(f["scans"] for f in found),
+        "scans": sum(f["scans"] for f in summaries),
         "first_scan": min((f["first_scan"] for f in numbered), default=None),
         "last_scan": max((f["last_scan"] for f in numbered), default=None),
         "channels": list(samples.values()),
-        "events": [e for f in found for e in f.get("events", [])],
-        "sound": all(f["sound"] for f in found),
-        "sessions": found,
+        "events": [e for f in summaries for e in f.get("events", [])],
+        "sound": all(f["sound"] for f in summaries),
+        "sessions": summaries,
     }
 
 
@@ -106,7 +98,7 @@ def _raw_info(path: Path, recording: Recording) -> dict[str, Any]:
 
 def _flight_info(path: Path, segment: RecordingWalk) -> dict[str, Any]:
     """Summary of a calibrated flight, its columns read with the schema in the file."""
-    from daq.contract.recordings.flight_rows import described, flight_rows
+    from daq.contract.recordings.flight_rows import as_mapping, as_texts, described, flight_rows
 
     flight = flight_rows(segment)
     provenance, _, _ = described(segment)
@@ -127,8 +119,8 @@ def _flight_info(path: Path, segment: RecordingWalk) -> dict[str, Any]:
             for n, k in flight.samples.items()
             if n not in ("time", "segment")
         ],
-        "notes": texts(provenance.get("notes")),
-        "calibration": sorted(mapping(provenance.get("calibration"))),
+        "notes": as_texts(provenance.get("notes")),
+        "calibration": sorted(as_mapping(provenance.get("calibration"))),
         "sound": segment.sound,
         "software": str(provenance.get("software", "")),
     }

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import DERIVATIVES, GRAVITY, Airframe
+from daq.contract.constants import GRAVITY
+from daq.identification.airframe import DERIVATIVES, Airframe
 
 Array = NDArray[np.float64]
 LONGEST_STEP = 0.026  # s; as in `simulated_motion`

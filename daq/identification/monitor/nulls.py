@@ -12,7 +12,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import GRAVITY, Airframe
+from daq.contract.constants import GRAVITY
+from daq.identification.airframe import Airframe
 from daq.identification.monitor.bank import MonitoredEffect
 from daq.identification.monitor.innovations import FlightsScan
 from daq.identification.monitor.motion import Inputs, LateralMotion

@@ -9,12 +9,12 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from daq.contract.constants import FOOT
 from daq.contract.plain_words import file_name
 from estimation.campaign.aerodynamics.tables import SURFACE
 from estimation.campaign.tasks import Row
 from groundstation.flight import Array
 
-FOOT = 0.3048  # m
 FOLDER = "aero/sideslip/"
 ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
 

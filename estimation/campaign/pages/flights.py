@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
+from daq.contract.constants import RADIAN
 from daq.contract.plain_words import file_name
 from estimation.campaign.groups import label_in
 from estimation.campaign.tasks import Row
@@ -18,14 +19,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FOLDER = "flights"
-DEGREES = 57.29577951308232
 MOST_PAGES = 2000  # of 20 kB: beyond, only flights with something to say have one
 SHOWN: Mapping[str, tuple[str, float]] = {
     "duration": ("s", 1.0),
     "V": ("m/s", 1.0),
-    "alpha": ("deg", DEGREES),
-    "beta_max": ("deg", DEGREES),
-    "delta_e": ("deg", DEGREES),
+    "alpha": ("deg", RADIAN),
+    "beta_max": ("deg", RADIAN),
+    "delta_e": ("deg", RADIAN),
     "altitude": ("m", 1.0),
     "rho": ("kg/m3", 1.0),
     "mass": ("kg", 1.0),
@@ -96,7 +96,7 @@ def _flight_line(
 ) -> list[tuple[str, str]]:
     """Cells of a flight, each with its class. page: its file, empty for none."""
     link = Markup('<a href="{}/{}">{}</a>').format(FOLDER, quote(page), first["flight"]) if page else first["flight"]
-    alpha = None if first["alpha"] is None else DEGREES * first["alpha"]
+    alpha = None if first["alpha"] is None else RADIAN * first["alpha"]
     numbers = [("", number(first["V"], 1)), ("", number(alpha, 1))]
     status = ", ".join(sorted({r["status"] for r in rows if r["kind"] == "run"}))
     count = ("" if sentences else "none", str(sentences or ""))

@@ -6,8 +6,7 @@ from enum import StrEnum
 from typing import Any
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.rounded import rounded as _round
-from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
+from estimation.gap.answer.shape import Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm, rounded
 from estimation.models.base import Model
 
 
@@ -31,17 +30,17 @@ class Gap:
     def closed(self) -> float:
         """1 - (after^2 - floor^2)/(before^2 - floor^2), in 0..1."""
         excess = self.before**2 - self.floor**2
-        left = max(self.after**2 - self.floor**2, 0.0)
+        remaining = max(self.after**2 - self.floor**2, 0.0)
         if excess <= 0.0:  # nothing above the floor to close: judged by whether anything is left, if anything was done
-            return 1.0 if left == 0.0 and self.after != self.before else 0.0
-        return min(max(1.0 - left / excess, 0.0), 1.0)
+            return 1.0 if remaining == 0.0 and self.after != self.before else 0.0
+        return min(max(1.0 - remaining / excess, 0.0), 1.0)
 
     def to_json(self) -> dict[str, float]:
         return {
-            "before": _round(self.before),
-            "after": _round(self.after),
-            "floor": _round(self.floor),
-            "closed": _round(self.closed),
+            "before": rounded(self.before),
+            "after": rounded(self.after),
+            "floor": rounded(self.floor),
+            "closed": rounded(self.closed),
         }
 
 
@@ -59,7 +58,7 @@ class Where:
         return {
             "equation": self.equation,
             "channels": list(self.channels),
-            "segments": [[_round(a, 3), _round(b, 3)] for a, b in self.segments],
+            "segments": [[rounded(a, 3), rounded(b, 3)] for a, b in self.segments],
             "regime": self.regime,
             "origin": self.origin,
         }
@@ -76,12 +75,12 @@ class Migration:
 
     def to_json(self) -> dict[str, Any]:
         data: dict[str, Any] = {
-            "from": _round(self.before, 6),
-            "to": _round(self.after, 6),
-            "bounds": _round(self.bounds, 2),
+            "from": rounded(self.before, 6),
+            "to": rounded(self.after, 6),
+            "bounds": rounded(self.bounds, 2),
         }
         if self.prior not in (None, 0.0):
-            data["percent_of_prior"] = _round(100 * (self.after - self.before) / abs(self.prior), 1)  # type: ignore[arg-type]
+            data["percent_of_prior"] = rounded(100 * (self.after - self.before) / abs(self.prior), 1)  # type: ignore[arg-type]
         return data
 
 
@@ -123,22 +122,22 @@ class EffectStep:
     practical: str = ""
     followed: Mapping[str, float] = field(default_factory=dict)
     text: str = ""
-    shape: ShapeCurve | Late | Swinging | Happened | HeldInstrument | None = None
+    shape: ShapeCurve | LaggedTerm | SwingingTerm | Happened | HeldInstrument | None = None
 
     def to_json(self) -> dict[str, Any]:
         return {
             "effect": self.effect, "title": self.title,
-            "form": self.form if self.shape is None else self.shape.to_json(), "confidence": _round(self.confidence),
-            "set": [{"effect": m.effect, "weight": _round(m.weight)} for m in self.members],
+            "form": self.form if self.shape is None else self.shape.to_json(), "confidence": rounded(self.confidence),
+            "set": [{"effect": m.effect, "weight": rounded(m.weight)} for m in self.members],
             "separate_by": self.separate_by,
-            "parameters": {n: {"estimate": _round(v, 8), "std": _round(s, 8), "unit": self.units.get(n, "")}
+            "parameters": {n: {"estimate": rounded(v, 8), "std": rounded(s, 8), "unit": self.units.get(n, "")}
                            for n, (v, s) in self.estimates.items()},
-            "score": _round(self.score, 3), "threshold": _round(self.threshold, 3), "where": self.where.to_json(),
+            "score": rounded(self.score, 3), "threshold": rounded(self.threshold, 3), "where": self.where.to_json(),
             "gap": self.gap.to_json(), "holdout": None if self.holdout is None else self.holdout.to_json(),
             "migrated": {n: m.to_json() for n, m in self.migrated.items()},
-            "absorbed": None if self.absorbed is None else _round(self.absorbed, 3),
+            "absorbed": None if self.absorbed is None else rounded(self.absorbed, 3),
             "equation": self.equation, "practical": self.practical,
-            "followed_by_timing": {n: _round(v, 5) for n, v in self.followed.items()}, "text": self.text,
+            "followed_by_timing": {n: rounded(v, 5) for n, v in self.followed.items()}, "text": self.text,
         }  # fmt: skip
 
 
@@ -224,14 +223,14 @@ class GapResult:
             "version": 1,
             "verdict": self.verdict.value,
             "text": self.text,
-            "minimum_detectable": {n: _round(v, 8) for n, v in self.minimum_detectable.items()},
+            "minimum_detectable": {n: rounded(v, 8) for n, v in self.minimum_detectable.items()},
             "steps": [s.to_json() for s in self.steps],
             "model_before": self.files[0],
             "model_after": self.files[1],
-            "scores": {n: _round(v, 3) for n, v in self.scores.items()},
-            "threshold": _round(self.threshold, 3),
-            "nominal_threshold": _round(self.nominal_threshold, 3),
-            "ties": [[t.first, t.second, _round(t.cosine, 3)] for t in self.ties],
+            "scores": {n: rounded(v, 3) for n, v in self.scores.items()},
+            "threshold": rounded(self.threshold, 3),
+            "nominal_threshold": rounded(self.nominal_threshold, 3),
+            "ties": [[t.first, t.second, rounded(t.cosine, 3)] for t in self.ties],
             "rejected": [{"effect": r.effect, "why": r.why} for r in self.rejected],
             "notes": list(self.notes),
             **dict(self.details.items()),

@@ -1,11 +1,19 @@
 """What can be said of an effect without a name: a curve, a memory, or something that happened at one time."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from estimation.engine.kernel import Array
-from estimation.gap.answer.rounded import rounded
+
+TURN = 2.0 * math.pi  # rad
+
+
+def rounded(value: float, digits: int = 4) -> float:
+    """Rounded for a file; numbers that are not finite have no place in JSON and become None."""
+    value = float(value)
+    return round(value, digits) if value - value == 0.0 else None  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -64,9 +72,11 @@ class ShapeCurve:
             "grid": [[rounded(x, 6) for x in self.grid]], "value": [rounded(v, 9) for v in self.value],
             "std": [rounded(v, 9) for v in self.std], "unit": self.unit, "range": [rounded(self.low, 6), rounded(self.high, 6)],
             "closed": rounded(self.closed), "analytic": self.analytic,
-            "candidates": [{"analytic": text, "closed": rounded(closed), "as_good": good,
-                            "parameters": {n: {"estimate": rounded(v, 9), "std": rounded(s, 9)} for n, (v, s) in found.items()}}
-                           for text, found, closed, good in self.candidates],
+            "candidates": [
+                {"analytic": text, "closed": rounded(closed), "as_good": as_good,
+                 "parameters": {n: {"estimate": rounded(v, 9), "std": rounded(s, 9)} for n, (v, s) in estimates.items()}}
+                for text, estimates, closed, as_good in self.candidates
+            ],
             "alternatives": [{"output": o, "variables": list(v), "share_of_gain": rounded(g, 3)} for o, v, g in self.rivals],
             "left_out": [{"flight": n, "inside": rounded(i, 3), "gain": rounded(g, 1)} for n, i, g in self.left_out],
             "regime": self.regime, "separate_by": self.separate_by, "alike": [a.to_json() for a in self.alike],
@@ -74,56 +84,59 @@ class ShapeCurve:
 
 
 @dataclass(frozen=True)
-class Late:
-    """Where no function of the motion closes the gap: a coefficient that follows a variable with a lag gains. time: s."""
+class LaggedTerm:
+    """A coefficient that follows a variable with a lag, where no function of the motion closes the gap. line: of the
+    coefficient; time: s; gain: twice the log-likelihood by linear theory."""
 
-    output: str
+    line: str
     variable: str
     time: float
+    gain: float
     score: float
     threshold: float
 
+    @property
+    def words(self) -> str:
+        return f"{self.line} follows {self.variable} some {self.time:g} s late"
+
     def to_json(self) -> dict[str, Any]:
         return {
-            "kind": "memory",
-            "nameless": True,
-            "output": self.output,
-            "variables": [self.variable],
-            "time_constant": self.time,
-            "score": rounded(self.score, 2),
-            "threshold": rounded(self.threshold, 2),
-        }
+            "kind": "memory", "nameless": True, "output": self.line, "variables": [self.variable],
+            "time_constant": self.time, "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Swinging:
-    """A coefficient that an oscillator adds to. by: acceleration (ax, ay, az m/s2; p_dot, q_dot, r_dot rad/s2) -> what of the
-    coefficient it makes when it is steady. frequency: rad/s, damping: of critical, each with its standard deviation where the fit
-    beside the model did not run away."""
+class SwingingTerm:
+    """A coefficient that an oscillator adds to. line: of the coefficient. by: acceleration (ax, ay, az m/s2; p_dot, q_dot, r_dot
+    rad/s2) -> what of the coefficient it makes when it is steady. frequency: rad/s, without damping, damping: of critical, each
+    with its standard deviation once it is fitted. gain: twice the log-likelihood by linear theory, less what chance makes of the
+    unknowns."""
 
-    output: str
+    line: str
     by: Mapping[str, float]
     frequency: float
     damping: float
-    frequency_std: float | None
-    damping_std: float | None
+    gain: float
     score: float
     threshold: float
+    frequency_std: float | None = None
+    damping_std: float | None = None
+
+    @property
+    def words(self) -> str:
+        return f"{self.line} swings at {self.frequency / TURN:.2g} Hz as {' and '.join(self.by)} drive it"
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "kind": "swing",
-            "nameless": True,
-            "output": self.output,
-            "variables": list(self.by),
+            "kind": "swing", "nameless": True, "output": self.line, "variables": list(self.by),
             "sizes": {a: rounded(v, 9) for a, v in self.by.items()},
             "frequency": rounded(self.frequency, 4),
             "frequency_std": None if self.frequency_std is None else rounded(self.frequency_std, 4),
             "damping": rounded(self.damping, 4),
             "damping_std": None if self.damping_std is None else rounded(self.damping_std, 4),
-            "score": rounded(self.score, 2),
-            "threshold": rounded(self.threshold, 2),
-        }
+            "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """The verdict in words a flight-test engineer can act on."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import EffectStep, GapVerdict
-from estimation.gap.answer.shape import Happened, HeldInstrument, Late, ShapeCurve, Swinging
+from estimation.gap.answer.shape import TURN, Happened, HeldInstrument, LaggedTerm, ShapeCurve, SwingingTerm
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -15,7 +14,6 @@ EXAMPLES = (
     "aileron_delay",
     "p_sin_alpha",
 )  # of sizes that would have been seen
-TURN = 2.0 * math.pi
 FEW, NAMES, MANOEUVRES = 4, 8, 3  # examples, effects and manoeuvres in one paragraph; the JSON file has all
 
 
@@ -26,14 +24,14 @@ def describe_step(step: EffectStep) -> str:
     numbers = ", ".join(
         f"{n} = {v:.4g} +- {s:.2g} {step.units.get(n, '')}".rstrip() for n, (v, s) in step.estimates.items()
     )
-    which = step.effect if step.form in (step.effect, *step.estimates) else f"{step.effect}, {step.form}"
-    text = f"{step.title} ({which}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
+    label = step.effect if step.form in (step.effect, *step.estimates) else f"{step.effect}, {step.form}"
+    text = f"{step.title} ({label}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
     if step.followed:
-        moved = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
-        text += f" Without it the base moves {moved} to follow; the gap before it is counted without that."
+        shifts = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
+        text += f" Without it the base moves {shifts} to follow; the gap before it is counted without that."
     if len(step.members) > 1:
-        others = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
-        text += f" These flights cannot tell {others} apart; to separate them: {step.separate_by}."
+        rivals = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
+        text += f" These flights cannot tell {rivals} apart; to separate them: {step.separate_by}."
     return text
 
 
@@ -45,31 +43,35 @@ def describe_unknown(step: EffectStep) -> str:
         return describe_events(step.shape)
     if isinstance(step.shape, HeldInstrument):
         return describe_held(step.shape)
-    where = step.where
+    location = step.where
     place = (
-        f"it lives in {', '.join(where.channels)} ({where.regime})" if where.channels else "no channel shows it alone"
+        f"it lives in {', '.join(location.channels)} ({location.regime})"
+        if location.channels
+        else "no channel shows it alone"
     )
-    when = f", for example at {where.segments[0][0]:.1f} to {where.segments[0][1]:.1f} s" if where.segments else ""
-    text = (
-        f"Something the catalogue does not hold: {place}{when}. No name is given, because none explains enough of it."
+    example = (
+        f", for example at {location.segments[0][0]:.1f} to {location.segments[0][1]:.1f} s"
+        if location.segments
+        else ""
     )
-    if isinstance(step.shape, Late):
+    text = f"Something the catalogue does not hold: {place}{example}. No name is given, because none explains enough of it."
+    if isinstance(step.shape, LaggedTerm):
         s = step.shape
         text += (
-            f" No function of the motion closes the gap either; a part of {s.output} that follows {s.variable} some {s.time:g} s "
+            f" No function of the motion closes the gap either; a part of {s.line} that follows {s.variable} some {s.time:g} s "
             f"late gains (score {s.score:.1f} against {s.threshold:.1f})."
         )
-    if isinstance(step.shape, Swinging):
+    if isinstance(step.shape, SwingingTerm):
         text += f" {describe_swing(step.shape)}"
     return text
 
 
-def describe_swing(swing: Swinging) -> str:
+def describe_swing(swing: SwingingTerm) -> str:
     """What swings, how fast, and what may be looked at."""
     hertz, std = swing.frequency / TURN, swing.frequency_std
     fast = f"{hertz:.2g} Hz" if std is None else f"{hertz:.3g} +- {std / TURN:.1g} Hz"
     return (
-        f"A part of {swing.output} that goes on swinging at {fast} with a damping of {swing.damping:.2g}, driven by "
+        f"A part of {swing.line} that goes on swinging at {fast} with a damping of {swing.damping:.2g}, driven by "
         f"{' and '.join(swing.by)}, gains (score {swing.score:.1f} against {swing.threshold:.1f}): look for what can move or "
         "bend in the airframe at that frequency (tap it, fly it with the tank full and empty, film it)."
     )
@@ -77,54 +79,56 @@ def describe_swing(swing: Swinging) -> str:
 
 def describe_curve(curve: ShapeCurve) -> str:
     """A nameless shape in words: where, how sure, in which range, what would settle it."""
-    by = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
-    what = (
+    dependence = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
+    subject = (
         "Something that no effect of the catalogue stands for"
         if curve.alike
         else "Something the catalogue does not hold"
     )
     text = (
-        f"{what}, and no physical name is given to it: "
-        f"a part of {curve.output} that is {by}, known from {curve.low:.3g} to {curve.high:.3g} {curve.unit} and held outside "
-        f"({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave."
+        f"{subject}, and no physical name is given to it: "
+        f"a part of {curve.output} that is {dependence}, known from {curve.low:.3g} to {curve.high:.3g} {curve.unit} and held "
+        f"outside ({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave."
     )
-    good = [c for c in curve.candidates if c[3]]
-    if good:
-        said = [
-            f"{formula} with " + ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, (v, s) in found.items())
-            for formula, found, _, _ in good
+    accepted = [c for c in curve.candidates if c[3]]
+    if accepted:
+        formulas = [
+            f"{formula} with " + ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, (v, s) in estimates.items())
+            for formula, estimates, _, _ in accepted
         ]
-        text += f" As good as the curve: {' or '.join(said)}."
+        text += f" As good as the curve: {' or '.join(formulas)}."
     else:
         text += " No plain formula does as well as the curve."
     for a in curve.alike:
         value, std = a.estimate
         text += f" {a.effect} ({a.title}) has that form and would be {value:.4g} +- {std:.2g} {a.unit}; {a.why_not}."
     if curve.rivals:
-        others = " or ".join(f"{o} by {' times '.join(v)} ({g:.2f} of the gain)" for o, v, g in curve.rivals)
-        text += f" Nearly as well: {others}."
+        rivals = " or ".join(f"{o} by {' times '.join(v)} ({g:.2f} of the gain)" for o, v, g in curve.rivals)
+        text += f" Nearly as well: {rivals}."
     return f"{text} To settle it: {curve.separate_by}."
 
 
 def describe_events(happened: Happened) -> str:
     """What happened, when, and that it is no term of the model."""
-    said = []
+    sentences = []
     for e in happened.events:
-        where = f"on {e.flight}" if e.flight else "on these flights"
+        place = f"on {e.flight}" if e.flight else "on these flights"
         size = ", ".join(f"{v:.2g} +- {s:.1g}" for v, s in e.sizes)
         if e.air:
-            said.append(f"a gust changes {e.air} {where} from {e.start:.1f} to {e.end:.1f} s by up to {size} {e.unit}")
+            sentences.append(
+                f"a gust changes {e.air} {place} from {e.start:.1f} to {e.end:.1f} s by up to {size} {e.unit}"
+            )
             continue
-        said.append(
+        sentences.append(
             {
-                "drift": f"{e.channel} drifts {where} by {size} {e.unit} over each",
-                "slip": f"{e.channel} jumps {where} at {e.start:.1f} s by {size} {e.unit}",
-                "burst": f"the motion is disturbed {where} from {e.start:.1f} to {e.end:.1f} s, as by a gust",
+                "drift": f"{e.channel} drifts {place} by {size} {e.unit} over each",
+                "slip": f"{e.channel} jumps {place} at {e.start:.1f} s by {size} {e.unit}",
+                "burst": f"the motion is disturbed {place} from {e.start:.1f} to {e.end:.1f} s, as by a gust",
             }[e.what]
         )
     return (
-        f"Something that goes with time and not with the motion: {'; '.join(said)}. Without it nothing is left that a term of "
-        "the model would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the "
+        f"Something that goes with time and not with the motion: {'; '.join(sentences)}. Without it nothing is left that a term "
+        "of the model would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the "
         "stretch out."
     )
 
@@ -159,9 +163,9 @@ def conclude(
             "No effect found: what is left of the disagreement looks like the noise, gusts and input errors of these flights."
         )
         if detectable:
-            some = [f"{n} of {detectable[n]:.2g}" for n in EXAMPLES if n in detectable][:FEW]
-            if some:
-                parts.append(f"Anything larger than for example {', '.join(some)} would have been seen.")
+            examples = [f"{n} of {detectable[n]:.2g}" for n in EXAMPLES if n in detectable][:FEW]
+            if examples:
+                parts.append(f"Anything larger than for example {', '.join(examples)} would have been seen.")
     elif verdict is GapVerdict.CANNOT_TELL:
         parts.append(
             "No effect found, but these flights could not have shown many of them: they hardly excite the motion."
@@ -194,8 +198,10 @@ def conclude(
         names = ", ".join(e.name for e in cannot[:NAMES]) + (
             f" and {len(cannot) - NAMES} more" if len(cannot) > NAMES else ""
         )
-        wanted = list(dict.fromkeys(e.separate_by for e in cannot))[:MANOEUVRES]
-        parts.append(f"These flights cannot tell anything about {names} at their usual size; fly {'; '.join(wanted)}.")
+        manoeuvres = list(dict.fromkeys(e.separate_by for e in cannot))[:MANOEUVRES]
+        parts.append(
+            f"These flights cannot tell anything about {names} at their usual size; fly {'; '.join(manoeuvres)}."
+        )
     if tied and verdict in (GapVerdict.NO_GAP, GapVerdict.CANNOT_TELL):
         hidden = "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
         if not any(

@@ -109,16 +109,16 @@ class Form:
 
     def obstacle(self, model: Model) -> str | None:
         """Why the form cannot be added to `model`, or None where it can."""
-        known = _symbols(model)
+        symbols = _symbols(model)
         present = [p.name for p in self.parameters if p.name in model.parameter_names and p.name not in self.frees]
         present += [s.name for s in self.states if s.name in model.state_names]
         if present:
             return f"the model already has {', '.join(present)}"
-        missing = [s for s in self.requires if s not in known]
-        shown = self.shown_by(model)
-        missing += [o for o in (*shown.outputs, *shown.output_delays) if o not in model.output_names]
+        missing = [s for s in self.requires if s not in symbols]
+        visible = self.shown_by(model)
+        missing += [o for o in (*visible.outputs, *visible.output_delays) if o not in model.output_names]
         if not (
-            self.terms or shown.outputs or shown.output_delays
+            self.terms or visible.outputs or visible.output_delays
         ):  # what it changes is optional, and the model has none
             missing += [*self.outputs, *self.output_delays]
         if self.transforms and not self._transforms(model):
@@ -128,7 +128,7 @@ class Form:
         for line, symbol in self.unless:
             if symbol in _reach(model, line):
                 return f"the model's {line} already contains {symbol}"
-        if any(o in model.output_delays for o in shown.output_delays):
+        if any(o in model.output_delays for o in visible.output_delays):
             return "the model already delays these outputs"
         if self.terms and not self._pieces(model):
             return "the model has none of the terms it would change"
@@ -155,31 +155,31 @@ class Form:
             )
             for p in self.parameters
         ]
-        shown = self.shown_by(model)
+        visible = self.shown_by(model)
         return model.plus(
             terms=self._pieces(model),
             lines=self.lines,
-            outputs=shown.outputs,
+            outputs=visible.outputs,
             states=self.states,
             inputs=[s for s in self.inputs if s.name not in _symbols(model)],
             parameters=parameters,
             transforms=self._transforms(model),
-            output_delays=shown.output_delays,
+            output_delays=visible.output_delays,
         )
 
     def _transforms(self, model: Model) -> tuple[InputTransform, ...]:
         return tuple(t for t in self.transforms if t.input in model.input_names)
 
     def _pieces(self, model: Model) -> dict[str, str]:
-        known = _symbols(model) | {p.name for p in self.parameters} | {s.name for s in (*self.states, *self.inputs)}
-        known |= {line.partition("=")[0].strip() for line in self.lines}
-        chosen = {}
+        symbols = _symbols(model) | {p.name for p in self.parameters} | {s.name for s in (*self.states, *self.inputs)}
+        symbols |= {line.partition("=")[0].strip() for line in self.lines}
+        additions = {}
         for line, pieces in self.terms.items():
             if line in model.definitions:
-                fitting = [piece for piece in pieces if names_in(piece) <= known]
+                fitting = [piece for piece in pieces if names_in(piece) <= symbols]
                 if fitting:
-                    chosen[line] = " + ".join(f"({piece})" for piece in fitting)
-        return chosen
+                    additions[line] = " + ".join(f"({piece})" for piece in fitting)
+        return additions
 
 
 @dataclass(frozen=True)
@@ -226,9 +226,9 @@ def add_effect(effect: Effect, model: Model, size: float | None = None) -> Model
     """`model` with the first applicable form of `effect`, started at `size` typical sizes (default: no effect)."""
     for form in effect.forms:
         if form.obstacle(model) is None:
-            at = None if size is None else {p.name: p.null_value(model) + size * p.typical for p in form.parameters}
-            made = form.added_to(model, at)
-            return replace(made, name=f"{model.name}+{effect.name}")
+            values = None if size is None else {p.name: p.null_value(model) + size * p.typical for p in form.parameters}
+            extended = form.added_to(model, values)
+            return replace(extended, name=f"{model.name}+{effect.name}")
     raise EffectError(f"effect {effect.name}: cannot be added to model {model.name}: {effect.forms[0].obstacle(model)}")
 
 
@@ -238,12 +238,12 @@ def _symbols(model: Model) -> set[str]:
 
 def _reach(model: Model, line: str) -> set[str]:
     """Symbols that `line` is made of, through intermediate lines but not through coefficients' states."""
-    found: set[str] = set()
+    symbols: set[str] = set()
     open_ = [line]
     while open_:
         symbol = open_.pop()
         for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
-            if name not in found:
-                found.add(name)
+            if name not in symbols:
+                symbols.add(name)
                 open_.append(name)
-    return found
+    return symbols

@@ -1,56 +1,41 @@
-"""The catalogue as one ordered table, extended by installed packages and by files a person names.
+"""The catalogue: built-in effects, a TOML table each, extended by installed packages and by files a person names.
 
 A laboratory adds an effect in one short file: a TOML file with the fields of `Effect` and `Form` (data only, nothing is
-executed), or a Python file with a tuple `EFFECTS`; or installs it under the entry point group `sideslip.effects`.
+executed), as the built-in ones beside this module are, or a Python file with a tuple `EFFECTS`; or installs it under the entry
+point group `sideslip.effects`.
 """
 
 import importlib.metadata
 import importlib.util
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from daq.contract.input_files import read_toml
 from estimation.errors import ModelError
-from estimation.gap.effects import longitudinal_aerodynamic, longitudinal_hardware, longitudinal_propulsion
-from estimation.gap.effects.aerodynamic import DERIVATIVES, NONLINEAR, UNSTEADY
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.effects.cross_axis import CROSS_AXIS
-from estimation.gap.effects.cross_axis import INERTIAL as CROSS_INERTIAL
-from estimation.gap.effects.hardware import ACTUATOR, ENVIRONMENT, SENSOR
-from estimation.gap.effects.motion import INERTIAL, PROPULSION
-from estimation.gap.effects.sizes import at_size_of
 from estimation.gap.errors import EffectError
 from estimation.models.base import InputTransform, Model, Signal
 from estimation.models.expressions import parse
 
 ENTRY_POINTS = "sideslip.effects"
 LARGEST_NUMBER = 1e12  # of a bound or size, in any SI unit: no quantity of an aircraft comes near it
-BUILT_IN: tuple[Effect, ...] = (
-    *DERIVATIVES,
-    *NONLINEAR,
-    *UNSTEADY,
-    *INERTIAL,
-    *PROPULSION,
-    *ACTUATOR,
-    *SENSOR,
-    *ENVIRONMENT,
-)
-
-
-LONGITUDINAL: tuple[Effect, ...] = (
-    *longitudinal_aerodynamic.UNSTEADY,
-    *longitudinal_aerodynamic.NONLINEAR,
-    *longitudinal_aerodynamic.DRAG,
-    *longitudinal_propulsion.PROPULSION,
-    *longitudinal_hardware.ACTUATOR,
-    *longitudinal_hardware.SENSOR,
-    *longitudinal_aerodynamic.TIED,
-    *(e for e in CROSS_INERTIAL if e.name == "pitch_inertial_coupling"),
-    *(e for e in ENVIRONMENT if e.name == "gust"),
-)
 LATERAL_LINES, LONGITUDINAL_LINES = frozenset({"CY", "Cl", "Cn"}), frozenset({"CL", "CD", "Cm"})
+REFERENCE: Mapping[str, float] = {"m": 3.5, "b": 1.5, "S": 0.787}
+"""Mass [kg], span [m] and area [m2] of the aircraft for which the catalogue states its sizes (docs/aircraft.md)."""
+PER_PRESSURE = "1/(200 Pa)"
+
+
+@cache
+def plane(name: str) -> tuple[Effect, ...]:
+    """Built-in effects of one file: lateral, longitudinal (with those of other files that pitch too) or across_axes."""
+    effects = _from_toml(Path(__file__).with_name(f"{name}.toml"), may_lack_forms=True)
+    if name == "longitudinal":
+        effects += tuple(e for e in plane("across_axes") if e.name == "pitch_inertial_coupling")
+        effects += tuple(e for e in plane("lateral") if e.name == "gust")
+    return effects
 
 
 def built_in(model: Model | None = None) -> tuple[Effect, ...]:
@@ -58,12 +43,12 @@ def built_in(model: Model | None = None) -> tuple[Effect, ...]:
     them. Where two planes know an effect by one name, the one of all axes holds."""
     lines = frozenset(model.definitions) if model is not None else frozenset()
     if not lines & LONGITUDINAL_LINES:
-        return BUILT_IN
+        return plane("lateral")
     if not lines & LATERAL_LINES:
-        return LONGITUDINAL
+        return plane("longitudinal")
     # where the aircraft rolls and yaws in the equations, p r tells the moment of inertia that Cm_* carry otherwise
-    free = tuple(replace(e, tied_to=()) if e.name == "Iyy_error" else e for e in LONGITUDINAL)
-    return tuple({e.name: e for e in (*BUILT_IN, *free, *CROSS_AXIS)}.values())
+    free = tuple(replace(e, tied_to=()) if e.name == "Iyy_error" else e for e in plane("longitudinal"))
+    return tuple({e.name: e for e in (*plane("lateral"), *free, *plane("across_axes"))}.values())
 
 
 def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None) -> tuple[Effect, ...]:
@@ -80,6 +65,32 @@ def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None
         for effect in load_effects(path):
             effects[effect.name] = effect
     return tuple(effects.values())
+
+
+def at_size_of(effects: Sequence[Effect], model: Model | None) -> tuple[Effect, ...]:
+    """The effects with usual sizes and limits for the aircraft whose mass, span and area are constants of `model`; as they are
+    where it has none.
+
+    What has no dimension and what an instrument or servo has of itself (a time constant) is the same on any aircraft. Lengths
+    are measured in spans, pressures in wing loadings, times of the motion by Froude's law as the square root of a length.
+    """
+    ratio = {n: model.constants[n] / v for n, v in REFERENCE.items() if n in model.constants} if model else {}
+    if len(ratio) < len(REFERENCE) or not all(0.0 < r < float("inf") for r in ratio.values()):
+        return tuple(effects)
+    mass, length, loading = ratio["m"], ratio["b"], ratio["m"] / ratio["S"]
+    growth = {
+        "m": length, "m/rad": length, "kg": mass, "kg m2": mass * length**2, "kg m2/s": mass * length**1.5,
+        PER_PRESSURE: 1.0 / loading,
+    }  # fmt: skip
+
+    def sized(p: EffectParameter) -> EffectParameter:
+        factor = growth.get(p.unit, 1.0)
+        return replace(p, typical=factor * p.typical, lower=factor * p.lower, upper=factor * p.upper)
+
+    return tuple(
+        replace(e, forms=tuple(replace(f, parameters=tuple(map(sized, f.parameters))) for f in e.forms))
+        for e in effects
+    )
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
@@ -109,26 +120,28 @@ def _checked(found: Any, where: str) -> tuple[Effect, ...]:
     return effects
 
 
-def _from_toml(path: Path) -> tuple[Effect, ...]:
+def _from_toml(path: Path, may_lack_forms: bool = False) -> tuple[Effect, ...]:
     data = read_toml(path, "file", EffectError)
     tables = data.get("effect")
     if not isinstance(tables, list) or not tables:
         raise EffectError(f"effects {path}: write each effect as a table [[effect]]")
     try:
-        return tuple(_effect(table) for table in tables)
+        return tuple(_effect(table, may_lack_forms) for table in tables)
     except (TypeError, ValueError, KeyError, AttributeError, ModelError) as error:
         raise EffectError(f"effects {path}: {error}") from error
 
 
-def _effect(table: Mapping[str, Any]) -> Effect:
+def _effect(table: Mapping[str, Any], may_lack_forms: bool) -> Effect:
     data = dict(table)
     forms = tuple(_form(f, data.get("name", "")) for f in data.pop("form", []))
-    if not forms:
+    if not forms and not may_lack_forms:
         raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")
     labels = [f.label for f in forms]
     if len(set(labels)) < len(labels):
-        twice = next(n for n in labels if labels.count(n) > 1)
-        raise EffectError(f"effect {data.get('name')!r}: two forms are called {twice!r}; give each a label of its own")
+        duplicate = next(n for n in labels if labels.count(n) > 1)
+        raise EffectError(
+            f"effect {data.get('name')!r}: two forms are called {duplicate!r}; give each a label of its own"
+        )
     texts = {k: str(data.pop(k, "")) for k in ("physics", "equation", "source", "signature", "separate_by", "family")}
     effect = Effect(
         name=data.pop("name"),
@@ -136,12 +149,8 @@ def _effect(table: Mapping[str, Any]) -> Effect:
         group=Group(data.pop("group", Group.DERIVATIVE)),
         confusions=dict(data.pop("confusions", {})),
         forms=forms,
-        physics=texts["physics"],
-        equation=texts["equation"],
-        source=texts["source"],
-        signature=texts["signature"],
-        separate_by=texts["separate_by"],
-        family=texts["family"],
+        tied_to=tuple(data.pop("tied_to", ())),
+        **texts,
     )
     if data:
         raise EffectError(f"effect {effect.name!r}: unknown key {next(iter(data))!r}")
@@ -150,19 +159,19 @@ def _effect(table: Mapping[str, Any]) -> Effect:
 
 def _parameter(table: Mapping[str, Any]) -> EffectParameter:
     """An unknown of the file. Raises ValueError where its numbers are none, or do not enclose anything."""
-    made = EffectParameter(**table)
-    numbers = {"typical": made.typical, "lower": made.lower, "upper": made.upper}
-    numbers |= {} if isinstance(made.none, str) else {"none": made.none}
+    parameter = EffectParameter(**table)
+    numbers = {"typical": parameter.typical, "lower": parameter.lower, "upper": parameter.upper}
+    numbers |= {} if isinstance(parameter.none, str) else {"none": parameter.none}
     for key, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
             raise ValueError(
-                f"parameter {str(made.name)[:80]!r}: {key} = {str(value)[:40]!r} is not a number up to {LARGEST_NUMBER:g}"
+                f"parameter {str(parameter.name)[:80]!r}: {key} = {str(value)[:40]!r} is not a number up to {LARGEST_NUMBER:g}"
             )
-    if not made.lower < made.upper or not made.typical > 0.0:
-        raise ValueError(f"parameter {str(made.name)[:80]!r}: lower must be below upper, and typical above 0")
-    if not all(isinstance(text, str) for text in (made.name, made.unit, made.meaning)):
-        raise ValueError(f"parameter {str(made.name)[:80]!r}: name, unit and meaning are texts")
-    return made
+    if not parameter.lower < parameter.upper or not parameter.typical > 0.0:
+        raise ValueError(f"parameter {str(parameter.name)[:80]!r}: lower must be below upper, and typical above 0")
+    if not all(isinstance(text, str) for text in (parameter.name, parameter.unit, parameter.meaning)):
+        raise ValueError(f"parameter {str(parameter.name)[:80]!r}: name, unit and meaning are texts")
+    return parameter
 
 
 def _form(table: Mapping[str, Any], effect: str) -> Form:

@@ -44,7 +44,7 @@ def missing_derivatives(model: Model, known: set[str]) -> tuple[Effect, ...]:
 
 
 def _effect(name: str, line: str, quantity: str, suffix: str, regressor: str, model: Model) -> Effect:
-    held = name in model.parameter_names
+    is_fixed = name in model.parameter_names
     prior = next((p for p in model.parameters if p.name == name), None)
     typical = TYPICAL.get(name, 0.1)
     start = prior.start if prior is not None else 0.0
@@ -59,15 +59,15 @@ def _effect(name: str, line: str, quantity: str, suffix: str, regressor: str, mo
     )
     form = (
         Form(name, (parameter,), frees=(name,))
-        if held
+        if is_fixed
         else Form(name, (parameter,), terms={line: (f"{name}*{regressor}",)}, requires=(line, regressor))
     )
     return Effect(
         name=name,
         title=f"{quantity} due to {WORDS[suffix]}",
         group=Group.DERIVATIVE,
-        physics=f"The model {'holds' if held else 'leaves out'} the {quantity} due to {WORDS[suffix]}"
-        + (f" at {start:g}." if held else "."),
+        physics=f"The model {'holds' if is_fixed else 'leaves out'} the {quantity} due to {WORDS[suffix]}"
+        + (f" at {start:g}." if is_fixed else "."),
         equation=f"C_{line[1:]} = ... + C_{line[1:]}{SUBSCRIPT[suffix]} {regressor}",
         source="the linear model with all its derivatives",
         signature=f"residual in the {quantity}'s channel following {WORDS[suffix]}",

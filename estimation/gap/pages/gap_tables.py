@@ -78,11 +78,11 @@ def step_formulas(step: EffectStep) -> ReportTable | None:
     rows = tuple(
         (
             formula,
-            ", ".join(f"{n} = {v:.4g} ± {s:.2g}" for n, (v, s) in found.items()),
+            ", ".join(f"{n} = {v:.4g} ± {s:.2g}" for n, (v, s) in estimates.items()),
             f"{100 * closed:.0f}",
-            "as good as the curve" if good else "worse",
+            "as good as the curve" if as_good else "worse",
         )
-        for formula, found, closed, good in step.shape.candidates
+        for formula, estimates, closed, as_good in step.shape.candidates
     )
     head = ("formula", "unknowns", "closed [%]", "")
     note = "Share of the whitened energy above the nulls' that is gone on the held-out flights, or on the training flights."
@@ -137,9 +137,9 @@ def ties_table(result: GapResult) -> ReportTable | None:
     if not result.ties:
         return None
     rows = tuple((t.first, t.second, number(t.cosine, 3)) for t in result.ties[:LISTED])
-    left = len(result.ties) - len(rows)
+    omitted = len(result.ties) - len(rows)
     note = "|cos| of their signatures in the residuals, 1: the same." + (
-        f" {left} pairs that are told apart better are in gap.json." if left else ""
+        f" {omitted} pairs that are told apart better are in gap.json." if omitted else ""
     )
     return ReportTable(
         "ties",
@@ -153,14 +153,14 @@ def ties_table(result: GapResult) -> ReportTable | None:
 
 def cannot_table(result: GapResult) -> ReportTable | None:
     """Effects that these flights would not show, by the manoeuvre that would."""
-    by = collected((c["separate_by"], c["effect"]) for c in result.details["cannot_tell"])
-    if not by:
+    manoeuvres = collected((c["separate_by"], c["effect"]) for c in result.details["cannot_tell"])
+    if not manoeuvres:
         return None
     return ReportTable(
         "fly_next",
         "Not visible on these flights",
         ("fly next", "it would show"),
-        tuple((fly, ", ".join(names)) for fly, names in by.items()),
+        tuple((fly, ", ".join(names)) for fly, names in manoeuvres.items()),
         symbols=False,
         texts=(0, 1),
     )
@@ -168,14 +168,14 @@ def cannot_table(result: GapResult) -> ReportTable | None:
 
 def rejected_table(result: GapResult) -> ReportTable | None:
     """What was looked at and not taken, by the reason; the same effect is looked at again in every round."""
-    by = collected((_reason(r.why, r.effect), r.effect) for r in result.rejected)
-    if not by:
+    reasons = collected((_reason(r.why, r.effect), r.effect) for r in result.rejected)
+    if not reasons:
         return None
     return ReportTable(
         "rejected",
         "Looked at and rejected",
         ("why", "effects"),
-        tuple((why, ", ".join(names)) for why, names in by.items()),
+        tuple((reason, ", ".join(names)) for reason, names in reasons.items()),
         symbols=False,
         texts=(0, 1),
     )
@@ -183,8 +183,8 @@ def rejected_table(result: GapResult) -> ReportTable | None:
 
 def _reason(why: str, effect: str) -> str:
     """A reason that others may share: without the effect's own name at its head, and without the numbers of one round."""
-    for pattern, said in SHARED:
-        why = re.sub(pattern, said, why)
+    for pattern, words in SHARED:
+        why = re.sub(pattern, words, why)
     return why.removeprefix(f"{effect.partition(' ')[0]} ") if why.endswith("to nothing") else why
 
 
@@ -208,8 +208,8 @@ def sizes_table(result: GapResult, effects: Sequence[Effect]) -> ReportTable:
 
 def _units(effects: Sequence[Effect]) -> Mapping[str, str]:
     """Unit of every parameter by its name, and by the effect's where it has one form."""
-    found = {p.name: _unit(p.unit) for e in effects for form in e.forms for p in form.parameters}
-    return found | {
+    units = {p.name: _unit(p.unit) for e in effects for form in e.forms for p in form.parameters}
+    return units | {
         e.name: _unit(e.forms[0].parameters[0].unit) for e in effects if len(e.forms) == 1 and e.forms[0].parameters
     }
 

@@ -11,7 +11,7 @@ from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
-from estimation.gap.pages.residual_maps import AFTER, BEFORE, residual_maps
+from estimation.gap.pages.figures import AFTER, BEFORE, residual_maps
 from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
 from estimation.report.flight_tables import notes_table
 from estimation.report.names import axis_label, face
@@ -139,19 +139,19 @@ def _lineage(result: GapResult) -> "Markup":
 
 def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:
     """What draws each figure of the page, by name: scores, where the disagreement lives, every flight before and after."""
-    drawn: dict[str, Callable[[], Picture]] = {"scores": partial(score_figure, result)}
+    figures: dict[str, Callable[[], Picture]] = {"scores": partial(score_figure, result)}
     if result.views:
-        drawn["residual_maps"] = partial(residual_maps, result)
+        figures["residual_maps"] = partial(residual_maps, result)
     for step in result.steps:
         if isinstance(step.shape, ShapeCurve):
-            drawn[f"nameless_{step.shape.output}"] = partial(curve_figure, step.shape)
-    return drawn | {f"history_{h.flight}": partial(history_figure, h, result) for h in result.histories}
+            figures[f"nameless_{step.shape.output}"] = partial(curve_figure, step.shape)
+    return figures | {f"history_{h.flight}": partial(history_figure, h, result) for h in result.histories}
 
 
 def _of_flight(note: str) -> tuple[str, str]:
     """(flight, sentence) of a note; one of no flight is of all."""
-    flight, found, text = note.partition(": ")
-    return (flight, text) if found else ("all", note)
+    flight, separator, text = note.partition(": ")
+    return (flight, text) if separator else ("all", note)
 
 
 def typeset(equation: str) -> "Markup":
@@ -171,25 +171,27 @@ def history_figure(h: Histories, result: GapResult) -> Picture:
         axes = figure.subplots(len(result.outputs), 2, sharex=True, squeeze=False)
         for c, name in enumerate(result.outputs):
             k, unit = face(name, units[name])
-            left, right = axes[c]
-            left.plot(h.time, k * h.measured[:, c], ".", ms=2, color=MEASURED, label="measured")
+            courses_axis, residual_axis = axes[c]
+            courses_axis.plot(h.time, k * h.measured[:, c], ".", ms=2, color=MEASURED, label="measured")
             for course, colour, label in ((h.before, BEFORE, "before"), (h.after, AFTER, "after")):
-                left.plot(h.time, broken_at_gaps(h.time, k * course[:, c]), lw=0.9, color=colour, label=label)
-                right.plot(h.time, broken_at_gaps(h.time, k * (h.measured - course)[:, c]), lw=0.6, color=colour)
-            left.set_ylabel(axis_label(name, unit))
-            right.axhspan(-k * h.floor[c], k * h.floor[c], color=BAND, alpha=0.35, lw=0, label="floor ± 1σ")
+                courses_axis.plot(h.time, broken_at_gaps(h.time, k * course[:, c]), lw=0.9, color=colour, label=label)
+                residual_axis.plot(
+                    h.time, broken_at_gaps(h.time, k * (h.measured - course)[:, c]), lw=0.6, color=colour
+                )
+            courses_axis.set_ylabel(axis_label(name, unit))
+            residual_axis.axhspan(-k * h.floor[c], k * h.floor[c], color=BAND, alpha=0.35, lw=0, label="floor ± 1σ")
         for axis, title in zip(axes[0], ("measured and model", "residuals"), strict=True):
             axis.legend(ncols=3, **ABOVE)
             axis.set_title(title, loc="left")
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         figure.align_ylabels()
-    held = ", held out" if h.holdout else ""
+    suffix = ", held out" if h.holdout else ""
     points = 5 * h.time.size * len(result.outputs)
     return picture(
         figure,
         f"history_{h.flight}",
-        f"{h.flight}{held}: measured, model before and model after, and what is left.",
+        f"{h.flight}{suffix}: measured, model before and model after, and what is left.",
         points,
     )
 
@@ -198,9 +200,9 @@ def curve_figure(curve: ShapeCurve) -> Picture:
     """A nameless part of a coefficient with its band, two standard deviations to either side, over the range flown."""
     from matplotlib.figure import Figure
 
-    variable, *by = curve.variables
+    variable, *multiplier = curve.variables
     k, unit = face(variable, curve.unit)
-    output = f"{curve.output} per {by[0]}" if by else curve.output
+    output = f"{curve.output} per {multiplier[0]}" if multiplier else curve.output
     with styled():
         figure = Figure(figsize=(6.4, 3.2), layout="constrained")
         axis = figure.subplots()
@@ -223,8 +225,8 @@ def score_figure(result: GapResult) -> Picture:
     from matplotlib.figure import Figure
 
     names = list(result.scores)
-    named = {s.effect for s in result.steps}
-    colours = [AFTER if n in named else MEASURED for n in names]
+    effects = {s.effect for s in result.steps}
+    colours = [AFTER if n in effects else MEASURED for n in names]
     with styled():
         figure = Figure(figsize=(9, 0.18 * len(names) + 1), layout="constrained")
         axis = figure.subplots()

@@ -75,12 +75,12 @@ def _channel(stream: "rr.RecordingStream", flight: str, h: Histories, c: int, na
         _series(stream, f"{place}/{course}", h.time, k * values, f"{course} [{unit}]", COURSES[course])
     edge = k * float(h.floor[c])
     ends = np.array([h.time[0], h.time[-1]])
-    for where, level in (("upper", edge), ("lower", -edge)):
+    for side, level in (("upper", edge), ("lower", -edge)):
         sign = "+" if level > 0 else "−"
-        _series(stream, f"{residual}/floor_{where}", ends, np.full(2, level), f"floor, {sign}1 σ [{unit}]", FLOOR)
+        _series(stream, f"{residual}/floor_{side}", ends, np.full(2, level), f"floor, {sign}1 σ [{unit}]", FLOOR)
     for course in ("before", "after"):
-        left = k * (courses["measured"] - courses[course])
-        _series(stream, f"{residual}/{course}", h.time, left, f"{course} [{unit}]", COURSES[course])
+        rest = k * (courses["measured"] - courses[course])
+        _series(stream, f"{residual}/{course}", h.time, rest, f"{course} [{unit}]", COURSES[course])
     stream.log(place, rr.AnyValues(unit=unit), static=True)
 
 
@@ -119,11 +119,11 @@ def _blueprint(result: GapResult, units: dict[str, tuple[str, float]]) -> Any:
         for row, name in enumerate(result.outputs):
             legend = rrb.PlotLegend(rrb.Corner2D.RightTop, visible=row == 0)  # colours are the same in all rows
             unit = units[name][0]
-            left = rrb.TimeSeriesView(origin=f"{place}/{name}", name=f"{name} [{unit}]", plot_legend=legend)
-            right = rrb.TimeSeriesView(
+            courses = rrb.TimeSeriesView(origin=f"{place}/{name}", name=f"{name} [{unit}]", plot_legend=legend)
+            residuals = rrb.TimeSeriesView(
                 origin=f"{place}/residual/{name}", name=f"{name} residual [{unit}]", plot_legend=legend
             )
-            rows.append(rrb.Horizontal(left, right))
+            rows.append(rrb.Horizontal(courses, residuals))
         tabs.append(rrb.Vertical(*rows, name=f"{drawable(h.flight)}{' (held out)' if h.holdout else ''}"))
     panels = (rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"))
     return rrb.Blueprint(rrb.Tabs(*tabs), *panels, rrb.TimePanel(state="collapsed", timeline=CLOCK))

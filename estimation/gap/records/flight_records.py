@@ -2,6 +2,10 @@
 
 De-noising the inputs is the costly part and does not depend on the hypothesis, so the union of all inputs that any
 candidate could bring in is prepared once; a model then takes the columns it needs.
+
+Long records are cut into stretches, each with an initial state of its own: simulated from one a slow mode that grows, or that
+gusts drive, has left the record after a minute or two, whatever is right about the model; and what is asked of a record (slow
+errors, events in time) grows with the square of its length. The cut is made where the controls rest: a step is seen whole.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,16 +20,47 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
-from estimation.gap.records.lost_rows import unseen_paths
-from estimation.gap.records.stretches import stretches
+from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import noise_between_steps, with_raw_steps
 from groundstation.flight import Flight
 
+NEAR = 0.1  # of a stretch, to either side of an even cut, in which the controls may be at rest
+ROUNDING = 1e-6
+AROUND = 0.5  # s, to either side of a cut, in which they should be
 PATHS = 20  # of the random stream of paths across samples that a control lacks
 LOST = 0.005  # of the samples of a record, which may go unused
 SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own steps
+
+
+def stretches(segment: Segment, controls: list[int], criteria: Criteria) -> list[slice]:
+    """Samples of a segment in stretches of equal length but for the rest of the controls. controls: their columns in `u`."""
+    count = len(segment)
+    step = float(np.median(np.diff(segment.time)))
+    parts = int(np.ceil((count - 1) * step / criteria.longest_record - ROUNDING))
+    if parts < 2:
+        return [slice(0, count)]
+    motion = movement(segment.u[:, controls], max(round(AROUND / step), 1))
+    length = count / parts
+    cuts = [0]
+    for k in range(1, parts):
+        target = round(k * length)
+        candidates = np.arange(max(target - int(NEAR * length), 1), min(target + int(NEAR * length), count - 1) + 1)
+        cuts.append(int(min(candidates, key=lambda i: (motion[i], abs(i - target)))))
+    return [slice(a, b) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
+
+
+def movement(controls: Array, reach: int) -> Array:
+    """(N,) how far the controls (N, controls) go within `reach` samples of each, in units of what they do in all."""
+    motion = np.zeros(len(controls))
+    for course in controls.T:
+        span = float(np.ptp(course))
+        if span > 0.0:
+            padded = np.pad(course, reach, mode="edge")
+            windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+            motion += np.round(np.ptp(windows, axis=1) / span, 2)
+    return motion
 
 
 @dataclass(frozen=True)
@@ -61,9 +96,9 @@ class FlightRecord:
     def segment(self, model: Model, base: Model) -> Segment:
         """This record as `model`, a descendant of `base`, needs it; inputs it does not have are zero."""
         count = len(self)
-        still = np.zeros(count)
+        zeros = np.zeros(count)
         u = (
-            np.column_stack([self.inputs.get(n, still) for n in model.input_names])
+            np.column_stack([self.inputs.get(n, zeros) for n in model.input_names])
             if model.inputs
             else np.zeros((count, 0))
         )
@@ -76,12 +111,12 @@ class FlightRecord:
 
 def started(model: Model, known: Mapping[str, float]) -> Array:
     """(nx,) initial state of `model` from `known` states; others start where their signal says."""
-    at = dict(known)
+    values = dict(known)
     for signal in model.states:
-        at.setdefault(
-            signal.name, at.get(signal.start, 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+        values.setdefault(
+            signal.name, values.get(signal.start, 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
         )
-    return np.array([at[n] for n in model.state_names])
+    return np.array([values[n] for n in model.state_names])
 
 
 @dataclass(frozen=True)
@@ -101,8 +136,8 @@ class FlightRecords:
 
     def of(self, flights: Iterable[int]) -> tuple[FlightRecord, ...]:
         """Records of the named flights."""
-        wanted = set(flights)
-        return tuple(r for r in self.records if r.flight in wanted)
+        indices = set(flights)
+        return tuple(r for r in self.records if r.flight in indices)
 
     def supports(self, form: Form) -> bool:
         """Whether every flight has the inputs a form would bring in."""
@@ -122,8 +157,8 @@ def prepare_flights(
         for form in effect.forms:
             for signal in form.inputs:
                 extra.setdefault(signal.name, signal)
-    known = {*base.input_names, *base.state_names, *base.parameter_names, *base.constants, *base.definitions}
-    usable = [s for s in extra.values() if s.name not in known and all(f.measured(s.source) for f in flights)]
+    symbols = {*base.input_names, *base.state_names, *base.parameter_names, *base.constants, *base.definitions}
+    usable = [s for s in extra.values() if s.name not in symbols and all(f.measured(s.source) for f in flights)]
     probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
     controls = [i for i, s in enumerate(probe.inputs) if s.control]
     records: list[FlightRecord] = []
@@ -132,17 +167,17 @@ def prepare_flights(
         data = prepare(probe, flight)
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
-        parts = [p for whole in data.segments for p in _stretches(whole, data.states, controls, criteria)]
+        parts = [p for part in data.segments for p in _stretches(part, data.states, controls, criteria)]
         if len(parts) > len(data.segments):
             notes.append(f"{flight.name}: long records are fitted in stretches, {len(parts)} in all")
-        for whole in parts:
-            kept = quick_length(len(whole))
-            segment = replace(whole, time=whole.time[:kept], u=whole.u[:kept], z=whole.z[:kept])
+        for part in parts:
+            length = quick_length(len(part))
+            segment = replace(part, time=part.time[:length], u=part.u[:length], z=part.z[:length])
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            raw, own = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
-            level = {**noise, **own}
-            wrong = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
-            apart = _not_compared(base, flight, segment)
+            raw, step_noise = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
+            level = {**noise, **step_noise}
+            input_errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
+            skipped = _not_compared(base, flight, segment)
             records.append(
                 FlightRecord(
                     index,
@@ -153,9 +188,9 @@ def prepare_flights(
                     segment.x0,
                     level,
                     raw=raw,
-                    wrong=wrong,
-                    apart=apart,
-                    states=data.states[segment.first : segment.first + kept],
+                    wrong=input_errors,
+                    apart=skipped,
+                    states=data.states[segment.first : segment.first + length],
                 )
             )
     return FlightRecords(
@@ -164,7 +199,7 @@ def prepare_flights(
         records=with_own_noise(records, len(training), criteria),
         training=tuple(range(len(training))),
         holdout=tuple(range(len(training), len(flights))),
-        available=frozenset(known | {s.name for s in usable}),
+        available=frozenset(symbols | {s.name for s in usable}),
         notes=tuple(notes),
         criteria=criteria,
     )
@@ -172,12 +207,12 @@ def prepare_flights(
 
 def _stretches(whole: Segment, states: Array, controls: list[int], criteria: Criteria) -> list[Segment]:
     """A segment, or the stretches of a long one. states: (samples, nx) of the whole flight, where a stretch may begin."""
-    made = []
+    segments = []
     for part in stretches(whole, controls, criteria):
         first = whole.first + part.start
         x0 = whole.x0 if part.start == 0 else np.where(np.isfinite(states[first]), states[first], whole.x0)
-        made.append(Segment(first, whole.time[part], whole.u[part], whole.z[part], x0))
-    return made
+        segments.append(Segment(first, whole.time[part], whole.u[part], whole.z[part], x0))
+    return segments
 
 
 def quick_length(count: int) -> int:
@@ -185,13 +220,13 @@ def quick_length(count: int) -> int:
 
     A number made of small primes: the Fourier transform of a prime number of samples takes five times as long.
     """
-    for kept in range(count, count - int(LOST * count) - 1, -1):
-        left = kept
+    for length in range(count, count - int(LOST * count) - 1, -1):
+        factor = length
         for prime in SMALL_PRIMES:
-            while left % prime == 0:
-                left //= prime
-        if left == 1:
-            return kept
+            while factor % prime == 0:
+                factor //= prime
+        if factor == 1:
+            return length
     return count
 
 
@@ -200,26 +235,26 @@ def _raw_steps(
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
     """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
     the noise that is left there."""
-    taken, levels = {}, {}
+    masks, levels = {}, {}
     for signal in base.inputs if pitches(base) else ():
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
-            inputs[signal.name], taken[signal.name] = with_raw_steps(
+            inputs[signal.name], masks[signal.name] = with_raw_steps(
                 inputs[signal.name], measured, level, criteria.surface_step, flight.sample_interval
             )
-            levels[signal.name] = noise_between_steps(measured, taken[signal.name], level)
-    return taken, levels
+            levels[signal.name] = noise_between_steps(measured, masks[signal.name], level)
+    return masks, levels
 
 
 def _not_compared(base: Model, flight: Flight, segment: Segment) -> Array:
     """(N, ny) measured outputs where the segment has none to compare."""
-    apart = np.full(segment.z.shape, np.nan)
+    skipped = np.full(segment.z.shape, np.nan)
     for i, signal in enumerate(base.outputs):
         if flight.measured(signal.source):
             measured = flight.columns[signal.source][segment.first : segment.first + len(segment)]
-            apart[:, i] = np.where(np.isnan(segment.z[:, i]), measured, np.nan)
-    return apart
+            skipped[:, i] = np.where(np.isnan(segment.z[:, i]), measured, np.nan)
+    return skipped
 
 
 def _draws(
@@ -228,19 +263,19 @@ def _draws(
     """What may be wrong with each input of a segment, (draws, N), where its noise is of that level."""
     if data.errors is None:
         return {}
-    own = data.errors[segment.first : segment.first + len(segment)]
-    share = {n: np.float32(level[n] / found) for n, (found, _) in data.noise.items() if found > 0.0}
-    return {s.name: own[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs)}
+    errors = data.errors[segment.first : segment.first + len(segment)]
+    share = {n: np.float32(level[n] / noise) for n, (noise, _) in data.noise.items() if noise > 0.0}
+    return {s.name: errors[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs)}
 
 
 def _with_unseen_paths(
     model: Model, flight: Flight, segment: Segment, wrong: dict[str, NDArray[np.float32]], criteria: Criteria
 ) -> dict[str, NDArray[np.float32]]:
     """The draws, with where controls may have been at samples that they lack."""
-    here = slice(segment.first, segment.first + len(segment))
+    span = slice(segment.first, segment.first + len(segment))
     for signal in (s for s in model.inputs if s.control and s.name in wrong and flight.measured(s.source)):
         rng = np.random.default_rng([PATHS, segment.first])
-        paths = unseen_paths(flight.columns[signal.source][here], len(wrong[signal.name]), rng, criteria)
+        paths = unseen_paths(flight.columns[signal.source][span], len(wrong[signal.name]), rng, criteria)
         if paths.any():
             wrong[signal.name] = wrong[signal.name] + paths.astype(np.float32)
     return wrong
@@ -252,10 +287,10 @@ def with_own_noise(records: Sequence[FlightRecord], training: int, criteria: Cri
     A quieter one is left as usual: the scatter of few samples may look quiet by chance, and trusting it too much names effects.
     """
     levels = np.array([[noise_level(r.z[:, c]) for c in range(r.z.shape[1])] for r in records])
-    usual = np.median([row for row, r in zip(levels, records, strict=True) if r.flight < training], axis=0)
+    reference = np.median([row for row, r in zip(levels, records, strict=True) if r.flight < training], axis=0)
     marked = []
     for record, row in zip(records, levels, strict=True):
-        ratio = np.divide(row, usual, out=np.ones_like(row), where=usual > 0.0)
+        ratio = np.divide(row, reference, out=np.ones_like(row), where=reference > 0.0)
         louder = np.where(ratio > criteria.louder_channel, ratio, 1.0) ** 2
         marked.append(replace(record, louder=louder) if (louder > 1.0).any() else record)
     return tuple(marked)

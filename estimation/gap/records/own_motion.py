@@ -44,8 +44,8 @@ def own_motion(values: Array, motion: Array) -> float:
     """Rms of what a control (N,) does besides regressors (N, k)."""
     scale = np.abs(motion).max(axis=0)
     columns = motion[:, scale > 0.0] / scale[scale > 0.0]
-    left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-    return float(np.sqrt(left @ left / (len(values) - columns.shape[1])))
+    residual = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    return float(np.sqrt(residual @ residual / (len(values) - columns.shape[1])))
 
 
 def followed(record: FlightRecord) -> Array:
@@ -56,22 +56,22 @@ def followed(record: FlightRecord) -> Array:
         return line
     states = record.states[:, np.isfinite(record.states).all(axis=0)]
     step = float(np.median(np.diff(record.time)))
-    late = sorted({round(t / step) for t in LATE})
-    before = [np.concatenate([states[:1].repeat(k, 0), states[: count - k]]) for k in late]
-    return np.column_stack([line, *before, np.cumsum(states - states.mean(axis=0), axis=0)])
+    delays = sorted({round(t / step) for t in LATE})
+    delayed = [np.concatenate([states[:1].repeat(k, 0), states[: count - k]]) for k in delays]
+    return np.column_stack([line, *delayed, np.cumsum(states - states.mean(axis=0), axis=0)])
 
 
 def without_hardware_of(
     effects: Sequence[Effect], controls: Collection[str]
 ) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
     """(effects less the forms that say how these controls move, effects that have no form left)."""
-    asked, dropped = [], []
+    applicable, removed = [], []
     for effect in effects:
         forms = tuple(f for f in effect.forms if not f.transforms or any(t.input not in controls for t in f.transforms))
         if len(forms) == len(effect.forms):
-            asked.append(effect)
+            applicable.append(effect)
         elif forms:
-            asked.append(replace(effect, forms=forms))
+            applicable.append(replace(effect, forms=forms))
         else:
-            dropped.append(effect)
-    return tuple(asked), tuple(dropped)
+            removed.append(effect)
+    return tuple(applicable), tuple(removed)

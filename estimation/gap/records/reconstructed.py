@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.records.nuisance import carried
+from estimation.gap.records.candidate_model import carried
 from estimation.models.base import InputTransform, Model
 from groundstation.flight import Flight
 
@@ -21,16 +21,16 @@ LEVEL = "level_"  # of an input that was found from the motion
 
 def compared(model: Model, flights: Sequence[Flight]) -> tuple[Model, list[str]]:
     """`model` compared only in flow angles that every flight measured, and a note for each flight that lacks one."""
-    left, said = set[str](), []
+    excluded, notes = set[str](), []
     for flight in flights:
-        found = [s.name for s in model.outputs if s.source in ANGLES and s.source in flight.reconstructed]
+        reconstructed = [s.name for s in model.outputs if s.source in ANGLES and s.source in flight.reconstructed]
         absent = [s.name for s in model.outputs if s.source in ANGLES and not flight.measured(s.source)]
-        left |= {*found, *absent}
-        if found or absent:
-            words = [f"{', '.join(found)} found from the motion"] if found else []
+        excluded |= {*reconstructed, *absent}
+        if reconstructed or absent:
+            words = [f"{', '.join(reconstructed)} found from the motion"] if reconstructed else []
             words += [f"{', '.join(absent)} not measured"] if absent else []
-            said.append(f"{flight.name}: {' and '.join(words)}: not compared")
-    return model.without_outputs(*left) if left else model, said
+            notes.append(f"{flight.name}: {' and '.join(words)}: not compared")
+    return model.without_outputs(*excluded) if excluded else model, notes
 
 
 def uncertainty(flight: Flight, column: str) -> float | None:
@@ -48,13 +48,13 @@ def levels(model: Model, flights: Iterable[Flight]) -> dict[str, float]:
             std = uncertainty(flight, signal.source) if signal.source in flight.reconstructed else None
             if std is not None:
                 wide.setdefault(signal.name, []).append(std)
-    return {name: float(np.sqrt(np.mean(np.square(found)))) for name, found in wide.items()}
+    return {name: float(np.sqrt(np.mean(np.square(stds)))) for name, stds in wide.items()}
 
 
 def not_compared(base: Model, model: Model) -> str:
     """What the answer says of outputs of `base` that `model` is not compared in."""
-    left = [n for n in base.output_names if n not in model.output_names]
-    return f"Not measured, and so not compared: {', '.join(left)}." if left else ""
+    excluded = [n for n in base.output_names if n not in model.output_names]
+    return f"Not measured, and so not compared: {', '.join(excluded)}." if excluded else ""
 
 
 def with_levels(model: Model, wide: Mapping[str, float]) -> Model:
@@ -73,5 +73,5 @@ def with_levels(model: Model, wide: Mapping[str, float]) -> Model:
 
 def as_measured(flight: Flight) -> Flight:
     """`flight` without what was found from the motion."""
-    kept = {name: values for name, values in flight.columns.items() if name not in flight.reconstructed}
-    return replace(flight, columns=kept) if len(kept) < len(flight.columns) else flight
+    columns = {name: values for name, values in flight.columns.items() if name not in flight.reconstructed}
+    return replace(flight, columns=columns) if len(columns) < len(flight.columns) else flight

@@ -8,15 +8,15 @@ import numpy as np
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import prior_cost
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.problem import prior_cost
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.search_state import AcceptedEffect, Setting
 from estimation.gap.search.select import Choice
-from estimation.gap.tests_of_fit.calibration import Round, by_name
-from estimation.gap.tests_of_fit.measure import predictive_cost
-from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
-from estimation.gap.tests_of_fit.omnibus import Omnibus
+from estimation.gap.search.state import AcceptedEffect, Setting
+from estimation.gap.significance.calibration import Round, by_name
+from estimation.gap.significance.measure import predictive_cost
+from estimation.gap.significance.measured_again import MeasuredAgain
+from estimation.gap.significance.omnibus import Omnibus
 
 
 def accept(
@@ -24,30 +24,32 @@ def accept(
 ) -> tuple[AcceptedEffect | None, list[Rejected]]:
     """The best candidate that is significant, explains what a nameless term or shape can, and holds on flights it was not fitted
     to. shapes: what the best nameless function of the motion gains, asked only where a candidate is significant."""
-    said: list[Rejected] = []
-    refused: set[tuple[str, str]] = set()
+    rejected: list[Rejected] = []
+    refused_keys: set[tuple[str, str]] = set()
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
     nameless = max(nameless, shape)
-    again = MeasuredAgain(round_.baseline, setting.options.seed)
+    remeasured = MeasuredAgain(round_.baseline, setting.options.seed)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
-        centred = candidate.score * math.sqrt(again.share(candidate.gain, candidate.fit))
+        centred = candidate.score * math.sqrt(remeasured.share(candidate.gain, candidate.fit))
         if centred < round_.threshold:
-            left = f"{centred:.1f} of {round_.threshold:.1f} is left"
-            why = f"gains nearly as much where only the controls are measured again ({left})"
-            refused.add(candidate.hypothesis.key)
-            said.append(Rejected(candidate.hypothesis.label, why))
+            remainder = f"{centred:.1f} of {round_.threshold:.1f} is left"
+            reason = f"gains nearly as much where only the controls are measured again ({remainder})"
+            refused_keys.add(candidate.hypothesis.key)
+            rejected.append(Rejected(candidate.hypothesis.label, reason))
             continue
         candidate = replace(candidate, score=centred)
-        child, why = confirmed(setting, round_, candidate, nameless)
+        child, reason = confirmed(setting, round_, candidate, nameless)
         if child is not None:
-            doubted = doubtful(candidate, shape, round_.threshold, round_.criteria)
-            return AcceptedEffect(round_, choice.without(refused), candidate, round_.baseline, child, doubted), said
-        refused.add(candidate.hypothesis.key)
-        said.append(Rejected(candidate.hypothesis.label, why))
-    return None, said
+            is_doubtful = doubtful(candidate, shape, round_.threshold, round_.criteria)
+            return AcceptedEffect(
+                round_, choice.without(refused_keys), candidate, round_.baseline, child, is_doubtful
+            ), rejected
+        refused_keys.add(candidate.hypothesis.key)
+        rejected.append(Rejected(candidate.hypothesis.label, reason))
+    return None, rejected
 
 
 def confirmed(
@@ -67,12 +69,12 @@ def confirmed(
     child = setting.child(round_.baseline, candidate)
     estimates = estimates_of(round_, candidate, child)
     if not known(estimates, none_of(candidate, round_.baseline), criteria):
-        found = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
-        return None, f"{found} cannot be told from no effect"
-    held = held_gain(round_.baseline, child)
+        words = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
+        return None, f"{words} cannot be told from no effect"
+    holdout_gain = held_gain(round_.baseline, child)
     sure = min(candidate.score, float(round_.standardised()[number]))
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
-    if not holds(None if held is None else held / own_inflation(candidate), spare, criteria):
+    if not holds(None if holdout_gain is None else holdout_gain / own_inflation(candidate), spare, criteria):
         return None, "does not hold on the held-out flights"
     return child, ""
 
@@ -105,8 +107,8 @@ def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
 def doubtful(candidate: FittedHypothesis, shape: float, threshold: float, criteria: Criteria) -> bool:
     """Whether a name has the wrong form: a smooth function without a name gains more (twice a log-likelihood, less what chance
     gives its unknowns) by a clear share and by what would itself be significant. One that is right gains as much."""
-    better = shape - candidate.gain
-    return candidate.gain < criteria.shape_share * shape and better > own_inflation(candidate) * threshold**2
+    excess = shape - candidate.gain
+    return candidate.gain < criteria.shape_share * shape and excess > own_inflation(candidate) * threshold**2
 
 
 def own_inflation(candidate: FittedHypothesis) -> float:
@@ -154,8 +156,10 @@ def flight_gains(round_: Round, candidate: FittedHypothesis) -> list[float]:
     """Twice the log-likelihood that a fitted candidate gains on each training flight."""
     gains: dict[int, float] = {}
     pairs = zip(round_.baseline.fit.residuals, candidate.fit.residuals, strict=True)
-    for w, flight, (one, two) in zip(round_.baseline.problem.whiteners, round_.screen.flights, pairs, strict=True):
-        gains[flight] = gains.get(flight, 0.0) + w.energy(one) - w.energy(two)
+    for w, flight, (before_residual, after_residual) in zip(
+        round_.baseline.problem.whiteners, round_.screen.flights, pairs, strict=True
+    ):
+        gains[flight] = gains.get(flight, 0.0) + w.energy(before_residual) - w.energy(after_residual)
     return list(gains.values())
 
 
@@ -165,8 +169,8 @@ def by_timing(round_: Round, candidate: FittedHypothesis) -> bool:
     Then the base fits as well as the effect does, flight by flight; what it cannot explain is that shift.
     """
     problem, names = round_.baseline.problem, round_.baseline.problem.free
-    freed = prior_cost(problem, names, round_.baseline.fit.values) - prior_cost(problem, names, candidate.fit.values)
-    return follows(2.0 * freed, candidate.gain, round_.criteria)
+    relief = prior_cost(problem, names, round_.baseline.fit.values) - prior_cost(problem, names, candidate.fit.values)
+    return follows(2.0 * relief, candidate.gain, round_.criteria)
 
 
 def follows(freed: float, gain: float, criteria: Criteria) -> bool:
@@ -177,7 +181,9 @@ def follows(freed: float, gain: float, criteria: Criteria) -> bool:
 def held_gain(parent: Baseline, child: Baseline) -> float | None:
     """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise, the fitted
     parameters uncertain as the training flights leave them."""
-    before, after = predictive_cost(parent, child.noise), predictive_cost(child, child.noise)
-    if before is None or after is None:
+    parent_cost, child_cost = predictive_cost(parent, child.noise), predictive_cost(child, child.noise)
+    if parent_cost is None or child_cost is None:
         return None
-    return 0.0 if before == after else 2.0 * (before - after)  # both infinite: neither can be asked there
+    return (
+        0.0 if parent_cost == child_cost else 2.0 * (parent_cost - child_cost)
+    )  # both infinite: neither can be asked there

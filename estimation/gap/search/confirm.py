@@ -14,11 +14,11 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.likelihood.fitting import LikelihoodProblem, ModelFit, carried, fit, prior_cost
-from estimation.gap.likelihood.whitening import NoiseModel
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried, prior_cost
+from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, one_sided
-from estimation.gap.tests_of_fit.screen import Screen, equivalent_z
+from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided
 
 FIRST_STEPS = 5  # from every start; the better end goes on
 STEPS = 12  # in all: a candidate that takes more is no explanation anyone would find first
@@ -64,28 +64,28 @@ def fit_hypothesis(
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
-        usual = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
-        starts.append(_inside(hypothesis, problem, usual))
-    done = [_begun(problem, base_fit, hypothesis, start, beyond) for start in starts]
-    for share in SHORTER if all(found.diverged for _, found in done) else ():
-        done.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond))
-        if not done[-1][1].diverged:
+        typical = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
+        starts.append(_inside(hypothesis, problem, typical))
+    trials = [_begun(problem, base_fit, hypothesis, start, beyond) for start in starts]
+    for share in SHORTER if all(trial_fit.diverged for _, trial_fit in trials) else ():
+        trials.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond))
+        if not trials[-1][1].diverged:
             break
-    ordered = sorted(done, key=_cost)
+    ordered = sorted(trials, key=_cost)
     ends: list[tuple[LikelihoodProblem, ModelFit]] = []
-    for trial, begun in ordered:
-        if ends and (begun.diverged or _nothing(hypothesis, problem, begun)):
+    for trial, first_fit in ordered:
+        if ends and (first_fit.diverged or _nothing(hypothesis, problem, first_fit)):
             continue
-        ends.append((trial, _carried_on(trial, begun, beyond)))
+        ends.append((trial, _carried_on(trial, first_fit, beyond)))
         if not _nothing(hypothesis, problem, ends[-1][1]):
             break
-    best = min(ends, key=_cost)
-    for share in SHORTER if _lost(hypothesis, problem, base_fit, best[1]) else ():
-        trial, begun = _begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond)
-        best = min(best, (trial, _carried_on(trial, begun, beyond)), key=_cost)
-        if _cost(best) < base_fit.cost:
+    lowest = min(ends, key=_cost)
+    for share in SHORTER if _lost(hypothesis, problem, base_fit, lowest[1]) else ():
+        trial, first_fit = _begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond)
+        lowest = min(lowest, (trial, _carried_on(trial, first_fit, beyond)), key=_cost)
+        if _cost(lowest) < base_fit.cost:
             break
-    return best
+    return lowest
 
 
 def _cost(pair: tuple[LikelihoodProblem, ModelFit]) -> float:
@@ -94,9 +94,9 @@ def _cost(pair: tuple[LikelihoodProblem, ModelFit]) -> float:
 
 def _lost(hypothesis: Hypothesis, problem: LikelihoodProblem, base_fit: ModelFit, found: ModelFit) -> bool:
     """Whether a fit came to rest above the base that it holds, not at a limit: another valley lies between."""
-    inside = all(p.lower < found.values[p.name] < p.upper for p in hypothesis.form.parameters)
-    above = found.cost > base_fit.cost + ABOVE
-    return found.converged and above and inside and not _nothing(hypothesis, problem, found)
+    within_limits = all(p.lower < found.values[p.name] < p.upper for p in hypothesis.form.parameters)
+    is_worse = found.cost > base_fit.cost + ABOVE
+    return found.converged and is_worse and within_limits and not _nothing(hypothesis, problem, found)
 
 
 def _carried_on(trial: LikelihoodProblem, begun: ModelFit, beyond: float) -> ModelFit:
@@ -138,9 +138,9 @@ def _inside(hypothesis: Hypothesis, problem: LikelihoodProblem, guess: Mapping[s
     for p in hypothesis.form.parameters:
         none = p.null_value(problem.model)
         value = guess.get(p.name, none)
-        least = none + NEAREST * p.typical if one_sided(p, none, problem.criteria) else -np.inf
+        minimum = none + NEAREST * p.typical if one_sided(p, none, problem.criteria) else -np.inf
         width = FARTHEST * p.typical
-        start[p.name] = float(np.clip(max(value, least), max(p.lower, none - width), min(p.upper, none + width)))
+        start[p.name] = float(np.clip(max(value, minimum), max(p.lower, none - width), min(p.upper, none + width)))
     return start
 
 
@@ -158,9 +158,9 @@ def assess(
     """
     criteria = problem.criteria
     gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
-    freed = freed_by(problem, base_fit, found) if not found.diverged else 0.0
+    relief = freed_by(problem, base_fit, found) if not found.diverged else 0.0
     std = found.std() if not found.diverged else {}
-    evidence = 0.5 * deflated(gain, freed, inflation)
+    evidence = 0.5 * deflated(gain, relief, inflation)
     evidence -= float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
     estimates: dict[str, tuple[float, float]] = {}
     why_not, size = "the fit diverges" if found.diverged else "", 0.0
@@ -171,10 +171,10 @@ def assess(
         size = max(size, abs(value - none) / p.typical)
         evidence -= price(value - none, bound, criteria.prior_width * p.typical, criteria.prior_tail)
         why_not = why_not or impossible(p, value, none)
-    begun = len(hypothesis.form.states) * begun_anew(problem)
-    evidence -= 0.5 * begun  # what as many unknowns gain of noise
-    unknowns = len(hypothesis.form.parameters) + begun
-    score = equivalent_z(deflated(gain, freed, inflation if own is None else own), unknowns)
+    extra_starts = len(hypothesis.form.states) * begun_anew(problem)
+    evidence -= 0.5 * extra_starts  # what as many unknowns gain of noise
+    unknowns = len(hypothesis.form.parameters) + extra_starts
+    score = equivalent_z(deflated(gain, relief, inflation if own is None else own), unknowns)
     return FittedHypothesis(hypothesis, found, gain, score, evidence, estimates, size, why_not)
 
 
@@ -204,8 +204,8 @@ def price(distance: float, bound: float, width: float, tail: float) -> float:
     """
     if not np.isfinite(bound):
         return 0.0
-    far = 0.5 * (tail + 1.0) * np.log1p((distance / width) ** 2 / tail)
-    return float(far + max(np.log(width / max(bound, 1e-12)), 0.0))
+    distance_price = 0.5 * (tail + 1.0) * np.log1p((distance / width) ** 2 / tail)
+    return float(distance_price + max(np.log(width / max(bound, 1e-12)), 0.0))
 
 
 def impossible(p: EffectParameter, value: float, none: float) -> str:
@@ -226,15 +226,15 @@ def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
     the air too: about a base that has taken one up as damping, a small step of it sets the aircraft swinging.
     """
     order = [int(h) for h in np.argsort(-gains)]
-    least = criteria.in_sight * float(gains[order[0]])
+    limit = criteria.in_sight * float(gains[order[0]])
     always = set(order[: criteria.always_fitted])
-    chosen = [
-        h for h in order[: criteria.full_fits] if h in always or screen.hypotheses[h].form.nonlinear or gains[h] > least
+    selected = [
+        h for h in order[: criteria.full_fits] if h in always or screen.hypotheses[h].form.nonlinear or gains[h] > limit
     ]
     cosines = np.abs(screen.projected().cosines())
-    best = screen.span(order[0])
-    for h in order[len(chosen) :]:
-        if h not in chosen and cosines[np.ix_(best, screen.span(h))].max() > criteria.fitted_tie:
-            chosen.append(h)
-    untold = [h for h, x in enumerate(screen.hypotheses) if (x.form.play or x.form.lagging) and h not in chosen]
-    return [*chosen, *untold]
+    best_span = screen.span(order[0])
+    for h in order[len(selected) :]:
+        if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.fitted_tie:
+            selected.append(h)
+    unjudged = [h for h, x in enumerate(screen.hypotheses) if (x.form.play or x.form.lagging) and h not in selected]
+    return [*selected, *unjudged]

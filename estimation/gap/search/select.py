@@ -8,14 +8,15 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import whiteners_for
-from estimation.gap.likelihood.channel_noise import sample_interval
-from estimation.gap.likelihood.fitting import fit, prior_cost
+from estimation.gap.fit.baseline import whiteners_for
+from estimation.gap.fit.channel_noise import sample_interval
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import prior_cost
+from estimation.gap.records.candidate_model import TIMING
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
-from estimation.gap.records.nuisance import TIMING
 from estimation.gap.search.confirm import ENOUGH, FittedHypothesis, assess, fit_hypothesis, leading
-from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.screen import linear_guess
+from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.screen import linear_guess
 
 OUT_OF_REACH = 30.0  # of the log evidence: a rival so far behind the best so far that no check of it brings back
 AGAIN = 8  # steps from where the first fit ended, with another whitening
@@ -35,8 +36,8 @@ class Choice:
 
     def without(self, refused: Collection[tuple[str, str]]) -> "Choice":
         """The same without candidates that a later check refused; the weights count the others only."""
-        kept = tuple(c for c in self.candidates if c.hypothesis.key not in refused)
-        return replace(self, candidates=kept, weights=_weights(kept))
+        remaining = tuple(c for c in self.candidates if c.hypothesis.key not in refused)
+        return replace(self, candidates=remaining, weights=_weights(remaining))
 
     def beside_rest(self, misfit: float) -> Mapping[str, float]:
         """Weights where so many times what noise does (twice a log-likelihood) is left without a name: what is missing bends the
@@ -50,21 +51,23 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     criteria = round_.criteria
     if not screen.hypotheses:
         return Choice((), {}, ())
-    inflation, own = comparable(round_), alone(round_)
+    inflation, individual = comparable(round_), alone(round_)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
     judged: list[FittedHypothesis] = []
-    beyond = np.inf
+    cost_limit = np.inf
     for h in leading(screen, promise(round_), criteria):
         hypothesis = screen.hypotheses[h]
-        _, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h), beyond)
-        candidate = assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key], own[hypothesis.key])
+        _, model_fit = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h), cost_limit)
+        candidate = assess(
+            problem, base_fit, hypothesis, model_fit, inflation[hypothesis.key], individual[hypothesis.key]
+        )
         judged.append(material(candidate, interval, noise, criteria))
         if not judged[-1].why_not:
-            beyond = min(beyond, found.cost + OUT_OF_REACH * max(inflation.values()))
-    sound = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
+            cost_limit = min(cost_limit, model_fit.cost + OUT_OF_REACH * max(inflation.values()))
+    admissible = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
     rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
-    close = worth_comparing(sound, criteria)
-    ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(sound)
+    close = worth_comparing(admissible, criteria)
+    ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(admissible)
     return Choice(ranked, _weights(ranked), tuple(rejected))
 
 
@@ -78,7 +81,7 @@ def promise(round_: Round) -> Array:
     plays) count with either sign, and what makes something late at least with what the base pays for having moved it in time:
     the residuals that are left there show nothing."""
     projected, screen = round_.screen.projected(), round_.screen
-    either = np.array(
+    signed_gains = np.array(
         [
             projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
             for h, hypothesis in enumerate(screen.hypotheses)
@@ -87,9 +90,9 @@ def promise(round_: Round) -> Array:
     # nor does the scatter of a small step on the nulls count against them
     nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
     shared = float(np.median(round_.inflation))
-    promised = either / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
-    late = np.array([h.form.late for h in screen.hypotheses])
-    return np.where(late, np.maximum(promised, moved_in_time(round_)), promised)
+    promised = signed_gains / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
+    delays = np.array([h.form.late for h in screen.hypotheses])
+    return np.where(delays, np.maximum(promised, moved_in_time(round_)), promised)
 
 
 def moved_in_time(round_: Round) -> float:
@@ -110,12 +113,12 @@ def comparable(round_: Round) -> dict[tuple[str, str], float]:
     screen, first = round_.screen, int(np.argmax(round_.gains / round_.inflation))
     common = float(round_.inflation[first])
     cosines = np.abs(screen.projected().cosines())[screen.span(first)]
-    alike = [cosines[:, screen.span(h)].max() > round_.criteria.tie for h in range(len(screen.hypotheses))]
+    tied = [cosines[:, screen.span(h)].max() > round_.criteria.tie for h in range(len(screen.hypotheses))]
     return {
-        h.key: float(own)
-        if own > round_.criteria.common_inflation * common and not h.form.nonlinear and not same
+        h.key: float(inflation)
+        if inflation > round_.criteria.common_inflation * common and not h.form.nonlinear and not is_tied
         else common
-        for h, own, same in zip(screen.hypotheses, round_.inflation, alike, strict=True)
+        for h, inflation, is_tied in zip(screen.hypotheses, round_.inflation, tied, strict=True)
     }
 
 
@@ -124,8 +127,8 @@ def alone(round_: Round) -> dict[tuple[str, str], float]:
     plays, for which the nulls know only the small step, take the one that rivals share where that is larger."""
     shared = comparable(round_)
     return {
-        h.key: max(1.0, shared[h.key]) if h.form.nonlinear else float(own)
-        for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
+        h.key: max(1.0, shared[h.key]) if h.form.nonlinear else float(inflation)
+        for h, inflation in zip(round_.screen.hypotheses, round_.inflation, strict=True)
     }
 
 
@@ -147,8 +150,8 @@ def material(
         return replace(candidate, why_not=f"cannot be told from {', '.join(tied)}")
     if candidate.size < criteria.immaterial:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
-    late = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
-    if late and all(abs(candidate.estimates[n][0]) < criteria.unsampled * interval for n in late):
+    delays = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
+    if delays and all(abs(candidate.estimates[n][0]) < criteria.unsampled * interval for n in delays):
         return replace(
             candidate, why_not=f"is less than {criteria.unsampled:.0%} of a sample interval: sampling does the same"
         )
@@ -165,14 +168,14 @@ def _compared_again(
     inflation: Mapping[tuple[str, str], float],
 ) -> tuple[FittedHypothesis, ...]:
     """The candidates with the noise re-estimated from the best one's residuals: sharper, and the same for all."""
-    best, problem = sound[0], round_.baseline.problem
+    leader, problem = sound[0], round_.baseline.problem
     noise, whiteners = whiteners_for(
-        best.fit.model,
+        leader.fit.model,
         prepared,
         problem.records,
-        {**best.fit.model.starts(), **best.fit.values},
+        {**leader.fit.model.starts(), **leader.fit.values},
         None,
-        best.fit.residuals,
+        leader.fit.residuals,
         round_.baseline.scatter,
         round_.baseline.noise,
     )
@@ -181,10 +184,10 @@ def _compared_again(
     result = []
     for candidate in sound:
         trial = replace(sharper, model=candidate.fit.model)
-        found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=AGAIN, enough=ENOUGH)
-        fresh = assess(sharper, base_fit, candidate.hypothesis, found, inflation[candidate.hypothesis.key])
-        own = noise if candidate is best else None
-        result.append(replace(fresh, score=candidate.score, gain=candidate.gain, noise=own))
+        model_fit = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=AGAIN, enough=ENOUGH)
+        fresh = assess(sharper, base_fit, candidate.hypothesis, model_fit, inflation[candidate.hypothesis.key])
+        candidate_noise = noise if candidate is leader else None
+        result.append(replace(fresh, score=candidate.score, gain=candidate.gain, noise=candidate_noise))
     return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))
 
 
@@ -203,10 +206,10 @@ def _weights(candidates: Sequence[FittedHypothesis], misfit: float = 1.0) -> dic
 
 def credible_set(weights: Mapping[str, float], criteria: Criteria) -> list[tuple[str, float]]:
     """Smallest set of effects that holds nearly all of the weight, best first."""
-    chosen, total = [], 0.0
+    members, total = [], 0.0
     for name, weight in weights.items():
-        chosen.append((name, weight))
+        members.append((name, weight))
         total += weight
         if total >= criteria.set_weight:
             break
-    return chosen
+    return members

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.constants import RADIAN
 from estimation.report.drawing.figures import save_figure
 from groundstation.flight import Array
 
@@ -13,8 +14,6 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import ProofOfMatch
     from estimation.session.session import EstimationSession
     from groundstation.flight import Flight
-
-DEGREES = 57.29577951308232
 
 
 def write_histories(session: "EstimationSession", path: Path) -> None:
@@ -61,7 +60,7 @@ def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, A
     axes: Any = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
     for j, (name, time, measured, fitted) in enumerate(columns):
         for i, signal in enumerate(model.outputs):
-            factor, unit = (DEGREES, signal.unit.replace("rad", "deg")) if "rad" in signal.unit else (1.0, signal.unit)
+            factor, unit = (RADIAN, signal.unit.replace("rad", "deg")) if "rad" in signal.unit else (1.0, signal.unit)
             axis = axes[i][j]
             axis.plot(time, measured[:, i] * factor, ".", color="0.6", markersize=2.5, label="measured")
             for label, outputs in fitted.items():

@@ -11,13 +11,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from daq.contract.constants import DEGREE
+from daq.contract.constants import SEA_LEVEL_DENSITY as DENSITY
 from estimation.simulation.autopilot.gathering import symmetric_throws
 from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, remaining_body, rotated_body
 from estimation.simulation.oracle import Array
 
-DEGREE = math.pi / 180.0
 STALL = 2.0  # rad, where nobody says: so far that the blend, of fixed width, changes nothing at which an aircraft flies
-DENSITY = 1.225  # kg/m3: the plugin has one density at every height
 NO_POLAR = 1e12  # eff of no induced drag
 SURFACE = Body(1e-8, np.zeros(3), 1e-6 * np.eye(3))  # of a surface: next to nothing, as PX4's own
 PROPELLER_SHARE, PROPELLER_MOST = 1e-3, 0.005  # of the mass, kg

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.aircraft import GRAVITY, Aircraft
+from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
+from estimation.aircraft import Aircraft
 from estimation.simulation.oracle import SURFACES, Array
 
 SLOPES: Mapping[str, str] = {
@@ -144,15 +145,14 @@ SIZES = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
 DEFLECTION = 0.3  # rad, where the throw is not less
 CRUISE = 0.4  # lift coefficient of the speed about which states are taken
 SPEEDS = (0.7, 1.8)  # of that
-SEA_LEVEL = 1.225  # kg/m3: where true and equivalent airspeed are one
 
 
 def random_motion(
-    craft: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL, count: int = STATES
+    craft: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL_DENSITY, count: int = STATES
 ) -> FlightStates:
     """States in which the aircraft may fly; rho [kg/m3] and the range of angle of attack [rad] are given."""
     rng, aircraft = np.random.default_rng(SEED), craft.aircraft
-    cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL * aircraft.area * CRUISE))
+    cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL_DENSITY * aircraft.area * CRUISE))
     values = {n: rng.uniform(-size, size, count) for n, size in SIZES.items()}
     for name in SURFACES:
         lowest, greatest = craft.throws.get(name, (-DEFLECTION, DEFLECTION))

@@ -12,11 +12,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from daq.contract.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
 from estimation.aircraft import Aircraft
 from estimation.simulation.jsbsim.library import (
     EXPORTED,
-    FOOT,
-    SLUG,
     SLUG_FOOT2,
     Surfaces,
     aircraft_file,
@@ -120,7 +119,7 @@ def _finite(state: dict[str, float], rho: float, alpha_dot: float) -> bool:
 
 def density_altitude(rho: float) -> float:
     """Height [m] at which the standard atmosphere's troposphere has density `rho` [kg/m3] (ICAO Doc 7488)."""
-    return (1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5
+    return (1.0 - (rho / SEA_LEVEL_DENSITY) ** (1.0 / 4.25588)) / 2.25577e-5
 
 
 def jsbsim_simulation(which: str) -> Simulation:

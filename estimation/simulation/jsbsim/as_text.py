@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree as ET
 
+from daq.contract.constants import INCH
 from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
@@ -24,7 +25,7 @@ from estimation.simulation.jsbsim.coefficients import (
     named_terms,
     solved_lift,
 )
-from estimation.simulation.jsbsim.library import INCH, Follows
+from estimation.simulation.jsbsim.library import Follows
 from estimation.simulation.jsbsim.reading import LIFT, Reader
 from estimation.simulation.jsbsim.terms import constant, number_text
 from estimation.simulation.oracle import ALPHA_RATE, SimulationError

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree as ET
 
+from daq.contract.constants import FOOT, SLUG
 from estimation.models.base import Parameter
 from estimation.models.expressions import FUNCTIONS
 from estimation.models.parts import usual_role
-from estimation.simulation.jsbsim.library import FOOT, SLUG
 from estimation.simulation.jsbsim.reading import LIFT, NotExact, Reader
 from estimation.simulation.jsbsim.terms import Product, Sum, collected, factor, number_text, text_of
 from estimation.simulation.oracle import ALPHA_RATE

@@ -12,9 +12,10 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from daq.contract.constants import FOOT, POUND, SLUG
 from estimation.simulation.jsbsim.aircraft import GROUND, SWITCHED_OFF
 from estimation.simulation.jsbsim.forces import OURS
-from estimation.simulation.jsbsim.library import FOOT, POUND, SLUG, Surfaces, loaded, surfaces_of
+from estimation.simulation.jsbsim.library import Surfaces, loaded, surfaces_of
 from estimation.simulation.oracle import SURFACES, Array, SimulationError
 from groundstation.flight import Flight
 

@@ -4,10 +4,10 @@ import ast
 from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
+from daq.contract.constants import FOOT, POUND
 from estimation.models.expressions import parse
 from estimation.simulation.jsbsim.functions import Term, Translator, copied, node, product, prop, total
 from estimation.simulation.jsbsim.increments import Addend, Increments
-from estimation.simulation.jsbsim.library import FOOT, POUND
 
 OURS = "sideslip"
 AXES = {"Cl": ("ROLL", "metrics/bw-ft"), "Cm": ("PITCH", "metrics/cbarw-ft"), "Cn": ("YAW", "metrics/bw-ft")}

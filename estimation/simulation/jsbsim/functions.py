@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 from xml.etree import ElementTree as ET
 
+from daq.contract.constants import FOOT, POUND, SLUG
 from estimation.models.base import Model
 from estimation.models.expressions import NUMBERS, parse
-from estimation.simulation.jsbsim.library import FOOT, POUND, SLUG
 from estimation.simulation.oracle import SimulationError
 
 PASCAL = POUND / FOOT**2

@@ -9,13 +9,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from daq.contract.constants import FOOT, GRAVITY, SLUG
 from daq.contract.input_files import read_xml
-from estimation.aircraft import GRAVITY
 from estimation.simulation.oracle import SimulationError
 
-FOOT, POUND, SLUG = 0.3048, 4.4482216152605, 14.593902937206
 SLUG_FOOT2 = SLUG * FOOT**2
-INCH = 0.0254
 RADIUS = 6.4e8  # m: a hundred earths, so that 20 s of flight do not see the curve
 STILL_EARTH = f"""<planet name="still"><semimajor_axis unit="M">{RADIUS}</semimajor_axis>
 <semiminor_axis unit="M">{RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0.0</rotation_rate>

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from xml.etree import ElementTree as ET
 
-from estimation.simulation.jsbsim.library import FOOT, SLUG, Follows
+from daq.contract.constants import FOOT, SLUG
+from estimation.simulation.jsbsim.library import Follows
 from estimation.simulation.jsbsim.terms import (
     Product,
     Sum,

@@ -10,6 +10,7 @@ import struct
 
 import numpy as np
 
+from daq.contract.constants import ZERO_CELSIUS
 from firmware_sim.hardware.registers.chip import Inputs, RegisterChip, to_counts
 
 CHIP_ID, REV_ID, ERR, STATUS, DATA, SENSOR_TIME, EVENT, INT_STATUS = 0x00, 0x01, 0x02, 0x03, 0x04, 0x0C, 0x10, 0x11
@@ -161,7 +162,7 @@ class Bmp390Chip(RegisterChip):
     def _measure(self, time_ns: int) -> None:
         pascal, kelvin = self._inputs(time_ns)
         pascal += self._noise[0] * self._rng.standard_normal()
-        celsius = kelvin - 273.15 + self._noise[1] * self._rng.standard_normal()
+        celsius = kelvin - ZERO_CELSIUS + self._noise[1] * self._rng.standard_normal()
         p, t = self._trimming.raw_pressure(pascal, celsius), self._trimming.raw_temperature(celsius)
         osr, power = self._registers[OSR], self._registers[PWR_CTRL]
         coefficient = (1 << (self._registers[CONFIG] >> 1 & 7)) - 1

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import GRAVITY, ZERO_CELSIUS
 from firmware_sim.hardware.registers.chip import Inputs, RegisterChip
 
-GRAVITY = 9.80665
 BASE_RATE_HZ = 1125.0
 START_UP_NS = 35_000_000  # gyro start-up from sleep, typical
 RESET_NS = 10_000_000
@@ -137,7 +137,7 @@ class Icm20948Chip(RegisterChip):
         counts = np.empty(7)
         counts[:3] = values[:3] * accel_scale + self._self_test(ACCEL_CONFIG_2, ACCEL_CONFIG, 2)
         counts[3:6] = values[3:6] * gyro_scale + self._self_test(GYRO_CONFIG_2, GYRO_CONFIG_1, 3)
-        counts[6] = (self._filtered[6] - 273.15 - 21.0) * 333.87
+        counts[6] = (self._filtered[6] - ZERO_CELSIUS - 21.0) * 333.87
         if disabled & 0x38:
             counts[:3] = 0.0
         if disabled & 0x07:

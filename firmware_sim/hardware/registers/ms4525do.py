@@ -4,9 +4,9 @@ Inputs: differential pressure [Pa] and die temperature [K]. There are no registe
 status and pressure first. A second read before the next measurement returns the old value marked stale.
 """
 
+from daq.contract.constants import PSI, ZERO_CELSIUS
 from firmware_sim.hardware.registers.chip import Inputs, PoweredChip, to_counts
 
-PA_PER_PSI = 6894.757293168
 UPDATE_NS = 500_000
 START_UP_NS = 8_400_000  # from power to the first valid data
 STATUS_OK, STATUS_STALE, STATUS_FAULT = 0, 2, 3
@@ -18,8 +18,8 @@ class Ms4525doChip(PoweredChip):
     def __init__(self, inputs: Inputs, range_psi: tuple[float, float] = (-1.0, 1.0)) -> None:
         super().__init__()
         self._inputs = inputs
-        self._low_pa = range_psi[0] * PA_PER_PSI
-        self._span_pa = (range_psi[1] - range_psi[0]) * PA_PER_PSI
+        self._low_pa = range_psi[0] * PSI
+        self._span_pa = (range_psi[1] - range_psi[0]) * PSI
         self.faulty = False
         self._powered_ns = -START_UP_NS
         self._read_tick = -1
@@ -49,5 +49,5 @@ class Ms4525doChip(PoweredChip):
         pressure, temperature = self._inputs(time_ns)
         fraction = 0.1 + 0.8 * (pressure - self._low_pa) / self._span_pa
         p = to_counts(fraction * 16383.0, 0, 16383)
-        t = to_counts((temperature - 273.15 + 50.0) / 200.0 * 2047.0, 0, 2047)
+        t = to_counts((temperature - ZERO_CELSIUS + 50.0) / 200.0 * 2047.0, 0, 2047)
         return (p << 16 | t << 5).to_bytes(4, "big")

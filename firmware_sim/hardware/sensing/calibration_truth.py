@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.constants import PSI
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
-from firmware_sim.hardware.registers.ms4525do import PA_PER_PSI
 from firmware_sim.hardware.sensing.instruments import REFERENCE_TEMPERATURE
 from firmware_sim.hardware.sensing.sensor_models import PotentiometerModel, SensorModels, TriadModel, VaneModel
 from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US
 
-PA_PER_COUNT = 2.0 * PA_PER_PSI / (0.8 * 16383.0)
+PA_PER_COUNT = 2.0 * PSI / (0.8 * 16383.0)
 
 
 def calibration_truth(models: SensorModels) -> dict[str, Mapping[str, Any]]:

@@ -8,6 +8,7 @@ the speed of the line.
 import math
 from collections.abc import Callable
 
+from daq.contract.constants import ROUND_EARTH_RADIUS
 from firmware_sim.hardware.registers.ublox import Fix, UbloxReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments
 
@@ -110,7 +111,7 @@ class GnssReceiver:
         latitude, longitude, altitude, vn, ve, vd = self._instruments.inputs(
             "latitude", "longitude", "altitude", "velocity_north", "velocity_east", "velocity_down"
         )(at_ns)
-        metres_per_degree = math.pi / 180.0 * 6_371_000.0
+        metres_per_degree = math.pi / 180.0 * ROUND_EARTH_RADIUS
         noise = m.velocity_m_s * self._rng.standard_normal(3)
         return Fix(
             utc_ns=epoch_ns,

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import GAS_CONSTANT, HEAT_RATIO
 from firmware_sim.hardware.registers.chip import Inputs
 from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels, TriadModel, VaneModel
 from firmware_sim.hardware.sensing.signals import AT, SIGNALS
@@ -26,7 +27,6 @@ HISTORY_S = 4.0  # how far back a chip may still look
 LOWEST_SPEED = 3.0  # m/s; below this the rotation of a vane's place is not divided by ever smaller speeds
 REFERENCE_TEMPERATURE = 298.15
 SUPPLY_NOMINAL_V = 5.0
-HEAT_RATIO, GAS_CONSTANT = 1.4, 287.05287
 
 _HELD = AT["pwm_1"]  # from here on signals hold between grid points
 

@@ -1,7 +1,12 @@
-"""Hidden linkages: between the servo arm, where the potentiometer sits, and the surface that the air feels."""
+"""Hidden linkages: between the servo arm, where the potentiometer sits, and the surface that the air feels.
+
+Elevator is both elevons together, aileron half their difference; a linkage of one leaves the other where it was.
+"""
 
 from collections import deque
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -31,25 +36,58 @@ class DelayedHistory:
         steps = (self._newest - time) / self.step
         if self._xp.flights is None:
             steps = min(max(steps, 0.0), len(self._values) - 2)
-            whole = int(steps)
-            part = steps - whole
-            return (1.0 - part) * self._values[-1 - whole] + part * self._values[-2 - whole]
+            index = int(steps)
+            part = steps - index
+            return (1.0 - part) * self._values[-1 - index] + part * self._values[-2 - index]
         steps = np.clip(np.broadcast_to(steps, (self._xp.flights,)), 0.0, len(self._values) - 2)
-        whole = steps.astype(int)
-        part = steps - whole
-        out = np.empty(self._xp.flights)
-        for k in np.unique(whole):
-            chosen = whole == k
+        index = steps.astype(int)
+        part = steps - index
+        values = np.empty(self._xp.flights)
+        for k in np.unique(index):
+            mask = index == k
             newer, older = self._values[-1 - int(k)], self._values[-2 - int(k)]
-            out[chosen] = ((1.0 - part) * newer + part * older)[chosen]
-        return out
+            values[mask] = ((1.0 - part) * newer + part * older)[mask]
+        return values
+
+
+class Joint(NamedTuple):
+    """Where a linkage can give: the arm that its potentiometer shows, and what puts the surface somewhere."""
+
+    arm: Callable[["Motion"], Value]
+    stand: Callable[["Motion", Value], None]
+
+
+def _elevator(m: "Motion") -> Value:
+    return 0.5 * (m.arm_left + m.arm_right)
+
+
+def _stand_elevator(m: "Motion", elevator: Value) -> None:
+    """Let the elevator stand there, the aileron where it was."""
+    shift = elevator - 0.5 * (m.surface_left + m.surface_right)
+    m.surface_left, m.surface_right = m.surface_left + shift, m.surface_right + shift
+
+
+def _aileron(m: "Motion") -> Value:
+    return 0.5 * (m.arm_right - m.arm_left)
+
+
+def _stand_aileron(m: "Motion", aileron: Value) -> None:
+    """Let the aileron stand there, the elevator where it was."""
+    elevator = 0.5 * (m.surface_left + m.surface_right)
+    m.surface_left, m.surface_right = elevator - aileron, elevator + aileron
+
+
+LEFT = Joint(attrgetter("arm_left"), lambda m, angle: setattr(m, "surface_left", angle))
+RIGHT = Joint(attrgetter("arm_right"), lambda m, angle: setattr(m, "surface_right", angle))
+RUDDER = Joint(attrgetter("arm_r"), lambda m, angle: setattr(m, "surface_r", angle))
+ELEVATOR, AILERON = Joint(_elevator, _stand_elevator), Joint(_aileron, _stand_aileron)
 
 
 class _Delay(HiddenEffect):
-    """Dead time between arm and surface; `size` in s."""
+    """Dead time of `size` s between arms and surfaces."""
 
     group, unit, typical = "actuator", "s", 0.06
-    arms: ClassVar[tuple[tuple[str, str], ...]]
+    joints: ClassVar[tuple[Joint, ...]]
 
     def bind(self, plant: Host) -> None:
         super().bind(plant)
@@ -57,93 +95,90 @@ class _Delay(HiddenEffect):
 
     def start(self, m: "Motion", x: State) -> None:
         longest = float(np.max(self.size)) + 0.02
-        self._past = [DelayedHistory(longest, self.plant.step_size, getattr(m, arm), self.xp) for arm, _ in self.arms]
+        self._past = [DelayedHistory(longest, self.plant.step_size, joint.arm(m), self.xp) for joint in self.joints]
 
     def linkage(self, m: "Motion", x: State) -> None:
-        for past, (_, surface) in zip(self._past, self.arms, strict=False):
-            setattr(m, surface, past.at(m.t - self.size))
+        for history, joint in zip(self._past, self.joints, strict=False):  # none before the start
+            joint.stand(m, history.at(m.t - self.size))
 
     def commit(self, m: "Motion", x: State) -> None:
-        for past, (arm, _) in zip(self._past, self.arms, strict=True):
-            past.push(m.t, getattr(m, arm))
+        for history, joint in zip(self._past, self.joints, strict=False):
+            history.push(m.t, joint.arm(m))
 
 
 class AileronDelay(_Delay):
     """Elevons move a dead time after their potentiometers."""
 
-    name, title = "aileron_delay", "dead time of the elevons"
-    arms = (("arm_left", "surface_left"), ("arm_right", "surface_right"))
+    name, title, joints = "aileron_delay", "dead time of the elevons", (LEFT, RIGHT)
 
 
 class RudderDelay(_Delay):
     """The fin moves a dead time after its potentiometer."""
 
-    name, title = "rudder_delay", "dead time of the rudder"
-    arms = (("arm_r", "surface_r"),)
-
-
-class AileronLag(HiddenEffect):
-    """Elastic linkages: elevons follow their arms with a first-order lag of `size` s."""
-
-    name, title, group, unit, typical = "aileron_lag", "lag of the elevons", "actuator", "s", 0.06
-    states = 2
-
-    def start(self, m: "Motion", x: State) -> None:
-        x[self.at], x[self.at + 1] = m.arm_left, m.arm_right
-
-    def linkage(self, m: "Motion", x: State) -> None:
-        m.surface_left, m.surface_right = x[self.at], x[self.at + 1]
-
-    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
-        tau = self.xp.maximum(self.size, 1e-3)
-        dx[self.at] = (m.arm_left - x[self.at]) / tau
-        dx[self.at + 1] = (m.arm_right - x[self.at + 1]) / tau
-
-
-class RudderLag(HiddenEffect):
-    """Elastic linkage: the fin follows its arm with a first-order lag of `size` s."""
-
-    name, title, group, unit, typical = "rudder_lag", "lag of the rudder", "actuator", "s", 0.06
-    states = 1
-
-    def start(self, m: "Motion", x: State) -> None:
-        x[self.at] = m.arm_r
-
-    def linkage(self, m: "Motion", x: State) -> None:
-        m.surface_r = x[self.at]
-
-    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
-        dx[self.at] = (m.arm_r - x[self.at]) / self.xp.maximum(self.size, 1e-3)
+    name, title, joints = "rudder_delay", "dead time of the rudder", (RUDDER,)
 
 
 class ServoDelay(_Delay):
     """All surfaces move a dead time after what is recorded of them."""
 
-    name, title = "servo_delay", "dead time of all surfaces"
-    arms = (("arm_left", "surface_left"), ("arm_right", "surface_right"), ("arm_r", "surface_r"))
+    name, title, joints = "servo_delay", "dead time of all surfaces", (LEFT, RIGHT, RUDDER)
 
 
-class ServoLag(HiddenEffect):
-    """What is recorded is what the servos are told: all surfaces follow it with a first-order lag of `size` s."""
+class ElevatorDelay(_Delay):
+    """The elevator moves a dead time of `size` s after its potentiometers."""
 
-    name, title, group, unit, typical = "servo_lag", "lag of all surfaces", "actuator", "s", 0.06
-    states = 3
+    name, title, group, typical, joints = "elevator_delay", "dead time of the elevator", "elevator", 0.025, (ELEVATOR,)
+
+
+class _Lag(HiddenEffect):
+    """Elastic linkages: surfaces follow their arms with a first-order lag of `size` s, a state each."""
+
+    group, unit, typical = "actuator", "s", 0.06
+    joints: ClassVar[tuple[Joint, ...]]
 
     def start(self, m: "Motion", x: State) -> None:
-        x[self.at], x[self.at + 1], x[self.at + 2] = m.arm_left, m.arm_right, m.arm_r
+        for k, joint in enumerate(self.joints):
+            x[self.at + k] = joint.arm(m)
 
     def linkage(self, m: "Motion", x: State) -> None:
-        m.surface_left, m.surface_right, m.surface_r = x[self.at], x[self.at + 1], x[self.at + 2]
+        for k, joint in enumerate(self.joints):
+            joint.stand(m, x[self.at + k])
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         tau = self.xp.maximum(self.size, 1e-3)
-        for k, arm in enumerate((m.arm_left, m.arm_right, m.arm_r)):
-            dx[self.at + k] = (arm - x[self.at + k]) / tau
+        for k, joint in enumerate(self.joints):
+            dx[self.at + k] = (joint.arm(m) - x[self.at + k]) / tau
 
 
-def _dead(value: Value, half_width: Value, xp: Maths) -> Value:
-    """Nothing within the dead zone, the rest beyond it."""
-    return value - xp.clip(value, -half_width, half_width)
+class AileronLag(_Lag):
+    """Elevons follow their arms late."""
+
+    name, title, states, joints = "aileron_lag", "lag of the elevons", 2, (LEFT, RIGHT)
+
+
+class RudderLag(_Lag):
+    """The fin follows its arm late."""
+
+    name, title, states, joints = "rudder_lag", "lag of the rudder", 1, (RUDDER,)
+
+
+class ServoLag(_Lag):
+    """What is recorded is what the servos are told: all surfaces follow it late."""
+
+    name, title, states, joints = "servo_lag", "lag of all surfaces", 3, (LEFT, RIGHT, RUDDER)
+
+
+class ElevatorLag(_Lag):
+    """The elevator follows its arms late."""
+
+    name, title, group, typical, states, joints = (
+        "elevator_lag",
+        "lag of the elevator",
+        "elevator",
+        0.04,
+        1,
+        (ELEVATOR,),
+    )
 
 
 class AileronDeadZone(HiddenEffect):
@@ -152,57 +187,110 @@ class AileronDeadZone(HiddenEffect):
     name, title, group, unit, typical = "aileron_deadzone", "dead zone of the ailerons", "actuator", "rad", 0.014
 
     def linkage(self, m: "Motion", x: State) -> None:
-        both = 0.5 * (m.surface_left + m.surface_right)
-        difference = _dead(0.5 * (m.surface_right - m.surface_left), self.size, self.xp)
-        m.surface_left, m.surface_right = both - difference, both + difference
+        difference = 0.5 * (m.surface_right - m.surface_left)
+        _stand_aileron(m, difference - self.xp.clip(difference, -self.size, self.size))
 
 
-def _play(arm: Value, before: Value, half_gap: Value, xp: Maths) -> Value:
-    """Surface position when the arm pushes it along after taking up the gap: the play operator."""
-    return xp.clip(before, arm - half_gap, arm + half_gap)
+class ElevatorDeadZone(HiddenEffect):
+    """Within `size` rad of neutral the elevator rests."""
 
-
-class AileronBacklash(HiddenEffect):
-    """Play in the aileron linkage: a change of direction moves nothing until a gap of 2 `size` rad is taken up."""
-
-    name, title, group, unit, typical = "aileron_backlash", "play in the aileron linkage", "actuator", "rad", 0.012
-
-    def start(self, m: "Motion", x: State) -> None:
-        self._rests: Value = 0.5 * (m.arm_right - m.arm_left)
-
-    def _difference(self, m: "Motion") -> Value:
-        arm = 0.5 * (m.arm_right - m.arm_left)
-        return _play(arm, getattr(self, "_rests", arm), self.size, self.xp)
+    name, title, group, unit, typical = "elevator_deadzone", "dead zone of the elevator", "elevator", "rad", 0.0052
 
     def linkage(self, m: "Motion", x: State) -> None:
-        both, difference = 0.5 * (m.surface_left + m.surface_right), self._difference(m)
-        m.surface_left, m.surface_right = both - difference, both + difference
-
-    def commit(self, m: "Motion", x: State) -> None:
-        self._rests = self._difference(m)
+        arm = _elevator(m)
+        _stand_elevator(m, arm - self.xp.clip(arm, -self.size, self.size))
 
 
-class RudderBacklash(HiddenEffect):
-    """Play in the rudder linkage; gap of 2 `size` rad."""
+class _Backlash(HiddenEffect):
+    """Play: a change of direction moves nothing until a gap of 2 `size` rad is taken up."""
 
-    name, title, group, unit, typical = "rudder_backlash", "play in the rudder linkage", "actuator", "rad", 0.012
+    group, unit, typical = "actuator", "rad", 0.012
+    joint: ClassVar[Joint]
 
     def start(self, m: "Motion", x: State) -> None:
-        self._rests: Value = m.arm_r
+        self._position: Value = self.joint.arm(m)
+
+    def position(self, m: "Motion") -> Value:
+        """Where the arm has pushed the surface to."""
+        arm = self.joint.arm(m)
+        return self.xp.clip(getattr(self, "_position", arm), arm - self.size, arm + self.size)
 
     def linkage(self, m: "Motion", x: State) -> None:
-        m.surface_r = _play(m.arm_r, getattr(self, "_rests", m.arm_r), self.size, self.xp)
+        self.joint.stand(m, self.position(m))
 
     def commit(self, m: "Motion", x: State) -> None:
-        self._rests = m.surface_r
+        self._position = self.position(m)
+
+
+class AileronBacklash(_Backlash):
+    """Play in the aileron linkage."""
+
+    name, title, joint = "aileron_backlash", "play in the aileron linkage", AILERON
+
+
+class RudderBacklash(_Backlash):
+    """Play in the rudder linkage; the fin rests where it stands in the end, whatever else bends it."""
+
+    name, title, joint = "rudder_backlash", "play in the rudder linkage", RUDDER
+
+    def commit(self, m: "Motion", x: State) -> None:
+        self._position = m.surface_r
+
+
+class ElevatorBacklash(_Backlash):
+    """Play in the elevator linkage."""
+
+    name, title, group, typical = "elevator_backlash", "play in the elevator linkage", "elevator", 0.0052
+    joint = ELEVATOR
+
+
+class ElevatorRateLimit(HiddenEffect):
+    """A loaded linkage needs `size` s for a radian at the least."""
+
+    name, title, group, unit, typical = (
+        "elevator_rate_limit",
+        "elevator slower than its servo",
+        "elevator",
+        "s/rad",
+        0.4,
+    )
+
+    def start(self, m: "Motion", x: State) -> None:
+        self._position: Value = _elevator(m)
+        self._time = m.t
+
+    def position(self, m: "Motion") -> Value:
+        """How far the elevator has come after its arms."""
+        arm = _elevator(m)
+        reach = (m.t - getattr(self, "_time", m.t)) / self.xp.maximum(self.size, 1e-6)
+        start = getattr(self, "_position", arm)
+        return self.xp.clip(arm, start - reach, start + reach)
+
+    def linkage(self, m: "Motion", x: State) -> None:
+        _stand_elevator(m, self.position(m))
+
+    def commit(self, m: "Motion", x: State) -> None:
+        self._position, self._time = self.position(m), m.t
 
 
 class SurfaceCompliance(HiddenEffect):
     """Pushrods bend under hinge moment: all surfaces give way with dynamic pressure; `size` per Pa."""
 
-    name, title, group, unit, typical = "surface_compliance", "surfaces give way with dynamic pressure", "actuator", "1/Pa", 7e-4  # fmt: skip # noqa: E501
+    name, title, group, unit = "surface_compliance", "surfaces give way with dynamic pressure", "actuator", "1/Pa"
+    typical = 7e-4
 
     def linkage(self, m: "Motion", x: State) -> None:
-        kept = 1.0 / (1.0 + self.size * m.qbar)
-        m.surface_left, m.surface_right = m.surface_left * kept, m.surface_right * kept
-        m.surface_r = m.surface_r * kept
+        share = 1.0 / (1.0 + self.size * m.qbar)
+        m.surface_left, m.surface_right = m.surface_left * share, m.surface_right * share
+        m.surface_r = m.surface_r * share
+
+
+class ElevatorCompliance(HiddenEffect):
+    """Linkage and surface bend: `size` of the deflection is lost from 200 to 400 Pa."""
+
+    name, title, group, unit = "elevator_compliance", "elevator gives way with dynamic pressure", "elevator", "1"
+    typical = 0.15
+
+    def linkage(self, m: "Motion", x: State) -> None:
+        elevator = 0.5 * (m.surface_left + m.surface_right)
+        _stand_elevator(m, elevator * (1.0 - self.size * (m.qbar / 200.0 - 1.0)))

@@ -1,34 +1,16 @@
-"""All hidden effects by name."""
+"""All hidden effects by name: rows of the table, and classes where one statement is not enough."""
 
 from collections.abc import Mapping, Sequence
 
 from firmware_sim.errors import ScenarioError
-from firmware_sim.physics.effects import (
-    actuator,
-    aerodynamic,
-    cross_axis,
-    elevator,
-    environment,
-    inertial,
-    longitudinal,
-    longitudinal_sensor,
-    propulsion,
-    sensor,
-    sudden,
-    uncatalogued,
-    unsteady,
-)
+from firmware_sim.physics.effects import actuator, airframe, sensor, sudden, uncatalogued
 from firmware_sim.physics.effects.base import HiddenEffect
+from firmware_sim.physics.effects.table import ROWS
 from firmware_sim.physics.maths import Value
 
-_MODULES = (
-    aerodynamic, unsteady, inertial, propulsion, actuator, sensor, environment,
-    longitudinal, elevator, longitudinal_sensor, cross_axis, uncatalogued, sudden,
-)  # fmt: skip
-
-EFFECTS: Mapping[str, type[HiddenEffect]] = {
+EFFECTS: Mapping[str, type[HiddenEffect]] = {effect.name: effect for effect in ROWS} | {
     effect.name: effect
-    for module in _MODULES
+    for module in (airframe, actuator, sensor, uncatalogued, sudden)
     for effect in vars(module).values()
     if isinstance(effect, type) and issubclass(effect, HiddenEffect) and "name" in vars(effect)
 }

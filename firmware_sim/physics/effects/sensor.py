@@ -1,4 +1,4 @@
-"""Hidden instrument errors: where the record departs from the motion though the aircraft flies true.
+"""Hidden instrument errors with a memory: what is shown comes late.
 
 They bend `Sensed`, what flawless instruments at the CG are shown; noise, quantisation, declared bias and scale come later,
 in the instruments themselves.
@@ -43,25 +43,6 @@ class LaggedSensor(SensorEffect):
         setattr(s, self.channel, getattr(s, self.channel) + (x[self.at] - self.truth(m)))
 
 
-class VaneScale(SensorEffect):
-    """The sideslip vane reads too much by a fraction, the linkage's or the sidewash's."""
-
-    name, title, unit, typical = "beta_scale", "sideslip vane scale", "1", 0.08
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = s.beta * (1.0 + self.size)
-
-
-class VaneBias(SensorEffect):
-    """The sideslip vane is turned on its mount."""
-
-    name, title, unit, typical = "beta_bias", "sideslip vane bias", "rad", 0.006
-    group = "exactly absorbed"
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = s.beta + self.size
-
-
 class VaneLag(LaggedSensor):
     """A heavy or damped vane: first-order lag of `size` s."""
 
@@ -69,45 +50,21 @@ class VaneLag(LaggedSensor):
     channel = "beta"
 
 
-class VanePosition(SensorEffect):
-    """The vanes stand `size` m ahead of where they are believed to be: yaw and pitch rates add to the local flow."""
+class AlphaLag(LaggedSensor):
+    """A heavy or damped angle-of-attack vane: first-order lag of `size` s."""
 
-    name, title, unit, typical = "vane_position", "vanes ahead of their place", "m", 0.35
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = s.beta + self.size * m.r / m.V
-        s.alpha = s.alpha - self.size * m.q / m.V
+    name, title, unit, typical = "alpha_lag", "angle-of-attack vane lags", "s", 0.035
+    channel = "alpha"
 
 
-class AccelerometerAboveCg(SensorEffect):
-    """The accelerometer sits `size` m below the CG (+z), uncorrected: it feels rolling and pitching accelerations."""
+class PitchLag(LaggedSensor):
+    """The pitch attitude follows with a first-order lag of `size` s."""
 
-    name, title, unit, typical = "imu_lever_arm", "accelerometer away from the CG", "m", 0.08
+    name, title, unit, typical = "theta_lag", "pitch attitude lags", "s", 0.04
+    channel = "theta"
 
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        z = self.size
-        s.ax = s.ax + (m.p * m.r + m.q_dot) * z
-        s.ay = s.ay + (m.q * m.r - m.p_dot) * z
-        s.az = s.az - (m.p * m.p + m.q * m.q) * z
-
-
-class GyroMisalignment(SensorEffect):
-    """The gyro is turned about the pitch axis by `size` rad: it mixes roll and yaw rate."""
-
-    name, title, unit, typical = "gyro_misalignment", "gyro turned in its mount", "rad", 0.03
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        c, n = self.xp.cos(self.size), self.xp.sin(self.size)
-        s.p, s.r = c * s.p - n * s.r, c * s.r + n * s.p
-
-
-class GyroScale(SensorEffect):
-    """The roll gyro reads too much by a fraction."""
-
-    name, title, unit, typical = "gyro_scale", "roll gyro scale", "1", 0.03
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.p = s.p * (1.0 + self.size)
+    def truth(self, m: "Motion") -> Value:
+        return self.xp.asin(self.xp.clip(-m.c13, -1.0, 1.0))
 
 
 class AttitudeLag(SensorEffect):
@@ -134,15 +91,6 @@ class AttitudeLag(SensorEffect):
         s.theta = s.theta + (x[self.at + 1] - theta)
 
 
-class AirspeedScale(SensorEffect):
-    """The pitot tube stands in disturbed air: speed too high by a fraction."""
-
-    name, title, unit, typical = "airspeed_scale", "airspeed scale", "1", 0.05
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.V = s.V * (1.0 + self.size)
-
-
 class InertialUnitLate(SensorEffect):
     """Rates and accelerations come `size` s late: buffered somewhere before they are stamped."""
 
@@ -155,9 +103,9 @@ class InertialUnitLate(SensorEffect):
         self._past = {c: DelayedHistory(longest, step, getattr(m, c), self.xp) for c in self.CHANNELS}
 
     def commit(self, m: "Motion", x: State) -> None:
-        for channel, past in self._past.items():
-            past.push(m.t, getattr(m, channel))
+        for channel, history in self._past.items():
+            history.push(m.t, getattr(m, channel))
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        for channel, past in self._past.items():
-            setattr(s, channel, getattr(s, channel) + past.at(m.t - self.size) - getattr(m, channel))
+        for channel, history in self._past.items():
+            setattr(s, channel, getattr(s, channel) + history.at(m.t - self.size) - getattr(m, channel))

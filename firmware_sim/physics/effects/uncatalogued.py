@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from firmware_sim.physics.atmosphere import GRAVITY
+from daq.contract.constants import GRAVITY
 from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.maths import State, Value
 
@@ -85,11 +85,11 @@ class FinStall(_Unlisted):
         return 0.5 * (1.0 - xp.tanh((local * xp.sign(local) - threshold) / self.WIDTH))
 
     def coefficients(self, m: "Motion", x: State) -> None:
-        lost = 0.7 * self.size * (1.0 - self.xp.clip(x[self.at], 0.0, 1.0)) * (m.surface_r - m.beta)
+        loss = 0.7 * self.size * (1.0 - self.xp.clip(x[self.at], 0.0, 1.0)) * (m.surface_r - m.beta)
         d = self.plant.derivatives
-        m.CY = m.CY - d["CY_dr"] * lost
-        m.Cl = m.Cl - d["Cl_dr"] * lost
-        m.Cn = m.Cn - d["Cn_dr"] * lost
+        m.CY = m.CY - d["CY_dr"] * loss
+        m.Cl = m.Cl - d["Cl_dr"] * loss
+        m.Cn = m.Cn - d["Cn_dr"] * loss
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         dx[self.at] = (self._static(m, x[self.at]) - x[self.at]) / self.LAG
@@ -131,20 +131,10 @@ class ShearBurst(_Unlisted):
         self._side: Value = self.draw(lambda g: 1.0 if g.random() < 0.5 else -1.0)
 
     def wind(self, m: "Motion", x: State) -> None:
-        since = (m.t - getattr(self, "_begin", 1e9)) / self.LENGTH
-        inside = self.xp.clip(since, 0.0, 1.0)
-        sine = self.xp.sin(math.pi * inside)
+        phase = (m.t - getattr(self, "_begin", 1e9)) / self.LENGTH
+        share = self.xp.clip(phase, 0.0, 1.0)
+        sine = self.xp.sin(math.pi * share)
         m.gust_v = m.gust_v + self.size * getattr(self, "_side", 1.0) * sine * sine
-
-
-class GyroClipping(_Unlisted):
-    """The gyro's range is set too small: rates beyond `size` rad/s are cut off (a smaller size cuts more)."""
-
-    name, title, unit, typical = "gyro_clipping", "gyro cut off at its range", "rad/s", 0.22
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        xp = self.xp
-        s.p, s.q, s.r = (xp.clip(v, -self.size, self.size) for v in (s.p, s.q, s.r))
 
 
 class StaleVane(_Unlisted):
@@ -178,21 +168,12 @@ class VaneFriction(_Unlisted):
 
     def commit(self, m: "Motion", x: State) -> None:
         # Once it slips it goes nearly the whole way: stiction above, little friction while moving.
-        off = m.beta - self._rests
-        slips = off * self.xp.sign(off) > self.size
-        self._rests = self.xp.select(slips, m.beta - 0.15 * off, self._rests)
+        deviation = m.beta - self._rests
+        slips = deviation * self.xp.sign(deviation) > self.size
+        self._rests = self.xp.select(slips, m.beta - 0.15 * deviation, self._rests)
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
         s.beta = self._rests
-
-
-class BankDependentAccelerometer(_Unlisted):
-    """The accelerometer's mount twists under load: lateral reading picks up an even function of bank and load."""
-
-    name, title, unit, typical = "bank_accelerometer", "lateral accelerometer depends on bank", "1", 0.45
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.ay = s.ay + self.size * GRAVITY * m.c23 * m.c23
 
 
 class AhrsTurnError(_Unlisted):
@@ -241,9 +222,9 @@ class SupplySag(_Unlisted):
         x[self.at] = self.xp.full(0.0)
 
     def commit(self, m: "Motion", x: State) -> None:
-        moved = m.arm_right - self._before
+        travel = m.arm_right - self._before
         self._before = m.arm_right
-        self._activity = moved * self.xp.sign(moved) / self.plant.step_size
+        self._activity = travel * self.xp.sign(travel) / self.plant.step_size
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         dx[self.at] = (getattr(self, "_activity", 0.0) - x[self.at]) / 0.15

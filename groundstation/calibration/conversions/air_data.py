@@ -8,17 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract import bmp390
+from daq.contract.constants import GAS_CONSTANT, GRAVITY, LAPSE_RATE, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
+from daq.contract.constants import HEAT_RATIO as GAMMA
 from groundstation.calibration.errors import CalibrationError
 
 Array = NDArray[np.float64]
-
-GAS_CONSTANT = 287.05287  # J/(kg K), ICAO Doc 7488/3
-GAMMA = 1.4
-GRAVITY = 9.80665
-SEA_LEVEL_PRESSURE = 101325.0
-SEA_LEVEL_TEMPERATURE = 288.15
-LAPSE_RATE = 0.0065  # K/m
-ZERO_CELSIUS = bmp390.ZERO_CELSIUS
 
 
 class Bmp390Compensation(bmp390.Bmp390Trimming):

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from groundstation.flight.atmosphere import (
-    SEA_LEVEL_DENSITY,
     density,
     density_at_altitude,
     density_at_pressure,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq.contract.plain_words import one_line
-from daq.contract.recordings import claims
+from daq.contract.recordings.flight_rows import as_texts
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def from_json(content: object) -> Contradiction | None:
     """A contradiction as a flight file carries it; None for what is none."""
     if not isinstance(content, Mapping):
         return None
-    between = tuple(one_line(name) for name in claims.texts(content.get("between")))
+    between = tuple(one_line(name) for name in as_texts(content.get("between")))
     text = content.get("text")
     if not between or not isinstance(text, str):
         return None

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
 
-GRAVITY = 9.80665
 BLOCK = 1.0
 """Over so long [s] signals are averaged: slower than a Dutch roll's half period, faster than a turn."""
 WINDOW = 60.0

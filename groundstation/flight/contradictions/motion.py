@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY
 from groundstation.flight.contradictions.contradiction import Contradiction
-from groundstation.flight.contradictions.fits import GRAVITY, Array, Columns, scale_by_ground
+from groundstation.flight.contradictions.fits import Array, Columns, scale_by_ground
 from groundstation.flight.windows import line, summed, windows
 
 AGREEMENT = 0.9

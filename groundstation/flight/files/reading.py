@@ -11,7 +11,7 @@ import numpy as np
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import check_file
 from daq.contract.plain_words import listed, one_line, plain_name
-from daq.contract.recordings.claims import json_object, mapping
+from daq.contract.recordings.flight_rows import as_mapping, json_object
 from groundstation.flight.credible_columns import credible_values, plain_names
 from groundstation.flight.errors import FlightError
 from groundstation.flight.files.csv_columns import read_csv
@@ -86,15 +86,15 @@ def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
         source=one_line(str(meta.get("source", "imported")), 40),
         aircraft=plain_name(str(meta.get("aircraft", ""))),
         software=plain_name(str(meta.get("software", ""))),
-        calibration={k: str(v) for k, v in mapping(meta.get("calibration")).items()},
-        detail={**mapping(meta.get("detail")), "derived_from": mapping(meta.get("derived_from"))},
+        calibration={k: str(v) for k, v in as_mapping(meta.get("calibration")).items()},
+        detail={**as_mapping(meta.get("detail")), "derived_from": as_mapping(meta.get("derived_from"))},
     )
 
 
 def _read_mcap(path: Path) -> _Read:
     from daq.contract.recordings.flight_rows import described, flight_rows
-    from daq.contract.recordings.reading import read_parts
     from daq.contract.recordings.recording import RecordingError
+    from daq.contract.recordings.segments import read_parts
 
     try:
         flights = read_parts(path)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import FOOT, GRAVITY, MILE_PER_HOUR, NAUTICAL_MILE, RADIAN
 from groundstation.flight.windows import line, summed, windows
 
 Array = NDArray[np.float64]
@@ -17,8 +18,6 @@ Columns = Mapping[str, Array]
 Turned = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
 """Columns -> what they would agree with, and motion against its cause in every window, with them turned."""
 
-GRAVITY = 9.80665
-_DEG = 180 / np.pi
 
 AGREE = 0.85  # share of a motion that has to be explained with a sign turned
 LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
@@ -34,7 +33,7 @@ _RADIANS = (0.5, 2.0)
 _RATES = ("p", "q", "r")
 _LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
 _USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
-_SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048, "cm/s": 100.0}
+_SPEED_UNITS = {"knots": 3600 / NAUTICAL_MILE, "km/h": 3.6, "mph": 1 / MILE_PER_HOUR, "ft/s": 1 / FOOT, "cm/s": 100.0}
 
 # column -> (unit, lowest and highest median that this unit gives)
 _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
@@ -233,9 +232,9 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
         slope = _integral_slope(time, c[angle], turning)
         if slope is None:
             continue
-        if 0.5 < abs(slope) / _DEG < 2:
+        if 0.5 < abs(slope) / RADIAN < 2:
             yield Suspicion((angle,), f"moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?")
-        elif 0.5 < abs(slope) * _DEG < 2:
+        elif 0.5 < abs(slope) * RADIAN < 2:
             yield Suspicion((rate,), f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
         elif -2 < slope < -0.5:
             yield Suspicion((rate,), f"turns against {angle}; one of them has the wrong sign (sign = -1)")
@@ -253,7 +252,7 @@ def _clock_ratio(time: Array, c: Columns) -> float | None:
     if len(sound) < 2 or max(sound) > 1.2 * min(sound):
         return None
     middle = float(np.median(sound))
-    usual = (0.5 < middle < 2.0) or (0.5 < middle / _DEG < 2.0) or (0.5 < middle * _DEG < 2.0)
+    usual = (0.5 < middle < 2.0) or (0.5 < middle / RADIAN < 2.0) or (0.5 < middle * RADIAN < 2.0)
     return None if usual else 1.0 / middle
 
 

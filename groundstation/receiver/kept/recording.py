@@ -12,7 +12,7 @@ from typing import IO, Any
 
 from daq.contract.durable import replacing
 from daq.contract.link.scan_map import ScanMap
-from daq.contract.recordings.messages import EventMessage, MessageError, decode_event, encode_event
+from daq.contract.recordings.messages import EVENT_TOPIC, EventMessage, MessageError, decode, encode
 from daq.contract.recordings.recording import (
     LogTime,
     RecordedMessage,
@@ -61,13 +61,11 @@ class ReceivedWriter(RecordingWriter):
         properties = {n: {"type": ["number", "null"]} for n in _LINK_FIELDS}
         schema = json.dumps({"type": "object", "properties": properties}).encode()
         schema_id = self._writer.register_schema(LINK_SCHEMA, "jsonschema", schema)
-        self._link_channel = self._writer.register_channel(LINK_TOPIC, "json", schema_id)
+        self._channels[LINK_TOPIC] = self._writer.register_channel(LINK_TOPIC, "json", schema_id)
 
     def write_link(self, data: bytes, time_ns: int, sequence: int) -> None:
         """Add a report of link quality."""
-        self._add(
-            self._link_channel, RecordedMessage(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data)
-        )
+        self.write(RecordedMessage(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data))
 
 
 def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
@@ -78,8 +76,8 @@ def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
 
 def read_link(path: Path) -> list[dict[str, Any]]:
     """Link reports of a received recording, as `link_json` made them; those that are intact. Empty for other files."""
-    from daq.contract.recordings.reading import read_parts
     from daq.contract.recordings.recording import RecordingError
+    from daq.contract.recordings.segments import read_parts
 
     try:
         reports = [data for part in read_parts(path) for data in part.kept.get(LINK_TOPIC, ())]
@@ -122,7 +120,7 @@ class SessionRecorder:
 
     def event(self, marked: ev.EventMarked) -> bool:
         """Keep an event, once; False when there have been too many."""
-        data = encode_event(EventMessage(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
+        data = encode(EventMessage(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
         if data in self._events:
             return True
         if len(self._events) >= MAX_EVENTS:
@@ -134,7 +132,7 @@ class SessionRecorder:
     def note(self, text: str) -> None:
         """Keep an event of the reception itself, at the time of the last scan; of very many the first ones."""
         if len(self._notes) < MAX_NOTES:
-            data = encode_event(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))
+            data = encode(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))
             self._notes.append(data)
             self.journal.add(RecordKind.NOTE, data)
 
@@ -157,7 +155,7 @@ class SessionRecorder:
             self.journal.add(RecordKind.PAPERS, data)
         # The papers have every event in full; what came down as it happened may be shortened.
         if papers.events:
-            self._events = {encode_event(e) for e in papers.marks()}
+            self._events = {encode(e) for e in papers.marks()}
         return True
 
     def take_archive(self, data: bytes) -> bool:
@@ -225,7 +223,7 @@ def _decoded(events: Iterable[bytes]) -> list[EventMessage]:
     out = []
     for data in events:
         try:
-            out.append(decode_event(data))
+            out.append(decode(EVENT_TOPIC, data))
         except MessageError:
             continue
     return out

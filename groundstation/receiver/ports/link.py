@@ -1,6 +1,6 @@
 """Open the ground station's ports."""
 
-from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort, UdpPort, open_socket_port, parse_port
+from daq.transport.ports import BytePort, PortError, TcpServerPort, UdpPort, open_socket_port, parse_port
 from daq.transport.reconnecting_port import open_lasting
 from groundstation.receiver.ports.udp_listener import UdpListener
 from groundstation.receiver.timeline import GroundClock, SystemClock
@@ -13,18 +13,12 @@ def open_port(text: str, clock: GroundClock | None = None) -> BytePort:
     """
     spec = parse_port(text)
     if spec.kind != "udpin":
-        return open_lasting(text, _serial)
+        return open_lasting(text)
     open_socket_port(spec).close()  # says in words why it cannot be had
     try:
         return UdpListener((spec.address, spec.number), clock or SystemClock())
     except OSError as error:
         raise PortError(f"{text}: cannot be opened ({error.strerror}); is another program using it?") from error
-
-
-def _serial(device: str, baud: int) -> SerialPort:
-    import serial
-
-    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
 
 
 def receive(port: BytePort) -> list[tuple[str, bytes]]:

@@ -4,7 +4,7 @@ import zlib
 from collections.abc import Mapping
 from typing import Any
 
-from daq.contract import manoeuvre_wire as wire
+from daq.contract.link import manoeuvre_wire as wire
 from daq.contract.manoeuvre import Manoeuvre
 from groundstation.receiver import events as ev
 from groundstation.receiver.timeline import NS

@@ -10,9 +10,8 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
-from estimation.gap.tests_of_fit.omnibus import Omnibus, OmnibusSignal
-from estimation.gap.tests_of_fit.screen import Reduced, Screen
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable
 
@@ -50,7 +49,7 @@ def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights:
     k = len(hypotheses)
     columns = tuple(HypothesisColumn(h, x.form.parameters[0]) for h, x in enumerate(hypotheses))
     whole = np.eye(k + 1) if gram is None else gram
-    return Screen((), tuple(hypotheses), columns, (Reduced(whole),) * len(flights), np.zeros_like(whole), flights)
+    return Screen((), tuple(hypotheses), columns, (whole,) * len(flights), np.zeros_like(whole), flights)
 
 
 ROUND = stub(threshold=4.0, baseline="base", criteria=AS_SET)

@@ -12,7 +12,6 @@ from estimation.engine.simulate import simulate
 from estimation.gap.effects import add_effect, catalogue, load_effects
 from estimation.gap.effects.base import EffectParameter, Form
 from estimation.gap.effects.missing import missing_derivatives
-from estimation.gap.effects.page import page
 from estimation.gap.errors import EffectError
 from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
@@ -172,7 +171,3 @@ def test_a_device_shows_a_model_what_the_model_asks_of_it() -> None:
     assert delayed == {"six-dof": {"p", "q"}, "lateral": {"p"}, "longitudinal": {"q"}}
     elsewhere = replace(form, output_delays={"alpha": "t"}, optional=("alpha",))
     assert elsewhere.obstacle(load_model("lateral", "cdfp")) == "the model has no alpha"
-
-
-def test_the_documentation_is_up_to_date() -> None:
-    assert Path("docs/effects.md").read_text(encoding="utf-8") == page()

@@ -11,15 +11,13 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import Effect, catalogue
-from estimation.gap.likelihood.channel_noise import pitch_error
-from estimation.gap.likelihood.whitening import force_states, linear_motion
+from estimation.gap.fit.channel_noise import pitch_error
+from estimation.gap.fit.spectra import force_states, linear_motion, steady_outputs, steady_state
+from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import FlightRecord, prepare_flights
-from estimation.gap.records.nuisance import with_nuisance
-from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.gap.search.select import material
-from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck, clearest, kinematic_check
-from estimation.gap.tests_of_fit.nulls import input_errors, spectrum, with_errors
-from estimation.gap.tests_of_fit.pitch_kinematics import pitch_kinematic_model
+from estimation.gap.significance.kinematic_check import KinematicCheck, clearest, kinematic_check, pitch_kinematic_model
+from estimation.gap.significance.nulls import input_errors, spectrum, with_errors
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
 from estimation.models.load import load_model

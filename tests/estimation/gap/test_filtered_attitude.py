@@ -8,8 +8,8 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.transforms import apply_transforms
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.channel_noise import bank_error, filtered_attitudes, slow_error
-from estimation.gap.likelihood.whitening import (
+from estimation.gap.fit.channel_noise import bank_error, filtered_attitudes, slow_error
+from estimation.gap.fit.spectra import (
     Linear,
     NoiseModel,
     NoisePart,
@@ -18,9 +18,9 @@ from estimation.gap.likelihood.whitening import (
     shapes_of,
     whitener,
 )
+from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.gap.records.nuisance import with_nuisance
-from estimation.gap.tests_of_fit.nulls import NullFlyer
+from estimation.gap.significance.nulls import NullFlyer
 from estimation.models.base import InputTransform, ParameterRole
 from estimation.models.load import load_model
 

@@ -11,18 +11,18 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects import catalogue
-from estimation.gap.form.analytic import regressed
-from estimation.gap.form.fitted import Increment
-from estimation.gap.form.memory import late
-from estimation.gap.form.places import Place, coefficient_lines, places_of, products_of, variables_of
-from estimation.gap.form.spline import KEPT, Range, basis, lines, polynomial, written
 from estimation.gap.pages.report import write_gap_report
-from estimation.gap.run import analyse
+from estimation.gap.shapes.formulas import regressed
+from estimation.gap.shapes.increment import Increment
+from estimation.gap.shapes.lag_swing import late
+from estimation.gap.shapes.places import Place, coefficient_lines, places_of, products_of, variables_of
+from estimation.gap.shapes.spline import KEPT, Range, basis, curve_lines, lines, polynomial
 from estimation.gap.workflow import Options
 from estimation.models.expressions import evaluate, split_line
 from estimation.models.load import load_model, read_model
 from groundstation.flight import Flight
 from tests.estimation.gap.roll import ROLL
+from tests.estimation.gap.whole_run import analyse
 from tests.studies import second_truth as truth
 
 FLOWN = Range(-0.1, 0.3)
@@ -69,7 +69,7 @@ def test_the_text_is_the_columns_and_holds_outside_the_range() -> None:
     text = lines("form", "beta", [*names, "slope", "shift"])
     values = dict(zip(names, w, strict=True)) | {"slope": 0.3, "shift": -0.2}
     assert followed(text, {"beta": x, **scale, **values})["form"] == pytest.approx(expected, abs=1e-9)
-    short = written("Cn_nameless", "beta", FLOWN, polynomial(w, (0.3, -0.2)))
+    short = curve_lines("Cn_nameless", "beta", FLOWN, polynomial(w, (0.3, -0.2)))
     found = followed(short, {"beta": x})["Cn_nameless"]
     assert found == pytest.approx(expected, abs=1e-9)
     assert np.ptp(np.asarray(found)[x > 0.3]) == 0.0
@@ -166,7 +166,7 @@ def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: li
     options = Options(seed=3, nulls=40, most=2)
     asked = [e for e in catalogue() if e.name in NEAR]
     result = analyse(load_model("lateral", "cdfp"), even[:2], even[2:], asked, options,
-                     lambda what, share: None, tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
+                     lambda what, share: None, tmp_path / "report" / "models", tmp_path / "gap.json")  # fmt: skip
     answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
     assert result.verdict is GapVerdict.GAP_REDUCED
     assert [s["effect"] for s in answer["steps"]] == ["unknown"]
@@ -203,7 +203,7 @@ def test_an_effect_with_a_name_is_found_beside_a_shape_that_stood_over_it(tmp_pa
     ]
     asked = [e for e in catalogue() if e.name in NEAR]
     result = analyse(load_model("lateral", "cdfp"), flights[:2], flights[2:], asked, Options(seed=3, nulls=40, most=2),
-                     lambda what, share: None, tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
+                     lambda what, share: None, tmp_path / "report" / "models", tmp_path / "gap.json")  # fmt: skip
     answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
     assert result.verdict is GapVerdict.GAP_REDUCED
     assert [s["effect"] for s in answer["steps"]] == ["Cn_da", "unknown"]

@@ -13,18 +13,19 @@ import sideslip
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.location import spans_of
 from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.gap.records.lost_rows import (
+from estimation.gap.records.sampling import (
+    at_own_rates,
     clock_step,
+    slow,
     unseen_moves,
     unseen_paths,
     with_lost_rows,
     without_unseen_moves,
 )
-from estimation.gap.records.slow_controls import at_own_rates, slow
-from estimation.gap.tests_of_fit.omnibus import restless_times
-from estimation.gap.verdict.effect_location import spans_of
+from estimation.gap.significance.omnibus import restless_times
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance, write_flight
@@ -259,7 +260,6 @@ def test_flights_of_one_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.
         seen.extend([*(f.name for f in training), *(f.name for f in holdout)])
         raise DataError("seen")
 
-    monkeypatch.setattr("estimation.gap.run.analyse", looked_at)
     monkeypatch.setattr("estimation.gap.workflow.run_gap", looked_at)
     command = [*map(str, paths[:2]), "--holdout", str(paths[2]), "--aircraft", "cdfp", "--nulls", "20"]
     assert "seen" in str(CliRunner().invoke(gap_verb, command).exception)

@@ -6,22 +6,20 @@ import pytest
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.likelihood.whitening import (
+from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
     NoiseSource,
     Shapes,
-    Whitener,
     estimate_noise,
     spectral_matrix,
-    spectrum_of,
     whitener,
 )
+from estimation.gap.fit.whitener import Whitener, spectrum_of
 from estimation.gap.search.confirm import leading
 from estimation.gap.search.select import credible_set
-from estimation.gap.tests_of_fit.calibration import upper_quantile
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
-from estimation.gap.tests_of_fit.screen import Reduced, Screen, equivalent_z
+from estimation.gap.significance.calibration import upper_quantile
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen, equivalent_z
 
 A = NoisePart(NoiseSource.RATE, "a")
 
@@ -103,7 +101,7 @@ def test_what_is_known_of_a_control_is_not_estimated_and_what_else_there_is_is_n
 
 def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
     columns = tuple(HypothesisColumn(i, None) for i in range(k))  # type: ignore[arg-type]
-    reduced = tuple(Reduced(r.T @ r) for r in rows)
+    reduced = tuple(r.T @ r for r in rows)
     size = rows[0].shape[1]
     return Screen(tuple(f"t{i}" for i in range(n)), (None,) * k, columns, reduced, np.zeros((size, size)), flights)  # type: ignore[arg-type]
 
@@ -168,7 +166,7 @@ def test_plays_and_lags_of_the_air_get_a_full_fit_whatever_a_small_step_says() -
     hypotheses = tuple(Hypothesis(e, f) for e in catalogue() for f in e.forms)
     columns = tuple(HypothesisColumn(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
     k = len(columns)
-    screen = Screen((), hypotheses, columns, (Reduced(np.eye(k + 1)),), np.zeros((k + 1, k + 1)), (0,))
+    screen = Screen((), hypotheses, columns, (np.eye(k + 1),), np.zeros((k + 1, k + 1)), (0,))
     plays = {  # and the lag
         h
         for h, x in enumerate(hypotheses)

@@ -12,15 +12,20 @@ from estimation.aircraft import load_aircraft
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect, EffectParameter
-from estimation.gap.effects.catalogue import built_in
-from estimation.gap.effects.sizes import REFERENCE, at_size_of
-from estimation.gap.likelihood import baseline as baselines
-from estimation.gap.likelihood.baseline import Baseline, deeper, fit_afresh, fit_baseline, fit_from
-from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
-from estimation.gap.likelihood.first_values import by_regression, first_values
-from estimation.gap.records.candidate_model import awakened
+from estimation.gap.effects.catalogue import REFERENCE, at_size_of, built_in
+from estimation.gap.fit import baseline as baselines
+from estimation.gap.fit.baseline import (
+    Baseline,
+    by_regression,
+    deeper,
+    first_values,
+    fit_afresh,
+    fit_baseline,
+    fit_from,
+)
+from estimation.gap.fit.channel_noise import channel_noise, sample_interval
+from estimation.gap.records.candidate_model import awakened, with_nuisance
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
-from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Model
 from estimation.models.load import load_model

@@ -10,18 +10,20 @@ import pytest
 from estimation.gap.answer.result import EffectStep, Gap, GapVerdict, Where
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision import beside as beside_shape
+from estimation.gap.decision import conclusion as concluding
+from estimation.gap.decision.beside import without_doubted
+from estimation.gap.decision.conclusion import facts_of, told
+from estimation.gap.decision.decide import Decision, with_names
+from estimation.gap.decision.lineage import models
+from estimation.gap.decision.steps import unknown_step
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
-from estimation.gap.search.search_state import AcceptedEffect, Options, SearchState
-from estimation.gap.tests_of_fit.omnibus import Omnibus, OmnibusSignal
-from estimation.gap.verdict import beside_shape
-from estimation.gap.verdict import conclusion as concluding
-from estimation.gap.verdict.conclusion import facts_of, models, told, without_doubted
-from estimation.gap.verdict.decide import Decision, with_names
-from estimation.gap.verdict.steps import unknown_step
+from estimation.gap.search.state import AcceptedEffect, Options, SearchState
+from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
 from estimation.models.load import load_model
 
 EFFECTS = {e.name: e for e in catalogue()}
@@ -212,9 +214,9 @@ def test_a_shape_takes_the_place_of_a_doubted_name_beside_which_the_others_stand
         return stub(candidate=candidate, doubted=doubted, round_=stub(baseline=f"before {name}"))
 
     shape = stub(measured=stub(closed=0.99), fitted=stub(increment=stub(place=stub(words="CY by beta"))))
-    monkeypatch.setattr(concluding, "searched", lambda *given: stub(shape=shape))
+    monkeypatch.setattr(beside_shape, "searched", lambda *given: stub(shape=shape))
     beside: Any = None if found is None else stub(findings=tuple(finding(n) for n in found))
-    monkeypatch.setattr(concluding, "names_beside", lambda *given: beside)
+    monkeypatch.setattr(beside_shape, "names_beside", lambda *given: beside)
     kept = [finding("beta_scale"), finding("CY_beta3", doubted=True), *(finding(n) for n in others)]
     named: Any = [stub(holdout=stub(closed=0.95)) for _ in kept]
     setting: Any = stub(options=stub(criteria=AS_SET))

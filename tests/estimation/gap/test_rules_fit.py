@@ -10,16 +10,15 @@ from scipy.stats import gumbel_r
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.tests_of_fit.calibration import (
+from estimation.gap.significance.calibration import (
     kinematic_threshold,
     like_the_flights,
     name_threshold,
     null_inflation,
 )
-from estimation.gap.tests_of_fit.hypotheses import HypothesisColumn, one_sided
-from estimation.gap.tests_of_fit.kinematic_check import judged, kinematic_model, null_count
-from estimation.gap.tests_of_fit.measure import Floors
-from estimation.gap.tests_of_fit.omnibus import (
+from estimation.gap.significance.kinematic_check import judged, kinematic_model, null_count
+from estimation.gap.significance.measure import Floors, usual_and_limit
+from estimation.gap.significance.omnibus import (
     OmnibusSignal,
     beside_others,
     follows,
@@ -29,8 +28,7 @@ from estimation.gap.tests_of_fit.omnibus import (
     summed_up,
     window_energy,
 )
-from estimation.gap.tests_of_fit.repeatability import usual_and_limit
-from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen
+from estimation.gap.significance.screen import HypothesisColumn, Projected, Screen, one_sided
 
 
 def stub(**fields: Any) -> Any:
@@ -65,7 +63,7 @@ def test_a_screen_without_some_nulls_is_what_it_would_have_been_without_them() -
     parameter = EffectParameter("x", "1", 1.0, -9.0, 9.0)
     hypotheses = (HypothesisColumn(0, parameter), HypothesisColumn(1, parameter))
     whole, fewer = (
-        Screen(("a", "b", "c"), (), hypotheses, (Reduced(c.T @ c),), np.eye(c.shape[1]), (0,))
+        Screen(("a", "b", "c"), (), hypotheses, (c.T @ c,), np.eye(c.shape[1]), (0,))
         for c in (columns, columns[:, index])
     )
     np.testing.assert_allclose(whole.with_nulls(kept).projected().scores(), fewer.projected().scores(), rtol=1e-12)

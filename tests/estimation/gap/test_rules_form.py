@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from estimation.gap.criteria import AS_SET
-from estimation.gap.form import search as searching
-from estimation.gap.form.closure import closed
-from estimation.gap.form.fitted import HoldoutPrediction, confirmed
-from estimation.gap.form.places import Place, spread_of
-from estimation.gap.form.screen import penalised, ranked
-from estimation.gap.form.search import as_good, runners_up
-from estimation.gap.form.spline import KEPT, basis
-from estimation.gap.tests_of_fit.screen import Projected
+from estimation.gap.shapes import search as searching
+from estimation.gap.shapes.increment import HoldoutPrediction, closed, confirmed
+from estimation.gap.shapes.places import Place, spread_of
+from estimation.gap.shapes.ranking import penalised, ranked
+from estimation.gap.shapes.search import as_good, runners_up
+from estimation.gap.shapes.spline import KEPT, basis
+from estimation.gap.significance.screen import Projected
 
 PLACE = Place("Cn", "beta", lacks_line=False, lacks_constant=False)
 

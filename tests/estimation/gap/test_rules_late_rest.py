@@ -8,21 +8,18 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import GapVerdict
-from estimation.gap.answer.shape import Late
+from estimation.gap.answer.shape import LaggedTerm
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.decide import Decision
+from estimation.gap.decision.followers import SIZE, LateRest, beside_memory, hypothesis_of, significant, stands_out
 from estimation.gap.effects import catalogue
-from estimation.gap.form.memory import Memory
-from estimation.gap.form.places import Place
-from estimation.gap.search.search_state import Options
-from estimation.gap.verdict.decide import Decision
-from estimation.gap.verdict.followers import SIZE, hypothesis_of
-from estimation.gap.verdict.late_rest import LateRest, beside_memory, significant, stands_out
+from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth
 
-MEMORY = Memory(Place("Cn", "p_hat", False, False), 0.5, 400.0, 15.0, 7.0)
+MEMORY = LaggedTerm("Cn", "p_hat", 0.5, 400.0, 15.0, 7.0)
 
 
 def _flown(scale: float, reach: float) -> Any:
@@ -79,8 +76,8 @@ def test_two_names_that_imitate_a_memory_are_withdrawn() -> None:
     assert result.verdict is GapVerdict.UNKNOWN
     assert [s.effect for s in result.steps] == ["unknown"]
     shape = result.steps[0].shape
-    assert isinstance(shape, Late)
-    assert (shape.output, shape.variable) == ("Cn", "p_hat")
+    assert isinstance(shape, LaggedTerm)
+    assert (shape.line, shape.variable) == ("Cn", "p_hat")
     assert 0.2 <= shape.time <= 1.0
     assert any("not needed where Cn follows p_hat" in r.why for r in result.rejected)
     assert np.isfinite(result.steps[0].score)

@@ -9,16 +9,9 @@ from estimation.gap.answer.result import Gap
 from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.whitening import (
-    NoisePart,
-    NoiseSource,
-    Shapes,
-    as_seen,
-    estimate_noise,
-    spectrum_of,
-    whitener,
-)
-from estimation.gap.verdict.held import held_step, judged
+from estimation.gap.decision.unnamed import held_step, judged
+from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
+from estimation.gap.fit.whitener import spectrum_of
 
 COUNT, STEP = 1200, 0.05
 GUST = NoisePart(NoiseSource.RATE, "p")

@@ -11,10 +11,9 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
-from estimation.gap.likelihood.fitting import LikelihoodProblem
-from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
-from estimation.gap.likelihood.whitening import (
+from estimation.gap.fit.baseline import estimated_noise, noise_parts
+from estimation.gap.fit.problem import LikelihoodProblem
+from estimation.gap.fit.spectra import (
     Linear,
     NoiseModel,
     NoisePart,
@@ -24,13 +23,13 @@ from estimation.gap.likelihood.whitening import (
     shapes_of,
     spectral_matrix,
 )
-from estimation.gap.records.flight_records import FlightRecord, prepare_flights, with_own_noise
-from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.fit.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
+from estimation.gap.records.candidate_model import with_nuisance
+from estimation.gap.records.doubts import sample_notes
+from estimation.gap.records.flight_records import FlightRecord, prepare_flights, stretches, with_own_noise
 from estimation.gap.records.own_motion import only_following, without_hardware_of
-from estimation.gap.records.sample_faults import sample_notes
-from estimation.gap.records.slow_controls import at_own_rates
-from estimation.gap.records.stretches import stretches
-from estimation.gap.tests_of_fit.nulls import NullFlyer
+from estimation.gap.records.sampling import at_own_rates
+from estimation.gap.significance.nulls import NullFlyer
 from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
 from groundstation.flight import Flight, Provenance

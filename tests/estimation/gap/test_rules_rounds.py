@@ -11,15 +11,13 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import AS_SET
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
-from estimation.gap.search import backward_check as checking
 from estimation.gap.search import rounds as searching
 from estimation.gap.search.accept import accept, by_timing, doubtful, explains, follows, holds, is_strong, repeats
-from estimation.gap.search.backward_check import better_rivals, idle, questioners
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.search_state import AcceptedEffect, Options
+from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
-from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.search.state import AcceptedEffect, Options
+from estimation.gap.significance.calibration import Round
 from tests.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
 
 SETTING: Any = stub(options=Options())
@@ -237,22 +235,22 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
         return [elsewhere, rival("new", 999.0), rival("other", 998.0)]
 
     elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
-    monkeypatch.setattr(checking, "deeper", lambda base, fit: fit if fit is elsewhere.fit else None)
-    monkeypatch.setattr(checking, "hypotheses_for", lambda *args: asked)
-    monkeypatch.setattr(checking, "Tangent", lambda *args: None)
-    monkeypatch.setattr(checking, "build_screen", lambda *args: stub(hypotheses=asked))
-    monkeypatch.setattr(checking, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
-    monkeypatch.setattr(checking, "linear_guess", lambda *args: {})
-    monkeypatch.setattr(checking, "alone", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"])
-    monkeypatch.setattr(checking, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
-    monkeypatch.setattr(checking, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
-    monkeypatch.setattr(checking, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
-    monkeypatch.setattr(checking, "better_rivals", better)
-    monkeypatch.setattr(checking, "confirmed", confirmed)
+    monkeypatch.setattr(searching, "deeper", lambda base, fit: fit if fit is elsewhere.fit else None)
+    monkeypatch.setattr(searching, "hypotheses_for", lambda *args: asked)
+    monkeypatch.setattr(searching, "Tangent", lambda *args: None)
+    monkeypatch.setattr(searching, "build_screen", lambda *args: stub(hypotheses=asked))
+    monkeypatch.setattr(searching, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
+    monkeypatch.setattr(searching, "linear_guess", lambda *args: {})
+    monkeypatch.setattr(searching, "alone", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"])
+    monkeypatch.setattr(searching, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
+    monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
+    monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
+    monkeypatch.setattr(searching, "better_rivals", better)
+    monkeypatch.setattr(searching, "confirmed", confirmed)
     record = stub(inputs=("delta_a",), input_noise={"delta_a": 0.002}, time=np.array([0.0, 0.05, 0.1]))
     without = stub(problem=stub(records=[record]), criteria=AS_SET, clean=None, fit=None)
     old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
-    found = checking._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
+    found = searching._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
     assert found is not None
     assert (found[0].hypothesis.label, found[1]) == ("other", "child")
     assert given.pop("gain") == pytest.approx(25.0)
@@ -283,11 +281,11 @@ def test_an_earlier_effect_is_dropped_exchanged_or_stands(
 ) -> None:
     """Threshold 4, so a gain of 2 (57 - 50) = 14 is too little and 40 enough."""
     without = stub(fit=stub(cost=cost, values={}, locals=()), noise=None, model=None, clean=None)
-    monkeypatch.setattr(checking, "afresh_with", lambda *given: without)
-    monkeypatch.setattr(checking, "_rival", lambda *given: None if rival is None else (candidate(rival), "child"))
-    monkeypatch.setattr(checking, "fit_baseline", lambda *given: "fresh")
+    monkeypatch.setattr(searching, "afresh_with", lambda *given: without)
+    monkeypatch.setattr(searching, "_rival", lambda *given: None if rival is None else (candidate(rival), "child"))
+    monkeypatch.setattr(searching, "fit_baseline", lambda *given: "fresh")
     setting = stub(prepared=None, scatter=None, child=lambda *given: "child")
-    answer = checking.backward_check(setting, [finding("a"), finding("b")])
+    answer = searching.backward_check(setting, [finding("a"), finding("b")])
     if left is None:
         assert answer is None
         return

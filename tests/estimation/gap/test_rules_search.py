@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.steps import misfit_of
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search import confirm
 from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, leading, price
 from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis
-from estimation.gap.tests_of_fit.measured_again import own_share
-from estimation.gap.tests_of_fit.omnibus import Omnibus
-from estimation.gap.tests_of_fit.screen import Projected, equivalent_z
-from estimation.gap.verdict.steps import misfit_of
+from estimation.gap.significance.measured_again import own_share
+from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
 from estimation.models.base import Signal as Variable
 from tests.estimation.gap.candidates_by_hand import BASE, candidate, hypothesis, screen, stub
 

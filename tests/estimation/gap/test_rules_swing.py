@@ -8,25 +8,23 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import GapVerdict
-from estimation.gap.answer.shape import Swinging
+from estimation.gap.answer.shape import SwingingTerm
 from estimation.gap.answer.words import describe_swing
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.decide import Decision, as_unknown
+from estimation.gap.decision.followers import DAMPING as DAMPING_NAME
+from estimation.gap.decision.followers import FREQUENCY, as_fitted, swing_of
 from estimation.gap.effects import catalogue
-from estimation.gap.form.places import ModelMotion
-from estimation.gap.form.search import ShapeSearch
-from estimation.gap.form.swing import DAMPING, SLOWEST, Swing, find_swing, frequencies, oscillator, rings
-from estimation.gap.likelihood.baseline import fit_baseline
-from estimation.gap.tests_of_fit.calibration import name_threshold, screen_round
-from estimation.gap.verdict.decide import Decision, as_unknown
-from estimation.gap.verdict.followers import DAMPING as DAMPING_NAME
-from estimation.gap.verdict.followers import FREQUENCY, as_fitted, swing_of
-from estimation.gap.verdict.nameless import follower_of
+from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.shapes.lag_swing import DAMPING, SLOWEST, find_swing, frequencies, oscillator, rings
+from estimation.gap.shapes.places import ModelMotion
+from estimation.gap.significance.calibration import name_threshold, screen_round
 from estimation.gap.workflow import Options, _setting, prepare_flights, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth
 
-FOUND = Swing("Cm", {"q_dot": 2e-3, "ax": -1e-3}, 9.0, 0.05, 300.0, 8.6, 3.4)
+FOUND = SwingingTerm("Cm", {"q_dot": 2e-3, "ax": -1e-3}, 9.0, 0.05, 300.0, 8.6, 3.4)
 
 
 # ------------------------------------------------------------------------------------------------ the oscillator
@@ -75,7 +73,7 @@ def test_a_swing_that_a_fit_damps_away_or_stops_at_a_limit_is_none_and_a_runaway
         std=lambda: {FREQUENCY: 0.04, DAMPING_NAME: 0.01},
     )
     fitted = as_fitted(FOUND, fit, AS_SET)
-    assert isinstance(fitted, Swing)
+    assert isinstance(fitted, SwingingTerm)
     assert (fitted.frequency, fitted.damping, fitted.frequency_std, fitted.by["ax"]) == (8.5, 0.06, 0.04, 2e-3)
     inside = fit.values
     for there in ({DAMPING_NAME: 0.6}, {DAMPING_NAME: 0.005}, {FREQUENCY: 18.0}, {FREQUENCY: 4.5}):  # FOUND at 9 rad/s
@@ -87,15 +85,14 @@ def test_a_swing_that_a_fit_damps_away_or_stops_at_a_limit_is_none_and_a_runaway
 
 # ------------------------------------------------------------------------------------------------ the answer
 def test_a_swing_is_told_with_its_frequency_and_without_a_name() -> None:
-    shape = follower_of(ShapeSearch(None, (), replace(FOUND, frequency_std=0.0314, damping_std=0.004)))
-    assert isinstance(shape, Swinging)
+    shape = replace(FOUND, frequency_std=0.0314, damping_std=0.004)
+    assert isinstance(shape, SwingingTerm)
     told = shape.to_json()
     assert (told["kind"], told["nameless"], told["output"]) == ("swing", True, "Cm")
     assert told["variables"] == ["q_dot", "ax"]
     assert (told["frequency"], told["frequency_std"], told["damping"]) == (9.0, 0.0314, 0.05)
     assert "swinging at 1.43 +- 0.005 Hz with a damping of 0.05, driven by q_dot and ax" in describe_swing(shape)
-    bare = follower_of(ShapeSearch(None, (), FOUND))
-    assert isinstance(bare, Swinging)
+    bare = FOUND
     assert "swinging at 1.4 Hz with" in describe_swing(bare)
 
 
@@ -150,8 +147,8 @@ def test_fuel_that_swings_is_no_thrust_line() -> None:
     assert result.verdict is GapVerdict.UNKNOWN
     assert [s.effect for s in result.steps] == ["unknown"]
     shape = result.steps[0].shape
-    assert isinstance(shape, Swinging)
-    assert shape.output == "Cm"
+    assert isinstance(shape, SwingingTerm)
+    assert shape.line == "Cm"
     assert shape.frequency_std is not None
     assert abs(shape.frequency - 9.0) < 0.2 + 2.0 * shape.frequency_std
     assert shape.damping < 0.15

@@ -14,16 +14,18 @@ from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.answer.shape import EventReport, Happened
 from estimation.gap.answer.words import describe_events
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import LikelihoodProblem, fit
-from estimation.gap.likelihood.whitening import NoiseModel, Whitener
+from estimation.gap.decision.decide import Decision, as_unknown, with_shape
+from estimation.gap.decision.unnamed import event_step, happening
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem
+from estimation.gap.fit.spectra import NoiseModel
+from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.tangent import Tangent
-from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients, standing_out
-from estimation.gap.verdict.decide import Decision, as_unknown, with_shape
-from estimation.gap.verdict.nameless import event_step, happening
+from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.tangent import Tangent
+from estimation.gap.significance.transients import asked_of, equivalent, event_limit, find_transients, standing_out
 from estimation.models.base import Model, Parameter, Signal
 from tests.estimation.gap.roll import ROLL
 

@@ -10,14 +10,19 @@ import pytest
 
 from estimation.gap.answer.result import Gap, GapVerdict
 from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.decide import TABLE, Named, VerdictFacts, closed_by, decide, only_steered, outweighs
+from estimation.gap.decision.location import binned, channels_that_gain, regime, spans_of, windows
+from estimation.gap.decision.steps import (
+    detectable_sizes,
+    followers,
+    migrated,
+    nominal_threshold,
+    ties_of,
+    undetectable,
+    worth_in_words,
+)
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, HypothesisColumn
-from estimation.gap.tests_of_fit.screen import Reduced, Screen
-from estimation.gap.verdict.decide import TABLE, Named, VerdictFacts, closed_by, decide, only_steered, outweighs
-from estimation.gap.verdict.disagreement import binned, windows
-from estimation.gap.verdict.effect_location import channels_that_gain, regime, spans_of
-from estimation.gap.verdict.steps import followers, migrated, worth_in_words
-from estimation.gap.verdict.tables import detectable_sizes, nominal_threshold, ties_of, undetectable
+from estimation.gap.significance.screen import Hypothesis, HypothesisColumn, Screen
 
 
 def stub(**fields: Any) -> Any:
@@ -174,7 +179,7 @@ def asked(gram: np.ndarray, tied_to: tuple[str, ...] = ()) -> Any:  # type: igno
         effect = Effect("abc"[h], "", Group.SENSOR, "", "", "", "", {}, "", (form,), tied_to=tied_to)
         columns.append(HypothesisColumn(h, parameter))
         hypotheses.append(Hypothesis(effect, form))
-    screen = Screen((), tuple(hypotheses), tuple(columns), (Reduced(gram),), np.zeros_like(gram), (0,))
+    screen = Screen((), tuple(hypotheses), tuple(columns), (gram,), np.zeros_like(gram), (0,))
     return stub(screen=screen, inflation=np.ones(len(hypotheses)), threshold=4.0, criteria=AS_SET)
 
 

@@ -10,8 +10,8 @@ import pytest
 from estimation.gap.answer.result import Rejected
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.answer.words import describe_curve
+from estimation.gap.decision.unnamed import Alike, alike
 from estimation.gap.effects import catalogue
-from estimation.gap.verdict.same_form import Alike, alike
 from estimation.models.load import load_model
 
 SIX = load_model("six-dof", "cdfp")

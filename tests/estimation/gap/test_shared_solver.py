@@ -10,12 +10,12 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.estimators.arrow import eliminated, solved
 from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.between_samples import fine_grid
-from estimation.gap.likelihood.fitting import LikelihoodProblem, fit
-from estimation.gap.likelihood.whitening import Whitener
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, fine_grid
+from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.gap.tests_of_fit.measure import rms_over_noise
-from estimation.gap.tests_of_fit.screen import Projected
+from estimation.gap.significance.measure import rms_over_noise
+from estimation.gap.significance.screen import Projected
 from estimation.models.base import Model, Parameter, Signal
 
 STEP, COUNT = 0.05, 80

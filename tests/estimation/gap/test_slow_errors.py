@@ -8,17 +8,9 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.slow_errors import SLOW, slow_errors, without_slow
-from estimation.gap.likelihood.surface_steps import SurfaceSteps, loosened
-from estimation.gap.likelihood.whitening import (
-    NoiseModel,
-    NoisePart,
-    NoiseSource,
-    Whitener,
-    linear_motion,
-    shapes_of,
-    whitener,
-)
+from estimation.gap.fit.spectra import NoiseModel, NoisePart, NoiseSource, linear_motion, shapes_of, whitener
+from estimation.gap.fit.surface_steps import SLOW, SurfaceSteps, loosened, slow_errors, without_slow
+from estimation.gap.fit.whitener import Whitener
 from estimation.models.base import Model, Parameter, Signal
 
 COUNT, STEP = 600, 0.05

@@ -9,8 +9,9 @@ from scipy.linalg import expm
 
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.between_samples import fine_grid, middles
-from estimation.gap.likelihood.surface_steps import (
+from estimation.gap.fit.problem import fine_grid, middles
+from estimation.gap.fit.spectra import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
+from estimation.gap.fit.surface_steps import (
     SurfaceSteps,
     displaced,
     find_surface_steps,
@@ -18,7 +19,6 @@ from estimation.gap.likelihood.surface_steps import (
     jumping_outputs,
     loosened,
 )
-from estimation.gap.likelihood.whitening import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
 from estimation.gap.records.flight_records import prepare_flights, quick_length
 from estimation.models.base import InputTransform, Parameter, Signal
 from groundstation.flight import Flight

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
-from estimation.gap.likelihood.fitting import LikelihoodProblem, Local, ModelFit, ProblemUnknowns, fit
-from estimation.gap.likelihood.whitening import Slack, Whitener
-from estimation.gap.tests_of_fit import tangent as tangents
-from estimation.gap.tests_of_fit.screen import gram_of, shared_prior
-from estimation.gap.tests_of_fit.tangent import Tangent
+from estimation.gap.fit.fitting import ProblemUnknowns, fit
+from estimation.gap.fit.problem import LikelihoodProblem, Local, ModelFit
+from estimation.gap.fit.whitener import Slack, Whitener
+from estimation.gap.significance import tangent as tangents
+from estimation.gap.significance.screen import gram_of, shared_prior
+from estimation.gap.significance.tangent import Tangent
 from tests.estimation.gap.test_shared_solver import COUNT, problem
 
 NULLS = 3

@@ -8,7 +8,7 @@ import pytest
 
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
-from estimation.gap.records.nuisance import stamped_attitudes, with_nuisance
+from estimation.gap.records.candidate_model import stamped_attitudes, with_nuisance
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import ParameterRole

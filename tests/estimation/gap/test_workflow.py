@@ -12,11 +12,11 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.errors import GapError
 from estimation.gap.pages.report import write_gap_report
-from estimation.gap.run import analyse
-from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
+from estimation.gap.significance.kinematic_check import kinematic_check
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model, read_model
 from groundstation.flight import Flight, FlightError
+from tests.estimation.gap.whole_run import analyse
 from tests.studies import second_truth as truth
 
 pytestmark = pytest.mark.long
@@ -47,7 +47,7 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
     flights = flown["Cn_da"]
     said: list[str] = []
     result = analyse(load_model("lateral", "cdfp"), flights[:2], flights[2:], catalogue(), QUICK,
-                     lambda what, share: said.append(what), tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
+                     lambda what, share: said.append(what), tmp_path / "report" / "models", tmp_path / "gap.json")  # fmt: skip
     answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
     step = answer["steps"][0]
     assert answer["verdict"] == "gap_closed"

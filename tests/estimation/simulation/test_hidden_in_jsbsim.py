@@ -12,7 +12,6 @@ pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
 from estimation.gap.answer.result import GapVerdict
 from estimation.gap.effects import catalogue
-from estimation.gap.run import analyse
 from estimation.gap.workflow import Options
 from estimation.models import load_model
 from estimation.simulation.along_flight import WITHOUT_DRAWS, motion
@@ -21,6 +20,7 @@ from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
 from groundstation.flight import Flight, write_flight
 from sideslip.cli import cli
+from tests.estimation.gap.whole_run import analyse
 from tests.studies import jsbsim_flights as truth
 
 pytestmark = pytest.mark.long
@@ -85,7 +85,9 @@ def test_a_hidden_yawing_moment_is_named_closed_exported_and_flies_in_the_export
     effects = [e for e in catalogue(model=base.model) if e.name in OFFERED]
     assert len(effects) == len(OFFERED)
     options, file = Options(nulls=30), tmp_path / "gap.json"
-    answer = analyse(base.model, base.training(1), base.holdout(1), effects, options, lambda *_: None, json_path=file)
+    answer = analyse(
+        base.model, base.training(1), base.holdout(1), effects, options, lambda *_: None, tmp_path / "gap-models", file
+    )
     assert answer.verdict is GapVerdict.GAP_CLOSED
     (step,) = answer.steps
     assert step.effect == "Cn_da"

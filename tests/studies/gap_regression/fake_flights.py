@@ -11,14 +11,13 @@ import numpy as np
 
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.likelihood.baseline import Baseline, fit_baseline
-from estimation.gap.likelihood.channel_noise import bank_error, channel_noise, filtered_attitudes
-from estimation.gap.likelihood.fitting import Local
-from estimation.gap.likelihood.whitening import force_states
-from estimation.gap.records.candidate_model import with_dormant
+from estimation.gap.fit.baseline import Baseline, fit_baseline
+from estimation.gap.fit.channel_noise import bank_error, channel_noise, filtered_attitudes
+from estimation.gap.fit.problem import Local
+from estimation.gap.fit.spectra import force_states
+from estimation.gap.records.candidate_model import with_dormant, with_nuisance
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
-from estimation.gap.records.nuisance import with_nuisance
-from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.nulls import InputErrors, NullFlyer
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies.gap_regression.equations import CONSTANTS, COURSES, with_airspeed_rate

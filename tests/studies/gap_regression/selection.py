@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.gap.tests_of_fit.calibration import upper_quantile
+from estimation.gap.significance.calibration import upper_quantile
 from tests.studies.gap_regression.equations import EQUATIONS
 from tests.studies.gap_regression.library import LIBRARY, Array
 

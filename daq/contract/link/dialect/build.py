@@ -55,8 +55,8 @@ def module_text(definition: bytes) -> str:
             str(target), wire_protocol=mavparse.PROTOCOL_2_0, language="Python3", validate=False, strict_units=False
         )
         with contextlib.redirect_stdout(io.StringIO()):
-            made = mavgen.mavgen(options, [str(source)])
-        if made is False or not target.exists():
+            accepted = mavgen.mavgen(options, [str(source)])
+        if accepted is False or not target.exists():
             raise RuntimeError(f"{source.name}: mavgen did not accept the definition")
         messages = {message.id for message in mavparse.MAVXML(str(source), mavparse.PROTOCOL_2_0).message}
         return f"{_mark(definition)}{target.read_text()}\n\n{_foreign_table(messages)}"

@@ -62,11 +62,11 @@ def _document(include: str, messages: list[str]) -> str:
 
 def _standard_messages() -> dict[str, ET.Element]:
     folder = Path(str(import_module("pymavlink.dialects.v20").__file__)).parent
-    found = {}
+    messages = {}
     for file in ("minimal.xml", "standard.xml", "common.xml", "ardupilotmega.xml"):
         for message in ET.parse(folder / file).getroot().iter("message"):
-            found[message.attrib["name"]] = message
-    return found
+            messages[message.attrib["name"]] = message
+    return messages
 
 
 def _message_text(message: ET.Element) -> str:

@@ -1,0 +1,181 @@
+"""Names beside a shape: effects of the catalogue that could not be told while something without a name stood over them.
+
+A name has to gain most of what the best nameless term does, so that what has no name is not given one. Where a shape has been
+found for it, it is explained: the rounds are gone through once more about the model with the shape, and where they name something
+the shape is sought again beside these names, so that it is fitted to what they leave. What was no effect of the catalogue by
+itself may be one beside these names: the rounds are gone through about them without the shape, too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from estimation.gap.answer.result import EffectStep, Rejected
+from estimation.gap.answer.shape import SwingingTerm
+from estimation.gap.criteria import Criteria
+from estimation.gap.decision.decide import (
+    Decision,
+    as_unknown,
+)
+from estimation.gap.decision.unnamed import (
+    searched,
+)
+from estimation.gap.errors import GapError
+from estimation.gap.fit.baseline import Baseline, fit_baseline
+from estimation.gap.search.rounds import run_rounds
+from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
+from estimation.gap.shapes.increment import fit_increment
+from estimation.gap.shapes.search import CoefficientShape, ShapeSearch
+from estimation.gap.significance.calibration import Round
+
+
+@dataclass(frozen=True)
+class ShapeContinuation:
+    """findings: of the rounds about the model with the shape; round_: the last of them. standing: the model with the names and
+    without the shape; found: the shape about that."""
+
+    findings: tuple[AcceptedEffect, ...]
+    round_: Round
+    standing: Baseline
+    found: ShapeSearch
+    rejected: tuple[Rejected, ...]
+
+
+def names_beside(
+    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+) -> ShapeContinuation | None:
+    """Effects that stand beside a shape found about `standing`, or beside one found with the names that a rest outweighs.
+
+    None where there is none, or the shape does not stand beside them.
+    """
+    room = setting.options.most - decision.kept
+    if room <= 0:
+        return None
+    try:
+        shape, child = _shaped(setting, search, standing, found, decision)
+        if shape is None or child is None:
+            return None
+        setting.tell("names beside the shape", 0.93)
+        options = replace(setting.options, most=room)
+        extended = run_rounds(
+            replace(setting, working=child.model, clean=child.clean, options=options, tell=_silent), child
+        )
+        if not extended.findings:
+            return None
+        bare = replace(setting, working=standing.model, clean=standing.clean)
+        nameless_base = afresh_with(bare, extended.findings, extended.findings[-1].child)
+        if nameless_base is None:
+            return None
+        renewed = searched(setting, search, setting.screened(nameless_base, len(search.rounds)), decision)
+    except GapError:  # a motion that cannot be linearised: what was found before stands
+        return None
+    if renewed.shape is None or renewed.shape.fitted.increment.place != shape.fitted.increment.place:
+        return None
+    return ShapeContinuation(extended.findings, extended.rounds[-1], nameless_base, renewed, extended.rejected)
+
+
+def _shaped(
+    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+) -> tuple[CoefficientShape | None, Baseline | None]:
+    """A shape and the standing model with it.
+
+    Where a rest outweighs names of which it is no part, neither closes the gap alone: the shape is sought about the model with
+    them, and put into the one without.
+    """
+    if found.shape is not None:
+        return found.shape, found.shape.measured.child
+    if decision.kept == len(search.findings) or isinstance(found.follower, SwingingTerm):
+        return None, None
+    shape = searched(setting, search, search.rounds[-1], decision).shape
+    fitted = None if shape is None else fit_increment(standing, shape.fitted.increment)
+    if fitted is None:
+        return None, None
+    model, clean = fitted.problem.model, standing.clean
+    return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
+
+
+def in_its_place(
+    setting: Setting, search: SearchState, kept: Sequence[AcceptedEffect], beside: ShapeContinuation
+) -> SearchState | None:
+    """The search in which, with the names that stood beside a shape, the rounds name what the shape stood for; None where they
+    name nothing. Of two effects that are missing each can be too much of a rest for the other to be named beside it."""
+    standing, parent = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
+    room = setting.options.most - len(kept) - len(beside.findings)
+    if room <= 0:
+        return None
+    setting.tell("a name in place of the shape", 0.94)
+    options = replace(setting.options, most=room)
+    renewed = replace(setting, working=standing.model, clean=standing.clean, options=options, tell=_silent)
+    try:
+        extended = run_rounds(renewed, standing)
+    except GapError:  # a motion that cannot be linearised: the shape stands
+        return None
+    if not extended.findings:
+        return None
+    replacements = _without_shape(setting, parent, beside)
+    if replacements is None:
+        return None
+    return SearchState(
+        (*kept, *replacements, *extended.findings),
+        (*search.rounds, *extended.rounds),
+        extended.omnibus,
+        (*search.rejected, *beside.rejected, *extended.rejected),
+    )
+
+
+def _without_shape(setting: Setting, before: Baseline, beside: ShapeContinuation) -> list[AcceptedEffect] | None:
+    """The findings beside a shape, each held against the model `before` it and those before without the shape; None where the
+    motion runs away."""
+    bare = replace(setting, working=before.model, clean=before.clean)
+    replaced: list[AcceptedEffect] = []
+    for count, finding in enumerate(beside.findings, 1):
+        complete = count == len(beside.findings)
+        child = beside.standing if complete else afresh_with(bare, beside.findings[:count], finding.child)
+        if child is None:
+            return None
+        # whether a shape explains more than it was asked about another model
+        replaced.append(replace(finding, parent=replaced[-1].child if replaced else before, child=child, doubted=False))
+    return replaced
+
+
+def _silent(what: str, share: float) -> None:
+    """Rounds within a share of the progress that is told already."""
+
+
+def as_good(shape: CoefficientShape, name: EffectStep, criteria: Criteria) -> bool:
+    """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
+    closed = name.gap.closed if name.holdout is None else name.holdout.closed
+    return shape.measured.closed >= closed - criteria.form_equal
+
+
+def without_doubted(
+    setting: Setting,
+    search: SearchState,
+    kept: Sequence[AcceptedEffect],
+    named: Sequence[EffectStep],
+    decision: Decision,
+) -> tuple[Decision, tuple[AcceptedEffect, ...], Baseline, ShapeSearch, ShapeContinuation | None] | None:
+    """A shape in place of the first name that it explains more than: the decision, the names before it, the model with these, the
+    shape and what stands beside it. None where there is no such name, or names found after it do not stand beside it."""
+    number = next((k for k, f in enumerate(kept) if f.doubted), None)
+    if number is None:
+        return None
+    round_ = kept[number].round_
+    search_result = searched(setting, search, round_, as_unknown(decision))
+    if search_result.shape is None or not as_good(search_result.shape, named[number], setting.options.criteria):
+        return None
+    changed = without_name(decision, kept[number], number, search_result.shape)
+    continuation = names_beside(setting, search, round_.baseline, search_result, changed)
+    continued_names = (
+        {f.candidate.hypothesis.effect.name for f in continuation.findings} if continuation is not None else set()
+    )
+    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= continued_names:
+        return None
+    return changed, tuple(kept[:number]), round_.baseline, search_result, continuation
+
+
+def without_name(decision: Decision, finding: AcceptedEffect, number: int, shape: CoefficientShape) -> Decision:
+    """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
+    place = shape.fitted.increment.place.words
+    reason = f"a smooth function without a name ({place}) explains clearly more than this form of it"
+    effect = finding.candidate.hypothesis.effect.name
+    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, reason)))

@@ -1,0 +1,120 @@
+"""Models before and after as a lineage of files: what was added to which parent, on which flights, with what evidence; and
+columns of the wrong sign or unit that the first model's fit gives away."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from daq.contract.outputs import write_json
+from estimation.estimators.result import Estimate
+from estimation.gap.answer.result import EffectStep, GapResult
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.search.state import AcceptedEffect
+from estimation.gap.shapes.search import CoefficientShape
+from estimation.models.base import Model
+from estimation.models.load import write_model
+from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
+from groundstation.flight import Flight
+
+
+def fitted(model: Model, values: Mapping[str, float]) -> Model:
+    """`model` with its parameters starting at the fitted `values`."""
+    parameters = []
+    for p in model.parameters:
+        start = float(values.get(p.name, p.start))
+        parameters.append(replace(p, start=start, lower=min(p.lower, start), upper=max(p.upper, start)))
+    return replace(model, parameters=tuple(parameters))
+
+
+def flight_digest(flight: Flight) -> str:
+    """Hash of the file a flight came from, or of its samples where it came from no file."""
+    if flight.provenance.sha256:
+        return flight.provenance.sha256
+    digest = hashlib.sha256(flight.time.tobytes())
+    for name in sorted(flight.columns):
+        digest.update(name.encode() + flight.columns[name].tobytes())
+    return digest.hexdigest()
+
+
+def software() -> str:
+    try:
+        return f"sideslip {version('sideslip')}"
+    except PackageNotFoundError:
+        return "sideslip (not installed)"
+
+
+def write_lineage(
+    folder: Path, parent: Model, child: Model, steps: Sequence[EffectStep], flights: Sequence[Flight], seed: int
+) -> tuple[Path, Path]:
+    """Write parent and child as TOML and the record of how one came from the other; (parent file, child file)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parent_file, child_file = folder / f"{parent.name}.toml", folder / f"{child.name}.toml"
+    if parent_file == child_file:
+        child_file = folder / f"{child.name}-refitted.toml"
+    write_model(parent, parent_file)
+    write_model(child, child_file)
+    record: dict[str, Any] = {
+        "parent": {"file": parent_file.name, "digest": parent.digest},
+        "child": {"file": child_file.name, "digest": child.digest},
+        "added": [
+            {"effect": s.effect, "form": s.form, "score": s.score, "threshold": s.threshold, "confidence": s.confidence,
+             "set": {m.effect: m.weight for m in s.members}, "parameters": {n: v for n, (v, _) in s.estimates.items()},
+             "gap": s.gap.to_json(), "holdout": s.holdout.to_json() if s.holdout else None}
+            for s in steps
+        ],
+        "flights": [{"name": f.name, "sha256": flight_digest(f)} for f in flights],
+        "seed": seed,
+        "software": software(),
+    }  # fmt: skip
+    write_json(record, folder / f"{child_file.stem}.lineage.json")
+    return parent_file, child_file
+
+
+def turned_signs(baseline: Baseline) -> list[str]:
+    """One sentence for each column that moves against what the base model makes of the others, or of what was believed."""
+    problem, fit = baseline.problem, baseline.fit
+    base = problem.base
+    measured = [r.z for r in problem.coarse]
+    outputs = turned_outputs(base, [(z, z - e) for z, e in zip(measured, fit.residuals, strict=True)])
+    bounds = fit.std()
+    estimates = {
+        n: Estimate(n, fit.values[n], bounds[n], bounds[n], reference=base.parameter(n).reference)
+        for n in base.starts()
+        if n in bounds
+    }
+    return [
+        *outputs,
+        *turned_side_force(base, estimates),
+        *turned_controls(base, estimates),
+        *controls_of_another_unit(base, estimates),
+    ]
+
+
+def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:
+    """Write the models before and after, with their lineage, to `folder`; the result that names these files."""
+    parent_file, child_file = write_lineage(
+        folder, result.model_before, result.model_after, result.steps, flights, seed
+    )
+    return replace(result, files=(str(parent_file), str(child_file)))
+
+
+def models(
+    base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
+) -> tuple[Model, Model]:
+    """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
+    parent = fitted(base, first.fit.values)
+    if not kept and shape is None:
+        return parent, parent
+    child = base
+    for f in kept:
+        child = f.candidate.hypothesis.form.added_to(child)
+    names = [base.name, *(f.candidate.hypothesis.effect.name for f in kept)]
+    values = kept[-1].child.fit.values if kept else first.fit.values
+    if shape is not None:
+        values = shape.measured.child.fit.values
+        child = shape.fitted.increment.written_into(child, values)
+        names.append("nameless")
+    return parent, replace(fitted(child, values), name="+".join(names))

@@ -1,0 +1,250 @@
+"""Where the disagreement lives, seen three times: with the prior parameters frozen, after the refit, and with the effects named;
+and where one effect acts.
+
+Refitting hides an effect: derivatives move until they carry most of it. Frozen at what was believed before the flight the
+disagreement is large but in its place; after the refit it is small and elsewhere. Both are shown, over channel, time,
+flight regime and equation. The equations are asked by a smoother: the disturbance of each force equation that most likely
+made the residuals, as force and moment coefficients.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Simulator
+from estimation.gap.answer.result import DisagreementView, Where
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Form
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.spectra import (
+    NoiseModel,
+    NoisePart,
+    NoiseSource,
+    as_seen,
+    linear_motion,
+    shapes_of,
+    spectral_matrix,
+)
+from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.significance.measure import plain_residuals
+from estimation.models.driven import force_states
+
+LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
+DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
+SPANS = 4  # stretches of flight given for one effect
+NOTHING = 1e-12  # gain of an effect that changes nothing
+EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
+
+
+def views(first: Baseline, last: Baseline, prepared: FlightRecords, changed: bool) -> tuple[DisagreementView, ...]:
+    """The stages there are: prior frozen (unless its motion runs away), refit, and with the named effects."""
+    stages = []
+    frozen = prior_frozen(first)
+    if frozen is not None:
+        stages.append(view("prior parameters frozen", frozen, prepared))
+    stages.append(view("after the refit", first, prepared))
+    if changed:
+        stages.append(view("with the named effects", last, prepared))
+    return tuple(stages)
+
+
+def prior_frozen(baseline: Baseline) -> Baseline | None:
+    """The baseline with every derivative at its prior and only initial states and biases fitted; None where that diverges."""
+    problem = baseline.problem
+    references = {p.name: p.reference for p in problem.model.parameters if p.reference is not None}
+    frozen_fit = fit(problem, {**problem.starts(), **references}, baseline.fit.locals, frozen=True)
+    return None if frozen_fit.diverged or not frozen_fit.residuals else replace(baseline, fit=frozen_fit)
+
+
+def view(stage: str, baseline: Baseline, prepared: FlightRecords) -> DisagreementView:
+    """Maps of the residuals of one fitted model."""
+    problem, model_fit, scatter = baseline.problem, baseline.fit, baseline.scatter
+    residuals = [plain_residuals(problem, model_fit, i, scatter) for i in range(len(problem.records))]
+    outputs = problem.model.output_names
+    squares = [(r / scatter) ** 2 for r in residuals]
+    everything = np.concatenate(squares)
+    missing = tuple(missing_coefficients(problem, model_fit, i, r, scatter) for i, r in enumerate(residuals))
+    return DisagreementView(
+        stage=stage,
+        gap=float(np.sqrt(np.nanmean(everything))),
+        channels={n: float(np.sqrt(np.nanmean(everything[:, c]))) for c, n in enumerate(outputs)},
+        times=tuple(
+            (prepared.names[problem.records[i].flight], *window)
+            for i, s in enumerate(squares)
+            for window in windows(problem.coarse[i].time, s, baseline.criteria)
+        ),
+        regime=by_regime(replace(baseline, fit=replace(model_fit, residuals=tuple(residuals)))),
+        equations={
+            n: float(np.sqrt(np.mean(np.concatenate([m[n] for m in missing]) ** 2))) for n in (missing[0] or {})
+        },
+        missing=missing,
+    )
+
+
+def windows(time: Array, squares: Array, criteria: Criteria) -> list[tuple[float, float, float]]:
+    """(from, to [s], gap) of successive windows."""
+    width = max(round(criteria.map_window / float(np.median(np.diff(time)))), 2)
+    return [
+        (float(time[k]), float(time[min(k + width, time.size) - 1]), float(np.sqrt(np.nanmean(squares[k : k + width]))))
+        for k in range(0, time.size - width // 2, width)
+    ]
+
+
+def missing_coefficients(
+    problem: LikelihoodProblem, found: ModelFit, index: int, residual: Array, scatter: Array
+) -> dict[str, Array]:
+    """Equation -> (N,) disturbance that most likely made a residual (N, ny): a Wiener smoother over the linearised motion,
+    every equation given the strength at which it alone would double the measurement noise."""
+    model, segment = problem.model, problem.coarse[index]
+    simulator = Simulator.build(model, (), substeps=1, hold="linear")
+    values = {**problem.starts(), **found.values}
+    linear = linear_motion(model, simulator, segment, values)
+    states = force_states(problem.base)
+    shapes = as_seen(shapes_of(model, linear, len(segment), problem.criteria, states), np.isfinite(residual))
+    strength = {}
+    for name in states:
+        power = (
+            float(np.mean(np.sum(np.abs(shapes.parts[NoisePart(NoiseSource.RATE, name)]) ** 2 / scatter**2, axis=1)))
+            / scatter.size
+        )
+        if power > 0.0:
+            strength[NoisePart(NoiseSource.RATE, name)] = 1.0 / power
+    S = spectral_matrix(NoiseModel(scatter**2, strength), shapes)
+    weighed = np.linalg.solve(S, np.fft.rfft(np.nan_to_num(residual), axis=0)[:, :, None])[:, :, 0]
+    result = {}
+    for part, v in strength.items():
+        name = part.of
+        spectrum = v * np.sum(shapes.parts[part].conj() * weighed, axis=1)
+        rate = np.fft.irfft(spectrum, n=len(segment))
+        factor = _coefficient_per_rate(problem, name, index)
+        result[LINES[name] if factor is not None else f"{name}_dot"] = rate * (1.0 if factor is None else factor)
+    return result
+
+
+def _coefficient_per_rate(problem: LikelihoodProblem, state: str, index: int) -> float | None:
+    """Coefficient that makes a unit rate of a state at the mean dynamic pressure; None where the model does not say."""
+    constants, record = problem.model.constants, problem.records[index]
+    if state not in LINES or LINES[state] not in problem.model.definitions or "V" not in record.inputs:
+        return None
+    V = float(np.mean(record.inputs["V"]))
+    rho = float(np.mean(record.inputs["rho"])) if "rho" in record.inputs else constants.get("rho", 0.0)
+    pressure = 0.5 * rho * V**2
+    need = {
+        "beta": ("m", "S"),
+        "alpha": ("m", "S"),
+        "p": ("Ixx", "S", "b"),
+        "r": ("Izz", "S", "b"),
+        "q": ("Iyy", "S", "c"),
+    }
+    if pressure <= 0.0 or any(n not in constants for n in need[state]):
+        return None
+    inertia, *lengths = (constants[n] for n in need[state])
+    factor = inertia / (pressure * float(np.prod(lengths)))
+    return {"beta": V, "alpha": -V}.get(state, 1.0) * factor
+
+
+def by_regime(baseline: Baseline) -> dict[str, list[dict[str, float]]]:
+    """Map of the disagreement over the flight regime: per signal, bins of rms residual / noise over all outputs."""
+    squares = np.concatenate([(r / baseline.scatter) ** 2 for r in baseline.fit.residuals])
+    counts = np.isfinite(squares).sum(axis=1)
+    total = np.where(counts > 0, np.nansum(squares, axis=1) / np.maximum(counts, 1), np.nan)
+    return {name: binned(values, total, baseline.criteria) for name, values in signals_of(baseline).items()}
+
+
+def binned(values: Array, squares: Array, criteria: Criteria) -> list[dict[str, float]]:
+    """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high; of samples where nothing was compared
+    (NaN) none counts."""
+    compared = np.isfinite(squares)
+    if not compared.any():
+        return []
+    values, squares = values[compared], squares[compared]
+    ends = np.unique(np.quantile(values, np.linspace(0, 1, criteria.map_bins + 1)))
+    rows = []
+    for a, b in zip(ends[:-1], ends[1:], strict=True):
+        gap = float(np.sqrt(np.mean(squares[(values >= a) & (values <= b)])))
+        rows.append({"from": round(float(a), 5), "to": round(float(b), 5), "gap": round(gap, 4)})
+    return rows
+
+
+def equation_of(form: Form) -> str:
+    """The equation a form enters: a coefficient, a rate, an instrument or a control."""
+    lines = list(form.terms)
+    coefficients = [line for line in lines if line in EQUATIONS] or lines
+    if form.outputs or form.output_delays:
+        return "measured " + ", ".join(form.outputs or form.output_delays)
+    if form.transforms:
+        return form.transforms[0].input
+    return ", ".join(coefficients) or ", ".join(p.name for p in form.parameters)
+
+
+def locate(parent: Baseline, child: Baseline, equation: str) -> Where:
+    """Where the child explains what the parent could not, in an equation. Segments count from each flight's own clock; those of
+    the first training flight that shows the effect are given."""
+    scatter = parent.scatter
+    outputs = child.model.output_names
+    gain = [
+        np.nan_to_num((p / scatter) ** 2 - (c / scatter) ** 2)
+        for p, c in zip(parent.fit.residuals, child.fit.residuals, strict=True)
+    ]
+    criteria = child.criteria
+    order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), criteria)
+    spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), criteria) for i, g in enumerate(gain)]
+    return Where(
+        equation=equation,
+        channels=tuple(outputs[i] for i in order),
+        segments=tuple(spans[int(np.argmax([len(s) for s in spans]))][:SPANS]),
+        regime=regime(signals_of(child), np.concatenate([g.sum(axis=1) for g in gain]), criteria),
+    )
+
+
+def channels_that_gain(gain: Array, criteria: Criteria) -> list[int]:
+    """Indices of the outputs that show an effect, best first. gain: (ny,)."""
+    limit = criteria.channel_share * max(float(gain.max()), NOTHING)
+    return [int(i) for i in np.argsort(-gain) if gain[i] > limit]
+
+
+def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, float]]:
+    """Stretches that hold most of the gain (N,), best first."""
+    n = min(max(round(criteria.span_window / float(np.median(np.diff(time)))), 2), time.size)
+    smooth = np.convolve(gain, np.ones(n) / n, mode="same")
+    limit = max(criteria.span_share * float(smooth.max()), NOTHING)
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > limit).astype(int), [0]])))
+    spans = [(a, b - 1) for a, b in zip(changes[::2], changes[1::2], strict=True) if b - a >= n // 2]
+    spans.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
+    return [(float(time[a]), float(time[b])) for a, b in spans]
+
+
+def regime(signals: Mapping[str, Array], gain: Array, criteria: Criteria) -> str:
+    """The condition under which most of the gain (N,) is made: the signal whose large values coincide with it best."""
+    highest, text = criteria.regime_gain, "everywhere"
+    for name, values in signals.items():
+        size = np.abs(values - np.median(values))
+        limit = float(np.quantile(size, criteria.regime_quantile))
+        large = size > limit
+        if large.mean() <= criteria.regime_least:
+            continue
+        ratio = float(np.sum(gain[large])) / max(float(np.sum(np.maximum(gain, 0.0))), NOTHING) / large.mean()
+        if ratio > highest:
+            highest = ratio
+            centre = float(np.median(values))
+            if name not in DEGREES:
+                text = f"{name} more than {limit:.3g} from {centre:.3g}"
+            elif abs(centre) > limit:
+                text = f"{name} more than {np.degrees(limit):.1f} deg from {np.degrees(centre):.1f}"
+            else:
+                text = f"|{name}| > {np.degrees(limit):.1f} {'deg/s' if name in 'pqr' else 'deg'}"
+    return text
+
+
+def signals_of(child: Baseline) -> dict[str, Array]:
+    problem = child.problem
+    outputs = [np.nan_to_num(c.z - np.nan_to_num(r)) for c, r in zip(problem.coarse, child.fit.residuals, strict=True)]
+    signals = {n: np.concatenate([s[:, i] for s in outputs]) for i, n in enumerate(problem.model.output_names)}
+    for i, s in enumerate(problem.model.inputs):
+        if s.control or s.name in ("alpha", "V", "thrust"):
+            signals[s.name] = np.concatenate([c.u[:, i] for c in problem.coarse])
+    return {n: v for n, v in signals.items() if float(np.ptp(v)) > 0.0}

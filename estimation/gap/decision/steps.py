@@ -1,0 +1,214 @@
+"""One found effect, or the nameless rest, as a person reads it: set, size, place, gap closed, worth in simulator tolerances; and
+what these flights can tell at all: scores, detectable sizes, ties, effects that could not have been seen."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from estimation.gap.answer.result import EffectStep, Gap, Migration, Tie, Weighed, Where
+from estimation.gap.criteria import Criteria
+from estimation.gap.decision.location import SPANS, equation_of, locate
+from estimation.gap.effects.base import Effect
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.fitting import fit
+from estimation.gap.records.candidate_model import timing_of
+from estimation.gap.search.accept import by_timing
+from estimation.gap.search.select import credible_set
+from estimation.gap.search.state import AcceptedEffect, Setting
+from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.measure import Floors, gaps
+from estimation.gap.significance.omnibus import Omnibus
+from estimation.models.base import ParameterRole
+
+UNKNOWN = "an effect the catalogue does not hold"
+
+TOLD = 3  # nameless signals in the words; the JSON file has more
+
+
+def unknown_step(omnibus: Omnibus, gap: Gap) -> EffectStep:
+    """Where and how the nameless rest shows."""
+    leading = [s for s in omnibus.leading if s.score > omnibus.threshold]
+    channels = tuple(dict.fromkeys(s.place for s in leading))
+    spans = tuple(s.span for s in leading if s.span is not None)
+    return EffectStep(
+        effect="unknown", title=UNKNOWN, form="", confidence=0.0, members=(),
+        separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
+        score=omnibus.score, threshold=omnibus.threshold,
+        where=Where(leading[0].place if leading else "", channels, spans[:SPANS], how_it_shows(omnibus)),
+        gap=gap, holdout=None, migrated={},
+    )  # fmt: skip
+
+
+def how_it_shows(omnibus: Omnibus) -> str:
+    """The strongest nameless signals in words."""
+    significant = [s for s in omnibus.leading if s.score > omnibus.threshold][:TOLD]
+    return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in significant)
+
+
+def misfit_of(rest: Omnibus, criteria: Criteria) -> float:
+    """How many times what noise does is left without a name (twice a log-likelihood); 1 where it does not matter."""
+    return (rest.score / rest.threshold) ** 2 if rest.matters(criteria) else 1.0
+
+
+def step_of(setting: Setting, finding: AcceptedEffect, floor: Floors, misfit: float = 1.0) -> EffectStep:
+    """The step of an accepted effect; its size is told with the final model. misfit: of what is left without a name beside it."""
+    criteria = setting.options.criteria
+    effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
+    weights = finding.choice.beside_rest(misfit)
+    members = credible_set(weights, criteria)
+    if effect.name not in dict(members):
+        members = [(effect.name, weights.get(effect.name, 0.0)), *members]
+    members.sort(key=lambda m: m[0] != effect.name)
+    shifts = followed_by_timing(finding)
+    parent, child = as_sampled(finding.parent) if shifts else finding.parent, finding.child
+    gap, held_out_gap = gaps(parent, child, floor)
+    titles = {e.name: e for e in setting.effects}
+    return EffectStep(
+        effect=effect.name, title=effect.title, form=form.label,
+        confidence=dict(members)[effect.name],
+        members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
+        separate_by=_separate(effect, [n for n, _ in members]),
+        estimates={},
+        units={p.name: p.unit for p in form.parameters},
+        score=finding.candidate.score, threshold=finding.round_.threshold,
+        where=locate(parent, child, equation_of(form)),
+        gap=gap, holdout=held_out_gap, migrated=migrated(parent, child), absorbed=_absorbed(finding),
+        equation=form.equation or effect.equation, practical=practical(parent, child), followed=shifts,
+    )  # fmt: skip
+
+
+def followed_by_timing(finding: AcceptedEffect) -> dict[str, float]:
+    """Control -> time [s] by which the base had moved it where it followed the effect in that way."""
+    if not by_timing(finding.round_, finding.candidate):
+        return {}
+    values = finding.parent.fit.values
+    shifts = {s.name: timing_of(s.name, values) for s in finding.parent.model.inputs if s.control}
+    return followers(shifts, finding.round_.criteria)
+
+
+def followers(moved: Mapping[str, float], criteria: Criteria) -> dict[str, float]:
+    """Those of the surfaces that moved in time [s] by about as much as the one that moved most."""
+    limit = criteria.followed_share * max(map(abs, moved.values()), default=0.0)
+    return {n: v for n, v in moved.items() if abs(v) > limit}
+
+
+def as_sampled(parent: Baseline) -> Baseline:
+    """The parent with its surfaces moving when they are seen to, and its attitudes shown when they are."""
+    problem = parent.problem
+    delays = [p.name for p in problem.model.parameters if p.role is ParameterRole.NUISANCE and p.unit == "s"]
+    values = {**parent.fit.values, **dict.fromkeys(delays, 0.0)}
+    return replace(parent, fit=fit(problem, values, parent.fit.locals, held=delays))
+
+
+def _separate(effect: Effect, names: Sequence[str]) -> str:
+    """What tells the effect from the other members of its set."""
+    return next((effect.confusions[n] for n in names if n in effect.confusions), effect.separate_by)
+
+
+def _absorbed(finding: AcceptedEffect) -> float | None:
+    """Share of the effect's whitened signature that the base's own parameters can take over."""
+    screen = finding.round_.screen
+    if finding.candidate.hypothesis not in screen.hypotheses:
+        return None
+    span = screen.span(screen.hypotheses.index(finding.candidate.hypothesis))
+    projected = screen.projected()
+    return 1.0 - float(np.diag(projected.B)[span].sum()) / max(float(projected.raw[span].sum()), 1e-300)
+
+
+def practical(parent: Baseline, child: Baseline) -> str:
+    """What the effect is worth against the tolerances of flight-simulator qualification."""
+    pairs = list(zip(parent.fit.residuals, child.fit.residuals, strict=True))
+    changes = {
+        name: float(np.degrees(np.nanmax(np.abs(np.concatenate([(p - q)[:, c] for p, q in pairs])))))
+        for c, name in enumerate(parent.model.output_names)
+    }
+    return worth_in_words(changes, parent.criteria)
+
+
+def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
+    """Largest change of outputs [deg, deg/s] beside the tolerances that there are."""
+    bands = {
+        "p": (criteria.tolerance_rate, "deg/s"),
+        "r": (criteria.tolerance_rate, "deg/s"),
+        "beta": (criteria.tolerance_sideslip, "deg"),
+        "phi": (criteria.tolerance_bank, "deg"),
+        "q": (criteria.tolerance_rate, "deg/s"),
+        "alpha": (criteria.tolerance_sideslip, "deg"),
+        "theta": (criteria.tolerance_bank, "deg"),
+    }
+    judged = [(n, worth[n], *bands[n]) for n in bands if n in worth]
+    words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]
+    significant = any(w > b for _, w, b, _ in judged)
+    return ("matters: " if significant else "real but within simulator tolerances: ") + ", ".join(words)
+
+
+def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
+    """Base derivatives that had absorbed part of the effect, farthest moved first; weights of a shape are none."""
+    std, read = child.fit.std(), parent.clean.parameter_names
+    migrations = {}
+    for name in parent.fit.free:
+        if child.problem.nuisance(name) or name not in std or name not in read:
+            continue
+        old, new = parent.fit.values[name], child.fit.values[name]
+        bounds = abs(new - old) / max(std[name], 1e-300)
+        if bounds > child.criteria.migrated_bounds:
+            migrations[name] = Migration(old, new, bounds, parent.model.parameter(name).reference)
+    return dict(sorted(migrations.items(), key=lambda item: -item[1].bounds))
+
+
+def undetectable(round_: Round) -> list[Effect]:
+    """Effects of which not even a multiple of the usual size would have passed the threshold on these flights."""
+    projected = round_.screen.projected()
+    powers: dict[str, float] = {}
+    effects = {h.effect.name: h.effect for h in round_.screen.hypotheses}
+    for c, column in enumerate(round_.screen.columns):
+        name = round_.screen.hypotheses[column.hypothesis].effect.name
+        power = (
+            np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis]) * column.parameter.typical
+        )
+        powers[name] = max(powers.get(name, 0.0), float(power))
+    size, threshold = round_.criteria.blind_size, round_.threshold
+    return [effects[n] for n, power in powers.items() if size * power < threshold and not effects[n].tied_to]
+
+
+def effect_scores(round_: Round) -> dict[str, float]:
+    scores: dict[str, float] = {}
+    for h, value in enumerate(round_.standardised()):
+        name = round_.screen.hypotheses[h].effect.name
+        scores[name] = max(scores.get(name, 0.0), float(value))
+    return dict(sorted(scores.items(), key=lambda item: -item[1]))
+
+
+def detectable_sizes(round_: Round) -> dict[str, float]:
+    """Smallest size of each parameter that would have passed the threshold on these flights."""
+    projected = round_.screen.projected()
+    sizes = {}
+    for c, column in enumerate(round_.screen.columns):
+        information = max(float(projected.B[c, c]), 1e-300) / round_.inflation[column.hypothesis]
+        name = round_.screen.hypotheses[column.hypothesis].effect.name
+        key = (
+            name
+            if name not in sizes and len(round_.screen.hypotheses[column.hypothesis].effect.forms) == 1
+            else column.parameter.name
+        )
+        sizes[key] = round_.threshold / float(np.sqrt(information)) if information > 0.0 else np.inf
+    return sizes
+
+
+def ties_of(round_: Round) -> tuple[Tie, ...]:
+    cosines = round_.screen.projected().cosines()
+    ties = []
+    columns = round_.screen.columns
+    for i in range(len(columns)):
+        for j in range(i + 1, len(columns)):
+            a, b = round_.screen.hypotheses[columns[i].hypothesis], round_.screen.hypotheses[columns[j].hypothesis]
+            if a.effect.name != b.effect.name and abs(cosines[i, j]) >= round_.criteria.tie:
+                ties.append(Tie(a.label, b.label, float(abs(cosines[i, j]))))
+    return tuple(sorted(ties, key=lambda t: -t.cosine))
+
+
+def nominal_threshold(hypotheses: int, criteria: Criteria) -> float:
+    """What the largest |z| of so many hypotheses would stay below were the noise model exact (Bonferroni, two-sided)."""
+    return float(norm.isf(criteria.nominal_alarm / 2 / max(hypotheses, 1)))

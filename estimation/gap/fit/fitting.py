@@ -1,0 +1,214 @@
+"""The joint fit of one model to many records, residuals weighted by the whitener: generalised output error.
+
+Shared parameters plus, per record, initial states (and local parameters such as instrument biases): the normal matrix
+has arrow structure and is reduced record by record (Schur complement), so cost is linear in the number of flights.
+The optimiser and the elimination are those of the estimators (`estimation.estimators`); here is what they are given.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import FlightBlocks
+from estimation.estimators.box import step_within
+from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
+from estimation.gap.fit.problem import LikelihoodProblem, Local, ModelFit, prior_cost, prior_terms
+
+ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller
+ENOUGH = 1e-3  # of the log-likelihood: steps below a twentieth of a standard deviation
+KEPT = 1.0  # of the log-likelihood: a step so short that was as good as its promise is the last
+FLAT = 1e-6  # of the cost: a smaller decrease is rounding of sums over 10^4 residuals and of the integration
+
+
+@dataclass(frozen=True)
+class WhitenedPoint:
+    """Values at which the whitened cost was computed; residuals: per record, none where the motion leaves the finite numbers;
+    products: per record, where the derivatives were worked out with it."""
+
+    cost: float
+    residuals: tuple[Array, ...] = ()
+    products: tuple["LinearisedRecord", ...] = ()
+
+
+@dataclass(frozen=True)
+class LinearisedRecord:
+    """One record linearised. residual: (N, ny); gram: inner products of the white columns of shared unknowns, of its own and of
+    the residual."""
+
+    residual: Array
+    gram: Array
+
+
+@dataclass
+class ProblemUnknowns:
+    """The problem as the optimiser sees it: one vector of the first n shared unknowns, then every record's own.
+
+    values: everything shared, where it starts. held: indices of shared unknowns that stay. hessian: of the last step. begun:
+    whether a point has been evaluated.
+    """
+
+    problem: LikelihoodProblem
+    values: Mapping[str, float]
+    n: int
+    held: Sequence[int]
+    hessian: Array
+    runaway: bool = False
+    begun: bool = False
+
+    @cached_property
+    def limits(self) -> Array:
+        """(2, n) lower and upper of the shared unknowns."""
+        return np.array([self.problem.limits(n) for n in self.problem.free[: self.n]]).reshape(-1, 2).T
+
+    def packed(self, locals_: Sequence[Local]) -> Array:
+        local_rows = [[*(local.parameters[n] for n in self.problem.local_names), *local.x0] for local in locals_]
+        return np.concatenate([[self.values[n] for n in self.problem.free[: self.n]], *local_rows])
+
+    def unpacked(self, unknowns: Array) -> tuple[dict[str, float], tuple[Local, ...]]:
+        """Shared values by name, and every record's own."""
+        names, count = self.problem.local_names, len(self.problem.local_names)
+        shared = zip(self.problem.free[: self.n], unknowns[: self.n].tolist(), strict=True)
+        local_rows = unknowns[self.n :].reshape(len(self.problem.records), -1)
+        locals_ = tuple(
+            Local(row[count:].copy(), dict(zip(names, row[:count].tolist(), strict=True))) for row in local_rows
+        )
+        return {**self.values, **dict(shared)}, locals_
+
+    def clip(self, unknowns: Array) -> Array:
+        return np.concatenate([np.clip(unknowns[: self.n], *self.limits), unknowns[self.n :]])
+
+    def evaluate(self, unknowns: Array, derivatives: bool) -> WhitenedPoint:
+        """Cost and residuals. Derivatives cost more and wait until a step is wanted, but for the first point, from which one is:
+        the same run of the motion gives both."""
+        first, self.begun = not self.begun, True
+        values, locals_ = self.unpacked(unknowns)
+        if first and derivatives:
+            linearised = [linearised_in(self.problem, i, values, local, self.n) for i, local in enumerate(locals_)]
+            finite = tuple(m for m in linearised if m is not None)
+            if len(finite) == len(linearised):
+                energies = [float(m.gram[-1, -1]) for m in finite]
+                return WhitenedPoint(self.cost(values, locals_, energies), tuple(m.residual for m in finite), finite)
+        problem, residuals = self.problem, []
+        for i, local in enumerate(locals_):
+            residual = problem.residual(i, values, local)
+            if residual is None:
+                return WhitenedPoint(np.inf)
+            residuals.append(residual)
+        energies = [w.energy(r) for w, r in zip(problem.whiteners, residuals, strict=True)]
+        return WhitenedPoint(self.cost(values, locals_, energies), tuple(residuals))
+
+    def cost(self, values: Mapping[str, float], locals_: Sequence[Local], energies: Sequence[float]) -> float:
+        """Half the whitened sums of squares of the records, with the priors."""
+        problem = self.problem
+        local_cost = sum(prior_cost(problem, problem.local_names, local.parameters) for local in locals_)
+        return prior_cost(problem, problem.free, values) + local_cost + 0.5 * sum(energies)
+
+    def step(self, unknowns: Array, point: WhitenedPoint, damping: float) -> SolverStep:
+        """Gauss-Newton step; none, and `runaway` set, where a sensitivity leaves the finite numbers."""
+        problem, n = self.problem, self.n
+        values, locals_ = self.unpacked(unknowns)
+        weight, distance = prior_terms(problem, problem.free[:n], values)
+        H, g, decrement, blocks = np.diag(weight), distance, 0.0, []
+        for i, local in enumerate(locals_):
+            products = point.products[i] if point.products else linearised_in(problem, i, values, local, n)
+            if products is None:
+                self.runaway = True
+                return SolverStep(np.zeros_like(unknowns), 0.0)
+            block = record_blocks(problem, products, local, n)
+            information, gradient = block.reduced()
+            H, g = H + information, g + gradient
+            decrement += 0.5 * float(block.gl @ block.ll_inverse @ block.gl)
+            blocks.append(block)
+        self.hessian = H
+        low, high = self.limits - unknowns[:n]
+        low[list(self.held)] = high[list(self.held)] = 0.0
+        shared = step_within(H, g, low, high)
+        local_steps = [block.local(shared) for block in blocks]
+        return SolverStep(
+            np.concatenate([shared, *local_steps]), decrement + float(shared @ g - 0.5 * shared @ H @ shared)
+        )
+
+
+def cost_at(problem: LikelihoodProblem, values: Mapping[str, float]) -> float:
+    """Whitened cost at shared `values` (the model's own where not given), every record from its measured initial state; infinite
+    where the motion runs away."""
+    view = ProblemUnknowns(problem, {**problem.starts(), **values}, 0, (), np.zeros((0, 0)))
+    return view.evaluate(view.packed(problem.starting_locals()), False).cost
+
+
+def linearised_in(
+    problem: LikelihoodProblem, index: int, values: Mapping[str, float], local: Local, n: int
+) -> LinearisedRecord | None:
+    """One record linearised in the first n shared unknowns and its own; None where the motion runs away."""
+    linear = problem.linearised(index, values, local)
+    if linear is None:
+        return None
+    residual, dy = linear
+    columns = np.concatenate([dy[:, :, :n], dy[:, :, len(problem.free) :], residual[:, :, None]], axis=2)
+    return LinearisedRecord(residual, problem.whiteners[index].gram(columns))
+
+
+def record_blocks(problem: LikelihoodProblem, products: LinearisedRecord, local: Local, n: int) -> FlightBlocks:
+    """Information of one record about the first n shared unknowns and its own."""
+    gram = products.gram
+    information, gradient, m = gram[:-1, :-1].copy(), gram[:-1, -1].copy(), len(gram) - 1
+    weight, distance = local_prior(problem, local, m - n)
+    information[n:, n:] += np.diag(weight)
+    gradient[n:] += distance
+    return FlightBlocks.split(information, gradient, np.arange(n), np.arange(n, m))
+
+
+def local_prior(problem: LikelihoodProblem, local: Local, count: int) -> tuple[Array, Array]:
+    """(weights, weighted distances) of the priors of a record's own `count` unknowns; initial states have none."""
+    w, d = prior_terms(problem, problem.local_names, local.parameters)
+    return np.pad(w, (0, count - w.size)), np.pad(d, (0, count - d.size))
+
+
+def fit(
+    problem: LikelihoodProblem,
+    start: Mapping[str, float] | None = None,
+    locals_: Sequence[Local] | None = None,
+    iterations: int = ITERATIONS,
+    frozen: bool = False,
+    enough: float = ENOUGH,
+    held: Collection[str] = (),
+    beyond: float = np.inf,
+) -> ModelFit:
+    """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
+    enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are.
+    beyond: a fit whose steps promise nothing near this cost is left where it is."""
+    n = 0 if frozen else len(problem.free)
+    names = problem.free[:n]
+    values = {**problem.starts(), **(start or {})}
+    view = ProblemUnknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
+    begin = view.packed(locals_ if locals_ is not None else problem.starting_locals())
+    options = LoopOptions(
+        iterations,
+        enough,
+        most_damping=0.0,
+        near=0.0,
+        relative=FLAT,
+        gain=True,
+        kept=KEPT,
+        beyond=beyond,
+        flat=0.0,
+    )  # whitened residuals are nearly linear near the optimum: halving does, damping and combined steps repay nothing
+    outcome = minimise(view, begin, options)
+    point = outcome.point
+    shared_values, local_values = view.unpacked(outcome.unknowns)
+    converged = outcome.status is Status.CONVERGED and not view.runaway
+    diverged = outcome.status is Status.DIVERGED or view.runaway
+    return ModelFit(
+        problem.model,
+        names,
+        shared_values,
+        local_values,
+        point.residuals,
+        point.cost,
+        view.hessian,
+        converged,
+        diverged,
+    )

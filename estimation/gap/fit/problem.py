@@ -1,0 +1,280 @@
+"""A model bound to records and their whiteners: what a fit asks of it.
+
+Inputs between two samples go through the middle of every interval on a monotone cubic: surfaces driven by servos round their
+steps, and straight lines through the samples bias the control and damping derivatives by some 2 % at 20 Hz.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment, Simulator
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.gap.criteria import Criteria
+from estimation.gap.fit.whitener import Whitener
+from estimation.gap.records.flight_records import FlightRecord, started
+from estimation.models.base import Model, ParameterRole
+from estimation.models.in_force import asked_for
+from estimation.signals.monotone_cubic import half_way, inner_slopes
+
+LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
+
+
+@dataclass(frozen=True)
+class MidSampleGrid:
+    """A segment with mid-interval samples, and how far its inputs there lie from a straight line, (2N - 1, nu)."""
+
+    segment: Segment
+    rounding: Array
+
+    def with_inputs(self, u: Array) -> "MidSampleGrid":
+        """The same with other inputs (N, nu) at the samples; only columns that differ are worked out."""
+        changed = np.flatnonzero((u != self.segment.u[::2]).any(axis=0))
+        values, rounding = self.segment.u.copy(), self.rounding.copy()
+        _fill(self.segment.time[::2], u, values, rounding, changed)
+        return MidSampleGrid(replace(self.segment, u=values), rounding)
+
+
+def fine_grid(segment: Segment) -> MidSampleGrid:
+    """Time and inputs with one more sample in the middle of each interval."""
+    time, u = segment.time, segment.u
+    fine = np.empty(2 * time.size - 1)
+    fine[::2], fine[1::2] = time, 0.5 * (time[1:] + time[:-1])
+    values, rounding = np.empty((fine.size, u.shape[1])), np.zeros((fine.size, u.shape[1]))
+    _fill(time, u, values, rounding, np.arange(u.shape[1]))
+    z = np.full((fine.size, segment.z.shape[1]), np.nan)
+    return MidSampleGrid(replace(segment, time=fine, u=values, z=z), rounding)
+
+
+def _fill(time: Array, u: Array, values: Array, rounding: Array, columns: np.ndarray) -> None:  # type: ignore[type-arg]
+    """Write columns of the inputs u (N, nu) and of their middles into values and rounding (2N - 1, nu)."""
+    samples = u[:, columns]
+    mid_values = middles(time, samples)
+    values[::2, columns] = samples
+    values[1::2, columns] = mid_values
+    rounding[1::2, columns] = mid_values - 0.5 * (samples[1:] + samples[:-1])
+
+
+def middles(time: Array, u: Array) -> Array:
+    """(N - 1, columns) values half-way between samples (N, columns) of the monotone cubic of Fritsch and Butland (1984), at the
+    ends with the three-point slopes of Moler (Numerical Computing with MATLAB, 2004, section 3.6)."""
+    step = np.diff(time)[:, None]
+    if len(u) < 3:
+        return np.asarray(0.5 * (u[1:] + u[:-1]))
+    chord = np.diff(u, axis=0) / step
+    slope = np.empty_like(u)
+    slope[1:-1] = inner_slopes(chord, step)
+    slope[0] = _end_slope(step[0], step[1], chord[0], chord[1])
+    slope[-1] = _end_slope(step[-1], step[-2], chord[-1], chord[-2])
+    return half_way(u, slope, step)
+
+
+def _end_slope(h0: Array, h1: Array, m0: Array, m1: Array) -> Array:
+    """Slope at an end from the two chords next to it, kept to the side of the first and within three times of it."""
+    d = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    limited = np.where(np.sign(d) == np.sign(m0), d, 0.0)
+    steepest = 3.0 * m0  # of a cubic that is monotone there (Fritsch and Carlson 1980)
+    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > np.abs(steepest)), steepest, limited)
+
+
+@dataclass(frozen=True)
+class Local:
+    """Values of one record's own unknowns: initial states (nx,), then local parameters."""
+
+    x0: Array
+    parameters: Mapping[str, float]
+
+
+def carried(local: Local, old: Model, new: Model) -> Local:
+    """A record's own unknowns carried over to a model with more or fewer states."""
+    return Local(started(new, dict(zip(old.state_names, local.x0, strict=True))), local.parameters)
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """A fitted model.
+
+    values: shared parameters, held ones included. locals: per record. residuals: per record (N, ny), measured minus
+    model, NaN where not measured. cost: half the whitened sum of squares with priors. hessian: (n, n) of the shared
+    free parameters, everything local eliminated. converged, diverged: how it ended.
+    """
+
+    model: Model
+    free: tuple[str, ...]
+    values: Mapping[str, float]
+    locals: tuple[Local, ...]
+    residuals: tuple[Array, ...]
+    cost: float
+    hessian: Array
+    converged: bool
+    diverged: bool
+
+    def std(self) -> dict[str, float]:
+        """Cramer-Rao bounds of the shared parameters under the whitened likelihood."""
+        inverse = pseudo_inverse(self.hessian)[0]
+        return {n: float(np.sqrt(max(inverse[i, i], 0.0))) for i, n in enumerate(self.free)}
+
+
+@dataclass(frozen=True)
+class LikelihoodProblem:
+    """A model bound to records and their whiteners. base: the model the records were prepared for.
+
+    Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how a surface moved
+    between two samples, from a straight line (-1) over a monotone cubic (0) to rounder than that.
+    """
+
+    model: Model
+    base: Model
+    records: tuple[FlightRecord, ...]
+    whiteners: tuple[Whitener, ...]
+    criteria: Criteria
+
+    @cached_property
+    def coarse(self) -> tuple[Segment, ...]:
+        """The records as this model needs them, at the samples."""
+        return tuple(r.segment(self.model, self.base) for r in self.records)
+
+    @cached_property
+    def grids(self) -> tuple[MidSampleGrid, ...]:
+        """The same with one more instant in the middle of each interval."""
+        return tuple(fine_grid(s) for s in self.coarse)
+
+    @cached_property
+    def local_names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.model.parameters if p.local and not p.fixed)
+
+    @cached_property
+    def curvatures(self) -> dict[str, int]:
+        """Curvature unknown -> column of the input it belongs to."""
+        return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
+
+    @cached_property
+    def asked(self) -> frozenset[str]:
+        """Names that the equations ask for with the dormant terms at rest."""
+        dormant = (p for p in self.model.parameters if p.role is ParameterRole.DORMANT and p.fixed)
+        return asked_for(self.model, {p.name for p in dormant if p.start == 0.0})
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Free shared parameters of the model itself."""
+        return tuple(n for n in self.model.free_names if n not in self.local_names)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """All shared unknowns, in the order of the columns."""
+        return (*self.parameters, *self.curvatures)
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, hold="linear")
+
+    @cached_property
+    def alone(self) -> Simulator:
+        """The same without derivatives by any parameter."""
+        return Simulator.build(self.model, (), substeps=1, hold="linear")
+
+    def starts(self) -> dict[str, float]:
+        """Start values of everything shared, held parameters included."""
+        return {**self.model.starts(), **dict.fromkeys(self.curvatures, 0.0)}
+
+    def starting_locals(self) -> tuple[Local, ...]:
+        starts = self.model.starts()
+        return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.coarse)
+
+    def residual(self, index: int, values: Mapping[str, float], local: Local) -> Array | None:
+        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers."""
+        modelled = self.modelled(index, values, local)
+        return None if modelled is None else self.coarse[index].z - modelled
+
+    def modelled(
+        self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None
+    ) -> Array | None:
+        """(N, ny) outputs of the model on one record; None where the motion leaves the finite numbers.
+
+        inputs: (N, nu) other inputs than the record's own.
+        """
+        grid = self.grids[index] if inputs is None else self.grids[index].with_inputs(inputs)
+        shared = {**values, **local.parameters}
+        motion = self.simulator.run_by_middles(self.driven(grid, values), shared, local.x0)
+        return motion.y if motion.finite else None
+
+    def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
+        """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
+        grid, shared = self.grids[index], {**values, **local.parameters}
+        active = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.asked]
+        paths = np.zeros((*grid.rounding.shape, len(active)))
+        for k, j in enumerate(active):
+            column = list(self.curvatures.values())[j]
+            paths[:, column, k] = grid.rounding[:, column]
+        segment = self.driven(grid, values)
+        motion = self.simulator.run_by_middles(segment, shared, local.x0, sensitivities=True, moved=paths)
+        if not motion.finite or motion.dy is None or not max(motion.dy.max(), -motion.dy.min()) < LARGEST:
+            return None
+        residual = self.coarse[index].z - motion.y
+        n, m, split = len(self.parameters), len(self.curvatures), motion.dy.shape[2] - len(active)
+        dy = np.zeros((*residual.shape, split + m))
+        dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:split]
+        dy[:, :, [n + j for j in active]] = motion.dy[:, :, split:]
+        dy[~np.isfinite(residual)] = 0.0
+        return residual, dy
+
+    def disturbed(self, index: int, values: Mapping[str, float], local: Local, du: Array) -> Array | None:
+        """(N, ny, k) change of the outputs of one record by small changes (N, nu, k) of its inputs, straight between samples.
+
+        None where the motion leaves the finite numbers."""
+        fine = np.empty((2 * len(du) - 1, *du.shape[1:]))
+        fine[::2], fine[1::2] = du, 0.5 * (du[1:] + du[:-1])
+        motion = self.alone.run_by_middles(
+            self.driven(self.grids[index], values),
+            {**values, **local.parameters},
+            local.x0,
+            sensitivities=True,
+            moved=fine,
+        )
+        return motion.dy[:, :, -du.shape[2] :] if motion.finite and motion.dy is not None else None
+
+    def driven(self, grid: MidSampleGrid, values: Mapping[str, float]) -> Segment:
+        """A grid's inputs with the paths of the controls between samples as `values` say."""
+        u = grid.segment.u
+        shifts = [(i, values[name]) for name, i in self.curvatures.items() if values.get(name, 0.0) != 0.0]
+        if shifts:
+            u = u.copy()
+            for i, kappa in shifts:
+                u[:, i] += kappa * grid.rounding[:, i]
+        return replace(grid.segment, u=u)
+
+    def prior(self, name: str) -> tuple[float, float] | None:
+        """(mean, standard deviation) of what is believed of an unknown, or None."""
+        if name in self.curvatures:
+            return 0.0, self.criteria.curvature_spread
+        p = self.model.parameter(name)
+        return None if p.prior_mean is None or p.prior_std is None else (p.prior_mean, p.prior_std)
+
+    def nuisance(self, name: str) -> bool:
+        """Whether a shared unknown is only carried along: no effect may be named for it."""
+        return name in self.curvatures or self.model.parameter(name).role is ParameterRole.NUISANCE
+
+    def limits(self, name: str) -> tuple[float, float]:
+        if name in self.curvatures:
+            return -self.criteria.curvature_limit, self.criteria.curvature_limit
+        p = self.model.parameter(name)
+        return p.lower, p.upper
+
+
+def prior_terms(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
+    """(weights (n,), weighted distances (n,)) of the Gaussian priors of the named parameters."""
+    weight, distance = np.zeros(len(names)), np.zeros(len(names))
+    for i, name in enumerate(names):
+        prior = problem.prior(name)
+        if prior is not None:
+            weight[i] = 1.0 / prior[1] ** 2
+            distance[i] = weight[i] * (prior[0] - values[name])
+    return weight, distance
+
+
+def prior_cost(problem: LikelihoodProblem, names: Sequence[str], values: Mapping[str, float]) -> float:
+    weight, distance = prior_terms(problem, names, values)
+    return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))

@@ -1,0 +1,169 @@
+"""The operator that whitens residuals: S(f)^(-1/2) of one record, and what it forgives.
+
+Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel. `spectra` has S(f).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+from scipy.linalg import solve_triangular
+
+from estimation.engine.kernel import Array
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Slack:
+    """What the whitener is to forgive. rows: (rows, m) white rows of what unknowns of one standard deviation each do.
+
+    Marginalised over them the rows have the covariance I + E E' with E = rows, whose inverse is I - E (I + E'E)^-1 E'.
+    """
+
+    rows: Array
+
+    @cached_property
+    def _information(self) -> Array:
+        """(m, m) I + E'E."""
+        return self.rows.T @ self.rows + np.eye(self.rows.shape[1])
+
+    @cached_property
+    def _lower(self) -> Array:
+        """(m, m) lower, its product with its transpose I + E'E.
+
+        Columns that are as good as equal and large, as of a motion that grows, round the I away: no eigenvalue is below 1.
+        """
+        try:
+            return np.asarray(np.linalg.cholesky(self._information))
+        except np.linalg.LinAlgError:
+            values, vectors = np.linalg.eigh(self._information)
+            return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T)[1].T)
+
+    @cached_property
+    def mix(self) -> Array:
+        """(m, m) B for which I - E B E' is the symmetric root of that inverse: 1/(1 + v + sqrt(1 + v)), v eigenvalues of E'E."""
+        values, vectors = np.linalg.eigh(self._information)
+        values = np.maximum(values, 1.0)
+        return np.asarray((vectors / (values + np.sqrt(values))) @ vectors.T)
+
+    def forgiven(self, rows: Array) -> Array:
+        """(m, k) whose inner products come off those of white rows (rows, k)."""
+        projections = rows.T @ self.rows  # in this order the many rows are read as they lie
+        return np.asarray(solve_triangular(self._lower, projections.T, lower=True, check_finite=False))
+
+
+@dataclass(frozen=True)
+class White:
+    """White columns of a record, of which only inner products are asked: those corrected for what is forgiven are never made.
+
+    rows: (rows, k) with nothing forgiven; forgiven: (m, k) as of `Slack.forgiven`, or None.
+    """
+
+    rows: Array
+    forgiven: Array | None = None
+
+    def products(self, other: "White") -> Array:
+        """(own columns, columns of the other)."""
+        products = self.rows.T @ other.rows
+        if self.forgiven is not None and other.forgiven is not None:
+            products -= self.forgiven.T @ other.forgiven
+        return np.asarray(products)
+
+    def squares(self) -> Array:
+        """(columns,) the product of each with itself."""
+        squares = np.einsum("ij,ij->j", self.rows, self.rows)
+        if self.forgiven is not None:
+            squares -= np.einsum("ij,ij->j", self.forgiven, self.forgiven)
+        return np.asarray(squares)
+
+    def some(self, columns: NDArray[np.intp]) -> "White":
+        """Some of the columns."""
+        return White(self.rows[:, columns], None if self.forgiven is None else self.forgiven[:, columns])
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Applies S^(-1/2) to residual-like columns of one record. root: (frequencies, ny, ny)."""
+
+    root: Complex
+    count: int
+    slack: Slack | None = None
+
+    @cached_property
+    def _scale(self) -> Array:
+        """(frequencies,) what makes rows of a real spectrum count as often as its samples do."""
+        scale = np.full(self.root.shape[0], np.sqrt(2.0 / self.count))
+        scale[0] = np.sqrt(1.0 / self.count)
+        if self.count % 2 == 0:
+            scale[-1] = np.sqrt(1.0 / self.count)
+        return scale
+
+    @cached_property
+    def _real_root(self) -> Array:
+        """(frequencies, 2 ny, 2 ny) the scaled root as it acts on real parts over imaginary ones."""
+        root = self.root * self._scale[:, None, None]
+        return np.block([[root.real, -root.imag], [root.imag, root.real]])
+
+    @cached_property
+    def _slack_series(self) -> Array:
+        """(N ny, m) what is forgiven as white series."""
+        assert self.slack is not None
+        ny, m = self.root.shape[1], self.slack.rows.shape[1]
+        parts = self.slack.rows.reshape(-1, 2, ny, m) / self._scale[:, None, None, None]
+        return np.asarray(np.fft.irfft(parts[:, 0] + 1j * parts[:, 1], n=self.count, axis=0).reshape(-1, m))
+
+    def strict(self, spectrum: Array) -> Array:
+        """(frequencies, 2 ny, k) from `spectrum_of` -> (rows, k): white rows of unit variance with nothing forgiven."""
+        white = self._real_root @ spectrum
+        return np.asarray(white.reshape(white.shape[0] * white.shape[1], white.shape[2]))
+
+    def rows(self, columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) -> (rows, k): whitened, as real rows of unit variance."""
+        rows = self.strict(spectrum_of(columns))
+        if self.slack is not None:
+            rows -= self.slack.rows @ (self.slack.mix @ (self.slack.rows.T @ rows))
+        return rows
+
+    def white(self, columns: Array) -> White:
+        """Columns (N, ny, k) or (N, ny), for their inner products."""
+        rows = self.strict(spectrum_of(columns))
+        return White(rows, None if self.slack is None else self.slack.forgiven(rows))
+
+    def gram(self, columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) -> (k, k): inner products of the white rows."""
+        white = self.white(columns)
+        return white.products(white)
+
+    def energy(self, residual: Array) -> float:
+        """Sum of squares of the white rows of residuals (N, ny)."""
+        return float(self.gram(residual)[0, 0])
+
+    def series(self, residual: Array) -> Array:
+        """(N, ny) residuals, or (N, ny, k) many of them -> white series of the same shape, aligned in time and channel."""
+        block = residual[:, :, None] if residual.ndim == 2 else residual
+        spectrum = np.fft.rfft(zero_filled(block), axis=0)
+        series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
+        if self.slack is not None:
+            flat = series.reshape(-1, block.shape[2])
+            forgiven = self._slack_series @ (self.slack.mix @ (self._slack_series.T @ flat))
+            series -= forgiven.reshape(series.shape)
+        return series.reshape(residual.shape)
+
+
+def zero_filled(values: Array) -> Array:
+    """`values` with zero where nothing was measured; the very same where everything was."""
+    return values if np.isfinite(np.sum(values)) else np.nan_to_num(values)
+
+
+def spectrum_of(columns: Array) -> Array:
+    """(N, ny, k) or (N, ny) -> (frequencies, 2 ny, k): real parts of the spectra of all channels over imaginary ones. NaN counts
+    as zero."""
+    block = zero_filled(columns[:, :, None] if columns.ndim == 2 else columns)
+    count, ny, k = block.shape
+    transform = rfft(block.reshape(count, ny * k), axis=0)
+    parts = np.empty((transform.shape[0], 2, ny * k))
+    parts[:, 0], parts[:, 1] = transform.real, transform.imag
+    return parts.reshape(transform.shape[0], 2 * ny, k)

@@ -1,0 +1,234 @@
+"""An increment of a coefficient fitted inside the output error, asked of flights it was not fitted to, and what it closes.
+
+What is closed is energy of whitened residuals against simulated nulls: the plain gap counts gusts and slow errors of filters
+too, beside which half a usual effect can look like nothing; whitened residuals weigh every frequency by what noise leaves of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.gap.criteria import Criteria
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.fitting import fit
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.spectra import NoiseModel
+from estimation.gap.random_streams import Stream
+from estimation.gap.shapes.places import ModelMotion, Place, spread_of
+from estimation.gap.shapes.spline import KEPT, Range, basis, curve_lines, lines, polynomial
+from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.tangent import RecordTangent
+from estimation.models.base import Model, Parameter
+
+TAG = "form"
+EDGES = ("low", "high", "middle", "half")
+POINTS = 61  # of the curve in the answer
+ACROSS = 5  # values of the second variable in the answer
+NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
+
+
+@dataclass(frozen=True)
+class Increment:
+    """A part of a coefficient as a function of a variable, bound to what was flown. reach: largest size of the second variable,
+    in units of which it multiplies. spread: (columns,) prior standard deviations of the weights."""
+
+    place: Place
+    flown: Range
+    reach: float
+    spread: Array
+
+    @classmethod
+    def of(cls, place: Place, flown: ModelMotion, criteria: Criteria) -> "Increment":
+        reach = flown.reach(place.by) if place.by else 1.0
+        return cls(place, flown.range_of(place.variable), reach, spread_of(place, flown.scale[place.line], criteria))
+
+    @property
+    def weights(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        extra = [f"{TAG}_line"] * self.place.lacks_line + [f"{TAG}_constant"] * self.place.lacks_constant
+        return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), *extra)
+
+    def edges(self, held: Range | None = None) -> dict[str, float]:
+        """Values of the parameters that scale the variable and hold it at the ends of `held` (default: of what was flown)."""
+        ends = held or self.flown
+        low, high = max(ends.low, self.flown.low), min(ends.high, self.flown.high)
+        return dict(zip((f"{TAG}_{e}" for e in EDGES), (low, high, self.flown.middle, self.flown.half), strict=True))
+
+    def added_to(self, model: Model) -> Model:
+        """`model` with the increment, its unknowns at nothing and with their priors."""
+        text = list(lines(TAG, self.place.variable, self.text_weights))
+        term = TAG
+        edges = self.edges()
+        if self.place.by:
+            term, edges = f"{TAG}*{self.place.by}/{TAG}_reach", edges | {f"{TAG}_reach": self.reach}
+        unknowns = [
+            Parameter(n, "1", prior_mean=0.0, prior_std=float(s))
+            for n, s in zip(self.weights, self.spread, strict=True)
+        ]
+        fixed = [Parameter(n, "1", start=v, fixed=True) for n, v in edges.items()]
+        return model.plus(lines=text, terms={self.place.line: term}, parameters=[*unknowns, *fixed])
+
+    @property
+    def text_weights(self) -> tuple[str, ...]:
+        """What multiplies the columns in the text: those of the spline, u and 1; a number where there is no unknown."""
+        line = f"{TAG}_line" if self.place.lacks_line else "0"
+        constant = f"{TAG}_constant" if self.place.lacks_constant else "0"
+        return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), line, constant)
+
+    def columns(self, x: Array) -> Array:
+        """(N, unknowns) at x (N,)."""
+        u = np.clip(self.flown.scaled(x), -1.0, 1.0)
+        extra = [
+            c
+            for c, needed_here in ((u, self.place.lacks_line), (np.ones_like(u), self.place.lacks_constant))
+            if needed_here
+        ]
+        return np.column_stack([basis().columns(u), *extra])
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        return np.array([values[n] for n in self.weights])
+
+    def written_into(self, model: Model, values: Mapping[str, float]) -> Model:
+        """`model` with the curve as numbers: what a person reads and any simulation can take over."""
+        w = self.vector(values)
+        rest = dict(zip(self.weights[KEPT:], w[KEPT:], strict=True))
+        powers = polynomial(w[:KEPT], (rest.get(f"{TAG}_line", 0.0), rest.get(f"{TAG}_constant", 0.0)))
+        name = f"{self.place.line}_nameless"
+        text = curve_lines(name, self.place.variable, self.flown, powers)
+        term = f"{name}*{self.place.by}/{self.reach:.17g}" if self.place.by else name
+        return model.plus(lines=text, terms={self.place.line: term}, title=f"{model.title}, with a nameless part")
+
+
+@dataclass(frozen=True)
+class FittedIncrement:
+    """An increment fitted with the base. gain: twice the log-likelihood over the base with the same noise."""
+
+    increment: Increment
+    problem: LikelihoodProblem
+    fit: ModelFit
+    gain: float
+
+    def curve(self, inflation: float = 1.0) -> tuple[Array, Array, Array]:
+        """(x, value, standard deviation) over the range flown; inflation: of the variance, from nulls."""
+        x = np.linspace(self.increment.flown.low, self.increment.flown.high, POINTS)
+        columns = self.increment.columns(x)
+        indices = [self.fit.free.index(n) for n in self.increment.weights]
+        covariance = pseudo_inverse(self.fit.hessian)[0][np.ix_(indices, indices)]
+        variance = np.einsum("ij,jk,ik->i", columns, covariance, columns)
+        return x, columns @ self.increment.vector(self.fit.values), np.sqrt(np.maximum(variance * inflation, 0.0))
+
+
+def fit_increment(baseline: Baseline, increment: Increment) -> FittedIncrement | None:
+    """Base and increment fitted together on the training flights; None where that runs away."""
+    problem = replace(baseline.problem, model=increment.added_to(baseline.model))
+    model_fit = fit(problem, baseline.fit.values, baseline.fit.locals)
+    if model_fit.diverged:
+        return None
+    return FittedIncrement(increment, problem, model_fit, 2.0 * (baseline.fit.cost - model_fit.cost))
+
+
+@dataclass(frozen=True)
+class HoldoutPrediction:
+    """A training flight predicted from the others. inside: share of it in the range they flew. gain: twice the log-likelihood
+    by which the increment, held at the ends of that range, predicts it better than the base does."""
+
+    flight: int
+    inside: float
+    gain: float
+
+
+def left_out(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[HoldoutPrediction]:
+    """Every training flight predicted from the others, with and without the increment."""
+    flights = [r.flight for r in baseline.problem.records]
+    predictions = []
+    for flight in dict.fromkeys(flights):
+        training = [i for i, f in enumerate(flights) if f != flight]
+        holdout = [i for i, f in enumerate(flights) if f == flight]
+        if not training:
+            continue
+        variable = fitted.increment.place.variable
+        limits = Range.of([flown.courses[i][variable] for i in training])
+        share = float(np.mean([limits.inside(flown.courses[i][variable]) for i in holdout]))
+        base_cost = predicted(baseline.problem, baseline.fit, training, holdout, {})
+        increment_cost = predicted(fitted.problem, fitted.fit, training, holdout, fitted.increment.edges(limits))
+        gain = (
+            -np.inf if increment_cost is None else np.inf if base_cost is None else 2.0 * (base_cost - increment_cost)
+        )
+        predictions.append(HoldoutPrediction(flight, share, float(gain)))
+    return predictions
+
+
+def predicted(
+    problem: LikelihoodProblem, found: ModelFit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
+) -> float | None:
+    """Whitened cost of the records `own` with what the records `others` tell; None where the motion runs away."""
+    trained = fit(only(problem, others), found.values, [found.locals[i] for i in others])
+    if trained.diverged:
+        return None
+    tested = fit(only(problem, own), {**trained.values, **edges}, [found.locals[i] for i in own], frozen=True)
+    return None if tested.diverged else tested.cost
+
+
+def only(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProblem:
+    """The problem of some of its records."""
+    return replace(
+        problem,
+        records=tuple(problem.records[i] for i in records),
+        whiteners=tuple(problem.whiteners[i] for i in records),
+    )
+
+
+def confirmed(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
+    """Whether every flight that lies in the range of the others is predicted better, and there is one."""
+    testable = [f for f in found if f.inside >= criteria.form_inside]
+    return bool(testable) and all(f.gain > 0.0 for f in testable)
+
+
+def closed(before: float, after: float, floor: float) -> float:
+    """Share of what lies above the floor that is gone, in 0..1; nothing where there was nothing."""
+    if before <= floor:
+        return 0.0
+    return float(np.clip(1.0 - (after - floor) / (before - floor), 0.0, 1.0))
+
+
+def asked(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
+    """Whitened energy of a fitted model on the held-out flights, shared parameters frozen; on the training flights where there
+    are none. problem, found: on the training flights; noise: by which it is weighed."""
+    held_out = replace(baseline, problem=problem, fit=found, noise=noise).held_out
+    return 2.0 * (found.cost if held_out is None else held_out[1].cost)
+
+
+def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> float:
+    """The same of what chance alone makes: upper end over simulated nulls of the model. errors: of every record, training first.
+
+    The upper end, not the middle: one day's weather and one flight's surfaces are not the average ones.
+    """
+    held_out = child.held_out
+    if held_out is None:
+        record_errors = errors[: len(child.problem.records)]
+        return _upper(
+            child.problem, child.fit, NullFlyer.build(child.problem, child.fit, child.noise, record_errors), seed
+        )
+    record_errors = errors[len(errors) - len(held_out[0].records) :]
+    return _upper(*held_out, NullFlyer.build(*held_out, child.noise, record_errors), seed)
+
+
+def _upper(problem: LikelihoodProblem, found: ModelFit, flyer: NullFlyer, seed: int) -> float:
+    total = np.zeros(NULLS)
+    for i in range(len(problem.records)):
+        residuals = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
+        filled = [np.full(problem.coarse[i].z.shape, np.nan) if f is None else f for f in residuals]
+        tangent = RecordTangent.of(problem, found, i, filled)
+        total += tangent.squares(tangent.fixed)[-NULLS:]
+    return float(np.quantile(total, problem.criteria.floor_level))
+
+
+def refitted_with(problem: LikelihoodProblem, found: ModelFit, child: Baseline) -> tuple[LikelihoodProblem, ModelFit]:
+    """A model fitted to the training flights again, weighed with the noise of another."""
+    reweighted = LikelihoodProblem(
+        problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria
+    )
+    return reweighted, fit(reweighted, found.values, found.locals)

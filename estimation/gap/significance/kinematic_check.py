@@ -1,0 +1,195 @@
+"""The kinematic check: is it an instrument or the aircraft?
+
+Flight-path reconstruction without any aerodynamics: sideslip and bank integrated from measured rates and side
+acceleration must agree with the vane and the attitude. Scale, lag, position and timing errors of instruments show here;
+aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else. A model that pitches
+is asked the same of airspeed, angle of attack and pitch attitude; one of all axes both, and the clearer answer counts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.contract.constants import GRAVITY
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Effect, Group
+from estimation.gap.errors import GapError
+from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes, sample_interval
+from estimation.gap.random_streams import KINEMATIC, Stream
+from estimation.gap.records.candidate_model import with_dormant, with_nuisance
+from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.significance.calibration import Round, kinematic_threshold, screen_round
+from estimation.gap.significance.nulls import input_errors
+from estimation.models.base import Model, Parameter, ParameterRole, Signal
+from estimation.models.driven import force_states
+from groundstation.flight import Flight
+
+NEEDED_TO_PITCH = ("V", "alpha", "theta", "q", "ax", "az")
+ASIDE = ("beta", "p", "r", "phi", "ay")  # taken as zero where a flight does not have them
+NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
+
+
+def pitch_kinematic_model(criteria: Criteria) -> Model:
+    """Flight-path reconstruction in the plane of symmetry without aerodynamics; biases and scale errors with priors."""
+    gyro, scale, accelerometer = (
+        criteria.kinematic_gyro_bias,
+        criteria.kinematic_gyro_scale,
+        criteria.kinematic_accelerometer_bias,
+    )
+    return Model(
+        name="kinematic",
+        title="airspeed, angle of attack and pitch attitude from measured rates and forces, no aerodynamics",
+        states=(Signal("V", "m/s"), Signal("alpha", "rad"), Signal("theta", "rad")),
+        inputs=(*(Signal(n) for n in ("q", "ax", "az")), *(Signal(n, optional=True) for n in ASIDE)),
+        outputs=(Signal("V", "m/s"), Signal("alpha", "rad"), Signal("theta", "rad")),
+        parameters=(
+            _instrument("bias_gyro_q", "rad/s", gyro, local=True),
+            _instrument("bias_accelerometer_x", "m/s2", accelerometer, local=True),
+            _instrument("bias_accelerometer_z", "m/s2", accelerometer, local=True),
+            _instrument("scale_gyro_q", "1", scale),
+        ),
+        constants={"g": GRAVITY},
+        equations=(
+            "q_true = q*(1 + scale_gyro_q) + bias_gyro_q",
+            "gx = ax + bias_accelerometer_x - g*sin(theta)",
+            "gz = az + bias_accelerometer_z + g*cos(theta)*cos(phi)",
+            "V_dot = (gx*cos(alpha) + gz*sin(alpha))*cos(beta) + (ay + g*cos(theta)*sin(phi))*sin(beta)",
+            "alpha_dot = q_true - tan(beta)*(p*cos(alpha) + r*sin(alpha)) + (gz*cos(alpha) - gx*sin(alpha))/(V*cos(beta))",
+            "theta_dot = q_true*cos(phi) - r*sin(phi)",
+        ),
+    )
+
+
+def kinematic_model(criteria: Criteria) -> Model:
+    """Sideslip and bank from measured rates and side acceleration; biases and scale errors with priors."""
+    gyro, scale, accelerometer = (
+        criteria.kinematic_gyro_bias,
+        criteria.kinematic_gyro_scale,
+        criteria.kinematic_accelerometer_bias,
+    )
+    return Model(
+        name="kinematic",
+        title="sideslip and bank from measured rates and side acceleration, no aerodynamics",
+        states=(Signal("beta", "rad"), Signal("phi", "rad")),
+        inputs=tuple(Signal(n) for n in ("p", "q", "r", "ay", "V", "alpha", "theta", "V_dot")),
+        outputs=(Signal("beta", "rad"), Signal("phi", "rad")),
+        parameters=(
+            _instrument("bias_gyro_p", "rad/s", gyro, local=True),
+            _instrument("bias_gyro_r", "rad/s", gyro, local=True),
+            _instrument("bias_accelerometer_y", "m/s2", accelerometer, local=True),
+            _instrument("scale_gyro_p", "1", scale),
+            _instrument("scale_gyro_r", "1", scale),
+        ),
+        constants={"g": GRAVITY},
+        equations=(
+            "p_true = p*(1 + scale_gyro_p) + bias_gyro_p",
+            "r_true = r*(1 + scale_gyro_r) + bias_gyro_r",
+            "beta_dot = p_true*sin(alpha) - r_true*cos(alpha)"
+            " + (ay + bias_accelerometer_y + g*cos(theta)*sin(phi))/(V*cos(beta)) - V_dot/V*tan(beta)",
+            "phi_dot = p_true + tan(theta)*(q*sin(phi) + r_true*cos(phi))",
+        ),
+    )
+
+
+def _instrument(name: str, unit: str, width: float, local: bool = False) -> Parameter:
+    return Parameter(name, unit, prior_mean=0.0, prior_std=width, local=local, role=ParameterRole.INSTRUMENT)
+
+
+@dataclass(frozen=True)
+class KinematicCheck:
+    """origin: sensor | physics | undecided. best: the instrument error that fits the kinematics best."""
+
+    origin: str
+    best: str
+    score: float
+    threshold: float
+    why: str
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "origin": self.origin,
+            "best": self.best,
+            "score": round(self.score, 2),
+            "threshold": round(self.threshold, 2),
+            "why": self.why,
+        }
+
+
+def kinematic_check(
+    flights: Sequence[Flight],
+    effects: Sequence[Effect],
+    nulls: int,
+    seed: int,
+    criteria: Criteria,
+    model: Model | None = None,
+) -> KinematicCheck:
+    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them at the most. model: whose
+    planes are asked; without one the lateral."""
+    lines = model.definitions if model is not None else {}
+    checks = []
+    if "Cm" not in lines or "CY" in lines:
+        checks.append(_checked(kinematic_model(criteria), NEEDED, flights, effects, nulls, seed, criteria))
+    if "Cm" in lines:
+        checks.append(
+            _checked(pitch_kinematic_model(criteria), NEEDED_TO_PITCH, flights, effects, nulls, seed, criteria)
+        )
+    return clearest(checks)
+
+
+def clearest(checks: Sequence[KinematicCheck]) -> KinematicCheck:
+    """The answer of the plane whose score stands highest over its threshold; one that could not say gives way to one that can."""
+    return max(checks, key=lambda c: (c.origin != "undecided", c.score / c.threshold if c.threshold > 0.0 else 0.0))
+
+
+def _checked(
+    base: Model,
+    needed: Sequence[str],
+    flights: Sequence[Flight],
+    effects: Sequence[Effect],
+    nulls: int,
+    seed: int,
+    criteria: Criteria,
+) -> KinematicCheck:
+    missing = sorted({n for f in flights for n in needed if not f.measured(n)})
+    if missing:
+        return KinematicCheck("undecided", "", 0.0, 0.0, f"not measured: {', '.join(missing)}")
+    instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
+    prepared = prepare_flights(base, instruments, flights, (), criteria)
+    scatter = channel_noise(prepared.records)
+    filtered = filtered_attitudes(prepared.records, base.output_names, scatter)
+    noise, interval = dict(zip(base.output_names, scatter, strict=True)), sample_interval(prepared.records)
+    clean = with_nuisance(base, noise, interval, criteria, filtered)
+    working = with_dormant(clean, instruments, prepared.available, force_states(base))
+    errors = [
+        input_errors(r, clean, Stream.KINEMATIC_INPUT_ERRORS.generator(seed, i)) for i, r in enumerate(prepared.records)
+    ]
+    count = null_count(nulls, criteria)
+    try:
+        baseline = fit_baseline(working, clean, prepared, scatter)
+        return judged(
+            screen_round(baseline, prepared, instruments, errors, count, seed + KINEMATIC, kinematic_threshold)
+        )
+    except GapError as error:  # the check alone cannot say: the search among the hypotheses goes on without it
+        return KinematicCheck("undecided", "", 0.0, 0.0, str(error))
+
+
+def null_count(wanted: int, criteria: Criteria) -> int:
+    """Nulls of the check when the search takes so many."""
+    return min(wanted, criteria.kinematic_nulls)
+
+
+def judged(round_: Round) -> KinematicCheck:
+    """Sensor where an instrument error stands out of the nulls, physics where none does."""
+    scores = round_.standardised()
+    if not scores.size:
+        return KinematicCheck("undecided", "", 0.0, round_.threshold, "no instrument error applies")
+    leader = int(np.argmax(scores))
+    label, score = round_.screen.hypotheses[leader].label, float(scores[leader])
+    if score > round_.threshold:
+        return KinematicCheck(
+            "sensor", label, score, round_.threshold, "measured motion contradicts its own kinematics"
+        )
+    return KinematicCheck("physics", label, score, round_.threshold, "measured motion agrees with its kinematics")

@@ -1,0 +1,224 @@
+"""How large the gap is: residual over measurement noise, on training and held-out flights, against the null floor; and whether
+the training flights repeat each other, each by itself against all together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import eliminated, solved
+from estimation.gap.answer.result import Gap
+from estimation.gap.criteria import Criteria
+from estimation.gap.errors import GapError
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.fitting import local_prior
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.spectra import NoiseModel
+from estimation.gap.random_streams import Stream
+from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.gap.significance.tangent import Tangent
+
+
+def rms_over_noise(problem: LikelihoodProblem, found: ModelFit, scatter: Array) -> float:
+    """Gap of a fitted model: rms over records, samples and outputs of residual / noise.
+
+    The whitened fit forgives slow drifts (gusts make them); for this plain measure every record's initial states and
+    biases are fitted once more with plain weights, the shared parameters held. Nulls are measured the same way.
+    """
+    squares, count = 0.0, 0.0
+    for i, residual in enumerate(found.residuals):
+        finite = np.isfinite(residual)
+        part = _plainly(problem, found, i, np.nan_to_num(residual)[:, :, None], scatter)
+        squares += float(part[0])
+        count += float(finite.sum())
+    return float(np.sqrt(squares / max(count, 1.0)))
+
+
+def plain_residuals(problem: LikelihoodProblem, found: ModelFit, index: int, scatter: Array) -> Array:
+    """(N, ny) residuals of a record after its initial states and biases were fitted with plain weights."""
+    residual = found.residuals[index]
+    rows = _plain_rows(problem, found, index, np.nan_to_num(residual)[:, :, None], scatter)
+    return np.where(np.isfinite(residual), rows.reshape(residual.shape) * scatter, np.nan)
+
+
+def _plainly(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
+    """(m,) sums of squares over noise of residuals (N, ny, m) after the record's own unknowns were fitted to them."""
+    return np.sum(_plain_rows(problem, found, index, residuals, scatter) ** 2, axis=0)
+
+
+def _plain_rows(problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, scatter: Array) -> Array:
+    """(N ny, m) residuals over noise after the record's own unknowns were fitted to them."""
+    linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
+    finite = np.isfinite(problem.coarse[index].z)
+    if linear is None:  # a motion so touchy that its initial state cannot be bettered: measured as it stands
+        return (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
+    local_columns = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
+    rows = (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
+    J = local_columns.reshape(rows.shape[0], -1)
+    weights, _ = local_prior(problem, found.locals[index], J.shape[1])
+    return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
+
+
+def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
+    """Whitened cost of the held-out flights given the training flights.
+
+    Parameters may move within what training left uncertain: without that a barely stable motion, which multiplies small
+    errors of the parameters, would condemn every model. None where there is no held-out flight; infinite where the motion runs
+    away on one.
+    """
+    held_out = baseline.held_out if noise is baseline.noise else baseline.on_holdout(noise)
+    if held_out is None:
+        return None
+    problem, model_fit = held_out
+    try:
+        tangent = Tangent(problem, model_fit)
+        grams = [tangent.record(i).gram for i in range(len(problem.records))]
+    except GapError:
+        return np.inf
+    gram = np.sum(grams, axis=0)
+    n = len(problem.free)
+    gram[:n, :n] += baseline.fit.hessian
+    return 0.5 * float(eliminated(gram, n)[0, 0])
+
+
+@dataclass(frozen=True)
+class Floors:
+    """What the gap measures on simulated nulls: (nulls,) each; `holdout` empty without held-out flights."""
+
+    training: Array
+    holdout: Array
+    criteria: Criteria
+
+    def covers(self, gap: float) -> bool:
+        """Whether a training gap is one that nothing hidden would leave."""
+        return gap <= float(np.quantile(self.training, self.criteria.floor_level))
+
+    @property
+    def highest(self) -> float:
+        """Gap on the held-out flights (training flights where there are none) that nothing hidden would leave."""
+        return float(np.quantile(self.holdout if self.holdout.size else self.training, self.criteria.floor_level))
+
+    @property
+    def training_median(self) -> float:
+        return float(np.median(self.training))
+
+    @property
+    def holdout_median(self) -> float | None:
+        return float(np.median(self.holdout)) if self.holdout.size else None
+
+
+def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | None]:
+    """Gap of two fitted models on the training flights, and on the held-out ones where there are any."""
+    scatter, held_before, held_after = after.scatter, before.held_out, after.held_out
+    training = Gap(
+        rms_over_noise(before.problem, before.fit, scatter),
+        rms_over_noise(after.problem, after.fit, scatter),
+        floor.training_median,
+    )
+    if held_before is None or held_after is None or floor.holdout_median is None:
+        return training, None
+    return training, Gap(
+        rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median
+    )
+
+
+def floors(
+    round_: Round, held: tuple[LikelihoodProblem, ModelFit] | None, held_errors: Sequence[InputErrors], seed: int
+) -> Floors:
+    """Gap of the nulls of a round after the same refit, by linear theory about the fitted point."""
+    baseline = round_.baseline
+    problem, model_fit, scatter = baseline.problem, baseline.fit, baseline.scatter
+    n = len(problem.free)
+    screen = round_.screen
+    G, first, m = screen.total(), n + screen.k + 1, len(round_.null_residuals)
+    shift = solved(G[:n, :n], G[:n, first : first + m])  # (n, nulls)
+    null_records = [np.stack(nulls, axis=2) for nulls in zip(*round_.null_residuals, strict=True)]
+    training = _gaps(problem, model_fit, null_records, shift, scatter)
+    if held is None:
+        return Floors(training, np.zeros(0), round_.criteria)
+    flyer = NullFlyer.build(*held, baseline.noise, held_errors)
+    null_records = [_flown(flyer, i, m, seed) for i in range(len(held[0].records))]
+    return Floors(training, _gaps(*held, null_records, shift, scatter), round_.criteria)
+
+
+def _flown(flyer: NullFlyer, index: int, count: int, seed: int) -> Array:
+    """(N, ny, count) residuals of the nulls of one held-out record; NaN where one diverges."""
+    nowhere = np.full(flyer.problem.coarse[index].z.shape, np.nan)
+    residuals = (flyer.fly(index, Stream.HELD_OUT_NULLS.generator(seed, index, number)) for number in range(count))
+    return np.stack([nowhere if residual is None else residual for residual in residuals], axis=2)
+
+
+def _gaps(problem: LikelihoodProblem, found: ModelFit, flown: Sequence[Array], shift: Array, scatter: Array) -> Array:
+    """(nulls,) gap of null residuals, per record (N, ny, nulls), after the shared parameters moved by `shift`."""
+    parts = [_after_refit(problem, found, i, residuals, shift, scatter) for i, residuals in enumerate(flown)]
+    return np.asarray(np.sqrt(np.sum([p for p, _ in parts], axis=0) / max(sum(n for _, n in parts), 1.0)))
+
+
+def _after_refit(
+    problem: LikelihoodProblem, found: ModelFit, index: int, residuals: Array, shift: Array, scatter: Array
+) -> tuple[Array, float]:
+    """(nulls,) sums of squares over noise of null residuals (N, ny, nulls) after the shared parameters moved by `shift`
+    (n, nulls) and the record's own unknowns were fitted; and the number of values in each sum."""
+    linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
+    if linear is None:
+        return _plainly(problem, found, index, np.nan_to_num(residuals), scatter), _values(problem, index)
+    refitted = np.nan_to_num(residuals) - linear[1][:, :, : len(problem.free)] @ shift
+    return _plainly(problem, found, index, refitted, scatter), _values(problem, index)
+
+
+def _values(problem: LikelihoodProblem, index: int) -> float:
+    """Measured values of one record."""
+    return float(np.isfinite(problem.coarse[index].z).sum())
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """How much better one flight is fitted by itself than together with the others. chi2: twice the log-likelihood; usual:
+    its median on the nulls; limit: what 199 of 200 nulls stay below (over all flights)."""
+
+    flight: str
+    chi2: float
+    usual: float
+    limit: float
+
+    @property
+    def odd(self) -> bool:
+        return self.chi2 > self.limit
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "flight": self.flight,
+            "chi2": round(self.chi2, 1),
+            "usual": round(self.usual, 1),
+            "limit": round(self.limit, 1),
+            "odd": self.odd,
+        }
+
+
+def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeatability, ...]:
+    """Every training flight against the others, by linear theory about the joint fit; empty for one flight alone."""
+    screen = round_.screen
+    flights = sorted(set(screen.flights))
+    if len(flights) < 2:
+        return ()
+    n, first = screen.n, screen.n + screen.k
+    pooled = screen.total()
+    joint = solved(pooled[:n, :n], pooled[:n, first:])
+    chi2 = []
+    for flight in flights:
+        G = screen.total([flight])  # with the priors, so that what one flight cannot tell stays where it is believed
+        difference = solved(G[:n, :n], G[:n, first:]) - joint
+        chi2.append(np.sum(difference * (G[:n, :n] @ difference), axis=0))
+    table = np.array(chi2)
+    medians, limit = usual_and_limit(table[:, 1:], round_.criteria)
+    rows = zip(flights, table[:, 0], medians, limit, strict=True)
+    return tuple(Repeatability(names[f], float(chi), float(u), float(upper)) for f, chi, u, upper in rows)
+
+
+def usual_and_limit(nulls: Array, criteria: Criteria) -> tuple[Array, Array]:
+    """(flights,) median of the nulls' chi2 (flights, nulls), and what a flight of a repeating set stays below."""
+    medians = np.median(nulls, axis=1)
+    return medians, medians * np.quantile((nulls / medians[:, None]).max(axis=0), criteria.repeat_level)

@@ -1,0 +1,139 @@
+"""What an effect would gain on flights that do not have it, where the controls are measured and prepared anew.
+
+A control is recorded with noise. Whatever smooths it a little (a lag, a delay, a play) takes noise off the motion that the base
+makes of it, and gains although nothing of the kind is there: an elevator with 0.2 deg of noise passes for one that is 12 ms late,
+at a score of 6. Nulls whose residuals alone are drawn do not show that, for there the control is the one that the base is
+driven by.
+
+So the fitted base is flown through courses that the controls may have taken, the controls are measured with fresh noise and
+prepared as those of the flights were, and base and hypothesis are held against each other on them: with the values found on the
+flights, nothing fitted. Where the likelihood is right, the hypothesis loses there what it has gained on the flights (to second
+order both are the same quadratic form, seen from either end); where preparation makes it gain, it gains on both. Half the
+difference is what the effect itself has gained: the centred likelihood ratio of D. R. Cox, "Further results on tests of separate
+families of hypotheses", Journal of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
+from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.random_streams import Stream
+from estimation.gap.records.flight_records import FlightRecord
+from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.signals.preprocess import denoise_many
+from estimation.signals.raw_steps import with_raw_steps
+
+REPEATS = 16  # flights made anew: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
+
+
+@dataclass(frozen=True)
+class Remade:
+    """One record made anew. outputs: (N, ny), NaN where not measured; inputs: (N, nu) with the controls prepared anew; energy: of
+    the whitened residual of the base."""
+
+    outputs: Array
+    inputs: Array
+    energy: float
+
+
+@dataclass(frozen=True)
+class MeasuredAgain:
+    """The training flights of a baseline made anew, `REPEATS` times."""
+
+    baseline: Baseline
+    seed: int
+
+    @cached_property
+    def sets(self) -> tuple[tuple[Remade, ...], ...]:
+        """Every repeat, a record each; none where the motion runs away."""
+        problem = self.baseline.problem
+        exact = [InputErrors({}) for _ in problem.records]
+        flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
+        repeats = []
+        for number in range(REPEATS):
+            rng = Stream.MEASURED_AGAIN.generator(self.seed, number)
+            records = [self._remade(flyer, index, rng) for index in range(len(problem.records))]
+            if all(r is not None for r in records):
+                repeats.append(tuple(r for r in records if r is not None))
+        return tuple(repeats)
+
+    def share(self, gain: float, found: ModelFit) -> float:
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
+
+        Half the difference from its mean gain on flights without the effect, less what the sum of both, twice what the noise of
+        the controls gives it, may be wrong by. 1 where these flights cannot be flown.
+        """
+        if gain <= 0.0:
+            return 1.0
+        trial = replace(
+            self.baseline.problem, model=found.model
+        )  # one for all repeats: it keeps what it has worked out
+        gains = [g for remade in self.sets if (g := _gain(trial, remade, found)) is not None]
+        if not gains:
+            return 1.0
+        return own_share(gain, float(np.mean(gains)), self.baseline.criteria)
+
+    def _remade(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> Remade | None:
+        problem, values = self.baseline.problem, self.baseline.fit.values
+        record, true_inputs, prepared = (
+            problem.records[index],
+            problem.coarse[index].u.copy(),
+            problem.coarse[index].u.copy(),
+        )
+        for column, signal in enumerate(problem.model.inputs):
+            noise = record.input_noise.get(signal.name, 0.0)
+            if signal.control and noise > 0.0:
+                true_inputs[:, column] = course(record, signal.name, true_inputs[:, column], noise, rng)
+                measured = true_inputs[:, column] + noise * rng.standard_normal(len(true_inputs))
+                prepared[:, column] = prepared_anew(record, signal.name, measured, noise, self.baseline)
+        outputs = flyer.observed(index, rng, problem.driven(problem.grids[index].with_inputs(true_inputs), values))
+        modelled = problem.modelled(index, values, self.baseline.fit.locals[index], inputs=prepared)
+        if outputs is None or modelled is None:
+            return None
+        return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - modelled))
+
+
+def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit) -> float | None:
+    """What a fitted hypothesis gains on one set made anew (twice a log-likelihood); None where its motion runs away."""
+    total = 0.0
+    for index, record in enumerate(remade):
+        outputs = problem.modelled(index, found.values, found.locals[index], inputs=record.inputs)
+        if outputs is None:
+            return None
+        total += record.energy - problem.whiteners[index].energy(record.outputs - outputs)
+    return total
+
+
+def own_share(gain: float, without: float, criteria: Criteria) -> float:
+    """The share of a gain that is the effect's own, within 0 to 1. without: what is gained where the effect is not."""
+    by_noise = max(0.5 * (gain + without), 0.0)
+    share = 0.5 * (gain - without) - criteria.control_noise_known * by_noise
+    return float(np.clip(share / gain, 0.0, 1.0))
+
+
+def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:
+    """(N,) a course that a control may have taken: as prepared, with one draw of what that leaves open; by its steps, where the
+    measured values stand with all of their noise, without it."""
+    raw = record.raw.get(name)
+    draws = record.wrong.get(name)
+    error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
+    if raw is None or not raw.any():
+        return np.asarray(prepared + error)
+    smooth = denoise_many([prepared], noise=noise)[0].values
+    return np.where(raw, smooth, prepared + error)
+
+
+def prepared_anew(record: FlightRecord, name: str, measured: Array, noise: float, baseline: Baseline) -> Array:
+    """(N,) a measured control without its noise, by its steps as measured where the record's own is."""
+    smooth = denoise_many([measured], noise=noise)[0].values
+    raw = record.raw.get(name)
+    if raw is None or not raw.any():
+        return smooth
+    interval = float(np.median(np.diff(record.time)))
+    return with_raw_steps(smooth, measured, noise, baseline.criteria.surface_step, interval)[0]

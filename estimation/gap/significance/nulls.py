@@ -1,0 +1,250 @@
+"""What the whole chain shows when nothing is hidden: the fitted baseline flown again, many times.
+
+Each null flies the fitted model through the recorded inputs with process noise of the strength found in these flights,
+adds sensor noise to the outputs, takes the inputs as a de-noised noisy measurement of the true ones, and is analysed by
+the same linear algebra as the flights. Thresholds, floors and inflation factors come from here; none is assumed.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
+from estimation.gap.fit.spectra import ON_FORCES, NoiseModel, NoisePart, NoiseSource, linear_motion
+from estimation.gap.fit.surface_steps import find_surface_steps
+from estimation.gap.random_streams import Stream
+from estimation.gap.records.candidate_model import DISTURBANCE, RATE_OF
+from estimation.gap.records.flight_records import FlightRecord
+from estimation.models.base import Model
+
+SMOOTHED = 0.25  # of a frequency, to either side of it: the spectrum of errors falls slowly
+
+
+@dataclass(frozen=True)
+class InputErrors:
+    """What de-noising leaves wrong in the inputs of one record: name -> (realisations, N)."""
+
+    bank: Mapping[str, Array]
+
+    @property
+    def count(self) -> int:
+        """How many courses there are; of every input as many."""
+        return min((len(courses) for courses in self.bank.values()), default=0)
+
+    def course(self, names: Sequence[str], number: int) -> Array:
+        """(N, names) one course of the errors of all inputs, zero where an input has none."""
+        zeros = np.zeros(next(iter(self.bank.values())).shape[1])
+        return np.column_stack([self.bank[n][number] if n in self.bank else zeros for n in names])
+
+
+def with_errors(
+    records: Sequence[FlightRecord], model: Model, errors: Sequence[InputErrors]
+) -> tuple[FlightRecord, ...]:
+    """The records with the spectra of what is wrong with their controls, as the nulls have it."""
+    controls = [s.name for s in model.inputs if s.control]
+    return tuple(
+        replace(r, left={n: spectrum(e.bank[n]) for n in controls if n in e.bank})
+        for r, e in zip(records, errors, strict=True)
+    )
+
+
+def spectrum(courses: Array) -> Array:
+    """(frequencies,) variance per sample of random courses (many, N), smoothed over a share of the frequency to either side."""
+    power = np.mean(np.abs(np.fft.rfft(courses, axis=1)) ** 2, axis=0) / courses.shape[1]
+    bins = np.arange(power.size)
+    reach = np.maximum(1, np.round(SMOOTHED * bins)).astype(int)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    low, high = np.maximum(bins - reach, 0), np.minimum(bins + reach + 1, power.size)
+    return np.asarray((total[high] - total[low]) / (high - low))
+
+
+def input_errors(record: FlightRecord, model: Model, rng: np.random.Generator) -> InputErrors:
+    """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
+    bank = {}
+    for signal in model.inputs:
+        sigma, draws = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
+        if draws is None or (sigma <= 0.0 and not draws.any()):
+            continue
+        raw = record.raw.get(signal.name, np.zeros(draws.shape[1], dtype=bool))
+        bank[signal.name] = np.where(raw, sigma * rng.standard_normal(draws.shape), np.asarray(draws, float))
+    return InputErrors(bank)
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """What a fitted model makes of one record: outputs (N, ny) from its inputs, and changes (courses, N, ny) with each course of
+    errors in those."""
+
+    outputs: Array
+    changes: Array
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """(N, ny) outputs from inputs with one course of errors, of either sign: they are small, so that what they do changes its
+        sign with them."""
+        if not len(self.changes):
+            return self.outputs
+        sign, number = 2.0 * rng.integers(2) - 1.0, rng.integers(len(self.changes))
+        return np.asarray(self.outputs + sign * self.changes[number])
+
+
+@dataclass(frozen=True)
+class NullFlyer:
+    """Flies nulls of one fitted model. modelled: per record, None where the model runs away on it. jumps: per record sample,
+    output column and standard deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the
+    input column that does it. driven: per record, its inputs as the fit has them, with the middles between samples. intervals:
+    per record, between its samples [s]."""
+
+    problem: LikelihoodProblem
+    fit: ModelFit
+    noise: NoiseModel
+    modelled: tuple[Modelled | None, ...]
+    jumps: tuple[tuple[NDArray[np.int64], NDArray[np.int64], Array], ...]
+    states: Mapping[str, int]
+    driven: tuple[Segment, ...]
+    intervals: tuple[float, ...]
+
+    @classmethod
+    def build(
+        cls, problem: LikelihoodProblem, fit: ModelFit, noise: NoiseModel, errors: Sequence[InputErrors]
+    ) -> "NullFlyer":
+        names = problem.model.input_names
+        disturbed = {part.of for part in noise.process if part.source in ON_FORCES}
+        states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
+        jumps = []
+        outputs = {n: i for i, n in enumerate(problem.model.output_names)}
+        for segment in problem.coarse:
+            linear = linear_motion(problem.model, problem.simulator, segment, fit.values)
+            steps = find_surface_steps(problem.model, linear, segment, problem.criteria)
+            is_jump = np.array([n in steps.jumping for n in steps.name], dtype=bool)
+            column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
+            jumps.append((steps.at[is_jump], column, (steps.step * steps.spread(noise.freedom))[is_jump]))
+        modelled = tuple(_modelled(problem, fit, i, errors[i]) for i in range(len(problem.records)))
+        inputs = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
+        intervals = tuple(float(np.median(np.diff(segment.time))) for segment in problem.coarse)
+        return cls(problem, fit, noise, modelled, tuple(jumps), states, inputs, intervals)
+
+    def fly(self, index: int, rng: np.random.Generator) -> Array | None:
+        """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
+        modelled = self.modelled[index]
+        observed = None if modelled is None else self.observed(index, rng, self.driven[index])
+        return None if observed is None or modelled is None else observed - modelled.draw(rng)
+
+    def observed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array | None:
+        """(N, ny) measured outputs of one null of one record, NaN where the record has none; None where it diverges. driven: its
+        inputs with the middles between samples."""
+        problem, local = self.problem, self.fit.locals[index]
+        coarse, interval = problem.coarse[index], self.intervals[index]
+        shaken = driven.u.copy()
+        self._loosen_surfaces(shaken, rng)
+        self._disturb(shaken, 0.5 * interval, rng)
+        motion = problem.simulator.run_by_middles(
+            replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0
+        )
+        if not motion.finite:
+            return None
+        louder = problem.records[index].louder
+        noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * rng.standard_normal(
+            coarse.z.shape
+        )
+        self._wander(noise, interval, rng)
+        samples, output, size = self.jumps[index]
+        np.add.at(noise, (samples, output), size * rng.standard_normal(size.size))
+        observed = motion.y + noise
+        observed[~np.isfinite(coarse.z)] = np.nan
+        return np.asarray(observed)
+
+    def _wander(self, noise: Array, h: float, rng: np.random.Generator) -> None:
+        """Add what filtered attitudes do to the noise of the outputs (N, ny), h [s] apart: gyro noise and its integral, slow
+        wandering."""
+        outputs, process, count = self.problem.model.output_names, self.noise.process, len(noise)
+        memory = self.problem.criteria.filter_memory
+        for c, name in enumerate(outputs):
+            strength = process.get(NoisePart(NoiseSource.WANDERING, name), 0.0)
+            if strength > 0.0:  # density strength h on the rate
+                noise[:, c] += _forgetting(np.sqrt(strength) * rng.standard_normal(count), h, memory, rng)
+            strength = process.get(NoisePart(NoiseSource.GYRO, name), 0.0)
+            if strength > 0.0:
+                white = np.sqrt(strength) * rng.standard_normal(count)
+                noise[:, outputs.index(RATE_OF[name])] += white
+                noise[:, c] += _forgetting(0.5 * (white + np.concatenate([white[:1], white[:-1]])), h, memory, rng)
+
+    def _loosen_surfaces(self, u: Array, rng: np.random.Generator) -> None:
+        """Move the controls' mid-interval values (odd rows of (2N - 1, nu)) at random between their neighbours."""
+        for j, signal in enumerate(self.problem.model.inputs):
+            if signal.control:
+                step = u[2::2, j] - u[:-2:2, j]
+                freedom = self.noise.freedom.get(signal.name, self.problem.criteria.surface_freedom)
+                u[1::2, j] += freedom * rng.standard_normal(step.size) * step
+
+    def _disturb(self, u: Array, h: float, rng: np.random.Generator) -> None:
+        """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu), h [s] apart."""
+        at_work = [
+            (part, strength)
+            for part, strength in self.noise.process.items()
+            if part.source in ON_FORCES and part.of in self.states
+        ]
+        white = rng.standard_normal((len(at_work), len(u)))
+        for memory in dict.fromkeys(part.memory for part, _ in at_work):
+            group = [i for i, (part, _) in enumerate(at_work) if part.memory == memory]
+            slow = _slow(white[group], h, memory) if memory else np.zeros((len(group), len(u)))
+            for i, course in zip(group, slow, strict=True):
+                part, strength = at_work[i]
+                # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
+                disturbance = course if part.source is NoiseSource.TWIST else white[i] - course
+                u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * disturbance
+
+
+def _modelled(problem: LikelihoodProblem, fit: ModelFit, index: int, errors: InputErrors) -> Modelled | None:
+    """Courses of errors with which the model runs away are left out."""
+    local, coarse = fit.locals[index], problem.coarse[index]
+    nominal = problem.modelled(index, fit.values, local)
+    if nominal is None:
+        return None
+    names = problem.model.input_names
+    perturbed = (
+        problem.modelled(index, fit.values, local, inputs=coarse.u + errors.course(names, number))
+        for number in range(errors.count)
+    )
+    changes = [outputs - nominal for outputs in perturbed if outputs is not None]
+    return Modelled(nominal, np.array(changes).reshape(len(changes), *coarse.z.shape))
+
+
+def _slow(white: Array, h: float, tau: float) -> Array:
+    """First-order low-pass of time constant tau [s] of courses (many, N), started in its steady state of no motion."""
+    a = np.exp(-h / tau)
+    return np.asarray(lfilter([1 - a], [1, -a], white, axis=-1))
+
+
+def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) -> Array:
+    """A sampled rate (N,) integrated over steps h [s] with the forgetting of an attitude filter (time constant `memory` [s]),
+    begun in its steady state."""
+    keep = float(np.exp(-h / memory))
+    begin = float(np.std(rate)) * h / np.sqrt(1.0 - keep**2) * rng.standard_normal()
+    drive = h * rate
+    drive[0] = begin
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive))
+
+
+def fly_nulls(
+    flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None] = lambda done: None
+) -> list[tuple[Array, ...]]:
+    """`count` nulls, each a tuple of residuals per record. The same seed gives the same nulls in any process."""
+    return list(_nulls(flyer, count, seed, tell))
+
+
+def _nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None]) -> Iterator[tuple[Array, ...]]:
+    finished = 0
+    for number in range(2 * count):
+        if finished == count:
+            return
+        rng = Stream.NULLS.generator(seed, number)
+        residuals = [flyer.fly(i, rng) for i in range(len(flyer.problem.records))]
+        if all(r is not None for r in residuals):
+            finished += 1
+            tell(finished)
+            yield tuple(r for r in residuals if r is not None)
