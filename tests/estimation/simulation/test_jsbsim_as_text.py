@@ -187,7 +187,7 @@ def test_a_text_that_is_another_is_not_written(monkeypatch: pytest.MonkeyPatch, 
         shifted = found.model.with_starts(Cl_p=found.model.parameter("Cl_p").start * (1 + 1e-7))
         return conversion.Imported(shifted, found.held, found.standard, found.own, found.tables)
 
-    monkeypatch.setattr(conversion, "imported", wrong)
+    monkeypatch.setattr(conversion, "import_aircraft", wrong)
     with pytest.raises(SimulationError, match="another Cl than JSBSim"):
         import_from_jsbsim("jsbsim:c172p", tmp_path / "own.toml")
 
