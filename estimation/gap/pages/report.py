@@ -4,7 +4,8 @@ import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from markupsafe import Markup
 
 from estimation.gap.answer.result import EffectStep, GapResult, Histories
 from estimation.gap.answer.shape import ShapeCurve
@@ -16,9 +17,6 @@ from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_a
 from estimation.report.flight_tables import notes_table
 from estimation.report.names import axis_label, face
 from estimation.report.page import Page, Part, Section, box, paragraph
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 BAND = "#9db4c4"
 TITLES = {
@@ -107,8 +105,8 @@ def _step_parts(step: EffectStep, verdict: str) -> list[Part]:
         practical = step.practical if step.practical.startswith("matters") else f"is {step.practical}"
         parts.append(paragraph(f"In flight-simulator tolerances it {practical}."))
     if step.absorbed is not None:
-        share = f"{100 * step.absorbed:.0f} % of its signature"
-        parts.append(paragraph(f"The base's own derivatives can take over {share}."))
+        takeover = Markup("The base's own derivatives can take over {} % of its signature.")
+        parts.append(paragraph(takeover.format(f"{100 * step.absorbed:.0f}")))
     if isinstance(step.shape, ShapeCurve):
         parts.append(curve_figure(step.shape))
     return [
@@ -121,7 +119,7 @@ def _step_parts(step: EffectStep, verdict: str) -> list[Part]:
     ]
 
 
-def _stages(result: GapResult) -> "Markup":
+def _stages(result: GapResult) -> Markup:
     stages = "; ".join(f"{view.stage}: {view.gap:.2f}" for view in result.views)
     return paragraph(
         f"{stages} times the measurement noise. Frozen at what was believed before the flights the disagreement stands where it"
@@ -129,9 +127,7 @@ def _stages(result: GapResult) -> "Markup":
     )
 
 
-def _lineage(result: GapResult) -> "Markup":
-    from markupsafe import Markup
-
+def _lineage(result: GapResult) -> Markup:
     before, after = result.model_before, result.model_after
     line = Markup("{} (<code>{}</code>) &rarr; {} (<code>{}</code>)")
     return paragraph(line.format(before.name, before.digest, after.name, after.digest))
@@ -154,10 +150,8 @@ def _of_flight(note: str) -> tuple[str, str]:
     return (flight, text) if separator else ("all", note)
 
 
-def typeset(equation: str) -> "Markup":
+def typeset(equation: str) -> Markup:
     """C_nβ and the like with their subscripts lowered."""
-    from markupsafe import Markup
-
     return Markup(re.sub(r"_([^\s_()|*+−=,;/]+)", r"<sub>\1</sub>", str(Markup.escape(equation))))
 
 
