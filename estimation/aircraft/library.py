@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from daq.contract.input_files import read_text
 from daq.contract.plain_words import meant
 from estimation.aircraft.aircraft import Aircraft
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError
-from groundstation.flight import AIRCRAFT_FILE, Flight
+
+if TYPE_CHECKING:
+    from groundstation.flight import Flight
 
 BUILT_IN_FOLDER = Path(__file__).parent
 
@@ -34,12 +37,14 @@ def load_aircraft(name_or_path: str | Path) -> Aircraft:
     return aircraft_from_text(read_text(path, "file", AircraftError), str(path), path.stem)
 
 
-def aircraft_of(flights: Sequence[Flight], given: str | Path | Aircraft | None = None) -> Aircraft:
+def aircraft_of(flights: "Sequence[Flight]", given: str | Path | Aircraft | None = None) -> Aircraft:
     """The aircraft of all flights; `given`, one, a built-in name or a file, goes before what they say themselves.
 
     Raises AircraftError with the way out where a flight names none, or one that is neither built in nor carried, or where
     the flights are of different aircraft.
     """
+    from groundstation.flight import AIRCRAFT_FILE
+
     if isinstance(given, Aircraft):
         return given
     if given is not None:
@@ -63,7 +68,9 @@ def aircraft_of(flights: Sequence[Flight], given: str | Path | Aircraft | None =
     return aircraft_from_text(carried_files[0], f"aircraft carried by {flights[0].name}", names[0])
 
 
-def _check_named(flight: Flight) -> None:
+def _check_named(flight: "Flight") -> None:
+    from groundstation.flight import AIRCRAFT_FILE
+
     name, built_in_names = flight.provenance.aircraft, ", ".join(built_in_aircraft())
     if not name:
         raise AircraftError(
