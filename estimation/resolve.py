@@ -10,14 +10,14 @@ from pathlib import Path
 
 from daq.contract.plain_words import comma_separated
 from estimation.aircraft import Aircraft, unknown_aircraft
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Estimator
 from estimation.estimators.registry import find_estimator
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
 from estimation.prepare.stretches import flights_of_segments, select_segments, unique_names
-from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, settled
+from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, motion_settled
 from groundstation.flight import Flight, read_flight
 
 Flights = Flight | str | Path | Sequence[Flight | str | Path]
@@ -108,7 +108,7 @@ def _on_simulation(
     attached = attach(spec, str(model), flights, aircraft, free)
     if free is Free.DERIVATIVES:
         return estimated_about_its_motion(attached)
-    return settled(attached) if free is Free.NOTHING else attached
+    return motion_settled(attached) if free is Free.NOTHING else attached
 
 
 def with_initial_states(model: Model, hold: Names, free: Names) -> Model:

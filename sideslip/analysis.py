@@ -26,7 +26,7 @@ def analyse(
     from estimation.analysis.run import Given, analyse_flights
     from estimation.analysis.stages import Stages, digest
     from estimation.prepare.stretches import unique_names
-    from estimation.report.markup.html import software
+    from estimation.report.page import software
 
     logs = [logs] if isinstance(logs, str | Path) else list(logs)
     mapping = None if mapping is None else Path(mapping)
@@ -40,8 +40,10 @@ def analyse(
         imported.append(_imported(number, Path(path), mapping, aircraft, extra, stages))
     flights = unique_names([flight for flight, _, _ in imported])
     key = digest([k for _, k, _ in imported])
-    given = Given(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported))
-    return analyse_flights(given, aircraft, digest(extra[1:]), stages, tell)
+    imported_flights = Given(
+        tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported)
+    )
+    return analyse_flights(imported_flights, aircraft, digest(extra[1:]), stages, tell)
 
 
 def _content(path: Path | None) -> str:

@@ -70,11 +70,11 @@ def _opening(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         bound = signature.bind(*args, **kwargs)
         for name in FLIGHTS:
-            given = bound.arguments.get(name)
-            if isinstance(given, str | Path):
-                bound.arguments[name] = open(given)
-            elif isinstance(given, list | tuple):
-                bound.arguments[name] = [open(f) if isinstance(f, str | Path) else f for f in given]
+            argument = bound.arguments.get(name)
+            if isinstance(argument, str | Path):
+                bound.arguments[name] = open(argument)
+            elif isinstance(argument, list | tuple):
+                bound.arguments[name] = [open(f) if isinstance(f, str | Path) else f for f in argument]
         return function(*bound.args, **bound.kwargs)
 
     return called

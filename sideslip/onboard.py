@@ -25,10 +25,9 @@ WANTED = 0.05  # bound to be reached, as a share of a derivative; only for the w
 
 
 def answer_of(state: LiveState) -> CompanionReply:
-    """What is told of a state."""
-    known = state.estimates.derivatives
-    told = {n: (known[n].estimate, known[n].std) for n in NAMES if known[n].told}
-    return CompanionReply(state.time, told, short_line(state))
+    derivatives = state.estimates.derivatives
+    told_derivatives = {n: (derivatives[n].estimate, derivatives[n].std) for n in NAMES if derivatives[n].told}
+    return CompanionReply(state.time, told_derivatives, short_line(state))
 
 
 def answers(source: BinaryIO, sink: BinaryIO) -> None:

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from estimation.answers.answer import Answer, Rows
-from estimation.report.tables import pair
+from markupsafe import Markup
 
-HERE = Path(__file__).parent
+from estimation.answers.answer import Answer, Rows
+from estimation.report.tables import value_and_bound
+
 SHOWN = 10
 """Derivatives in the sentence."""
 
@@ -45,7 +46,7 @@ class Analysis(Answer):
         rows = []
         for name, p in parameters_of(self.content["estimate"]).items():
             if p.get("estimate") is not None:
-                value, bound = pair(p["estimate"], p["std_coloured"])
+                value, bound = value_and_bound(p["estimate"], p["std_coloured"])
                 rows.append((name, value, bound, "" if p.get("identifiable") else str(p.get("why", "cannot tell"))))
         return rows
 
@@ -70,39 +71,50 @@ class Analysis(Answer):
         return axes
 
     def report(self, folder: str | Path) -> Path:
-        from estimation.report.markup.html import write_page
+        """Write the page whose first screen is the answer; gives its path."""
+        from estimation.report.page import Page, Section, box, bullets, paragraph
         from estimation.report.tables import ReportTable
 
-        head, rows = self.rows()
         c = self.content
-        stretches = tuple((s["flight"], s["by"], f"{s['from']:.2f}", f"{s['to']:.2f}") for s in c["stretches"])
-        modes = tuple((m["flight"], m["mode"], f"{m['from']:.2f}", f"{m['to']:.2f}") for m in c["modes"])
-        without_aircraft = c.get("without_aircraft") or {}
-        return write_page(
-            Path(folder) / "index.html",
-            "analysis.html.j2",
-            templates=HERE,
-            title=f"Analysis of {', '.join(f['name'] for f in c['flights'])}",
-            lead="",
-            analysis=c,
-            passed=self.passed,
-            pages=self.pages,
-            estimates=ReportTable("derivatives", "Derivatives", tuple(head), tuple(map(tuple, rows))),
-            stretches=ReportTable(
-                "stretches", "Stretches used", ("flight", "by", "from [s]", "to [s]"), stretches, symbols=False
-            ),
-            modes=ReportTable(
-                "modes", "Flight modes of the log", ("flight", "mode", "from [s]", "to [s]"), modes, symbols=False
-            ),
-            channels=ReportTable(
-                "channels",
-                "Where each channel comes from",
-                ("channel", "from", "kind", "rate [Hz]"),
-                _channels(c),
-                symbols=False,
-            ),
-            without=without_aircraft,
+        head, rows = self.rows()
+        derivatives = ReportTable("derivatives", "Derivatives", tuple(head), tuple(map(tuple, rows)))
+        spans = ("from [s]", "to [s]")
+        stretches = ReportTable(
+            "stretches", "Stretches used", ("flight", "by", *spans), _spans(c["stretches"], "by"), symbols=False
         )
+        modes = ReportTable(
+            "modes", "Flight modes of the log", ("flight", "mode", *spans), _spans(c["modes"], "mode"), symbols=False
+        )
+        origin = ("channel", "from", "kind", "rate [Hz]")
+        channels = ReportTable("channels", "Where each channel comes from", origin, _channels(c), symbols=False)
+        without = c.get("without_aircraft") or {}
+        answer = "Answer" if self.passed else "Answer: not to be used as it is"
+        twice = "What the log says twice, and differently"
+        contradictions = [_contradiction(found) for found in c["contradictions"]]
+        sections = [
+            Section("answer", answer, [box([paragraph(c["verdict"])])], "Answer"),
+            Section("next", "Next", [bullets(c["next"])]) if c["next"] else None,
+            Section("contradictions", twice, [bullets(contradictions)]) if contradictions else None,
+            Section("", "", [derivatives if rows else None]),
+            Section("gap", "What the model lacks", [box([paragraph(c["gap"]["text"])])]) if c["gap"] else None,
+            Section("without", "Without an aircraft file", [bullets(without["lines"])]) if without else None,
+            Section("used", "Stretches", [stretches], "Stretches") if stretches.rows else None,
+            Section("", "", [t for t in (modes, channels) if t.rows]),
+            Section("notes", "Notes", [bullets(c["notes"])]) if c["notes"] else None,
+            Section("", "", [paragraph(Markup('The same for a program: <a href="answer.json">answer.json</a>.'))]),
+        ]
+        title = f"Analysis of {', '.join(f['name'] for f in c['flights'])}"
+        links = [(href, name) for name, href in self.pages.items()]
+        return Page(title, "", sections, links).write(Path(folder) / "index.html")
+
+
+def _spans(entries: Sequence[Mapping[str, Any]], key: str) -> tuple[tuple[str, ...], ...]:
+    return tuple((e["flight"], e[key], f"{e['from']:.2f}", f"{e['to']:.2f}") for e in entries)
+
+
+def _contradiction(found: Mapping[str, Any]) -> str:
+    moves = f" (moves {found['moves']})" if found["moves"] else ""
+    return f"{found['flight']}: {found['text']}{moves}"
 
 
 def _channels(content: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
@@ -146,10 +158,10 @@ def verdict_of(estimate: Mapping[str, Any] | None, place: str, contradictions: S
     model, aircraft = estimate.get("model", ""), estimate.get("aircraft", "")
     stopping = [c["text"] for c in contradictions if c.get("stops")]
     if method == "none":
-        reason = str(recommendation.get("why") or estimate.get("status", "")) or "; ".join(stopping)
-        return f"No derivatives of {aircraft} are recommended ({model} {place}): {reason}"
+        why = str(recommendation.get("why") or estimate.get("status", "")) or "; ".join(stopping)
+        return f"No derivatives of {aircraft} are recommended ({model} {place}): {why}"
     values = [
-        f"{n} {' +- '.join(pair(p['estimate'], p['std_coloured']))}"
+        f"{n} {' +- '.join(value_and_bound(p['estimate'], p['std_coloured']))}"
         for n, p in parameters_of(estimate).items()
         if p.get("identifiable") and not n.endswith("_0")
     ]

@@ -148,8 +148,6 @@ def panels(ax: Any, count: int, size: tuple[float, float] | None = None) -> Any:
     return axes
 
 
-HERE = Path(__file__).parent
-
 Rows = tuple[Sequence[str], Iterable[Sequence[str]]]
 """Head and rows of a small table."""
 
@@ -192,21 +190,18 @@ class Answer(ABC):
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""
-        from estimation.report.markup.html import write_page
+        from markupsafe import Markup
+
+        from estimation.report.page import Page, Section
         from estimation.report.tables import ReportTable
 
         head, rows = self.rows()
         cells = tuple(tuple(str(cell) for cell in row) for row in rows)
-        return write_page(
-            Path(folder) / "index.html",
-            "answer.html.j2",
-            templates=HERE,
-            title=self.headline(),
-            lead="",
-            lines=list(self.lines()),
-            figures=list(self.figures().values()),
-            table=ReportTable("answer", "Numbers", tuple(head), cells, symbols=False),
-        )
+        table = ReportTable("answer", "Numbers", tuple(head), cells, symbols=False)
+        lines = Markup('<pre class="scroll">{}</pre>').format("".join(f"{line}\n" for line in self.lines()))
+        parts = [lines, *self.figures().values(), table if table.rows else None]
+        page = Page(self.headline(), "", [Section("summary", "Summary", parts, "Summary")])
+        return page.write(Path(folder) / "index.html")
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Ending of a file's name -> what writes it."""

@@ -73,7 +73,7 @@ def check(
 
 def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ...]":
     """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
-    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.aircraft.library import aircraft_of
     from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
     from groundstation.flight.findings import Finding
 
@@ -135,7 +135,7 @@ class Check(Answer):
 
     def to_json(self) -> dict[str, Any]:
         """As `check --json` has it: one entry a flight, and the joint factors where there are any."""
-        from estimation.report.compatibility_tables import fit_of
+        from estimation.report.check_page import fit_of
         from groundstation.flight.contradictions import contradictions
 
         entries, contradicted = [], []
@@ -178,7 +178,7 @@ class Check(Answer):
 
     def lines(self) -> Iterator[str]:
         from estimation.models.kinematic import STANDARD_FACTORS
-        from estimation.report.compatibility_tables import factor_lines, published_lines
+        from estimation.report.check_page import factor_lines, published_lines
         from estimation.report.published import is_of
 
         yield from factor_lines(self.named)
@@ -209,7 +209,7 @@ class Check(Answer):
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the table of factors as .csv, measured and reconstructed motion as a picture."""
-        from estimation.report.compatibility_tables import write_figure
+        from estimation.report.check_page import write_figure
 
         motion = [self.results[f.name].flights[0] for f in self.flights]
         pictures = picture_writers(lambda path: write_figure(motion, path))

@@ -266,12 +266,13 @@ class Estimates(Answer):
 
     def figures(self) -> Figures:
         """The figures of the report: derivatives over flights, histories, residuals, proof of match, ellipses."""
-        from estimation.report.page import estimate_figures
+        from estimation.report.estimate_page import estimate_figures
 
         return Figures(estimate_figures(self.session))
 
     def report(self, folder: str | Path) -> Path:
-        from estimation.report.page import write_estimate_report
+        """Write the HTML report; gives its page."""
+        from estimation.report.estimate_page import write_estimate_report
 
         return write_estimate_report(self.session, Path(folder))
 

@@ -28,14 +28,14 @@ def performance(
     aircraft's mass or area is.
     """
     from estimation.performance.polar import fitted
-    from estimation.performance.samples import together, usable
+    from estimation.performance.samples import all_stretches, usable
     from estimation.resolve import read_flights, which_aircraft
 
     read = read_flights(flights, segments)
     craft = which_aircraft(read, aircraft, needed=True)
     craft.need(("m", "S"), "performance")
-    usable_flights = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
-    return Performance(craft, usable_flights, fitted(together(usable_flights)))
+    used = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
+    return Performance(craft, used, fitted(all_stretches(used)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,7 +143,7 @@ class Performance(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Polar, sink and power required over speed with 95 % bands; gives the three axes."""
-        from estimation.performance.drawing import draw_performance
+        from estimation.performance.polar import draw_performance
 
         axes = panels(ax, 3, (6.0, 7.5))
         draw_performance(self.flights, self.polar, self.curve if self.passed else (), axes)
@@ -152,14 +152,14 @@ class Performance(Answer):
     def figures(self) -> Figures:
         from functools import partial
 
-        from estimation.performance.drawing import performance_picture
+        from estimation.performance.polar import performance_picture
 
         curve = self.curve if self.passed else ()
         return Figures({"performance": partial(performance_picture, self.flights, self.polar, curve)})
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the curve as .csv, the figure as a picture."""
-        from estimation.performance.drawing import write_performance
+        from estimation.performance.polar import write_performance
 
         curve = self.curve if self.passed else ()
         pictures = picture_writers(lambda path: write_performance(self.flights, self.polar, curve, path))

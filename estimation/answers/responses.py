@@ -42,7 +42,7 @@ def frequency(
     kind, category: class of a piloted aircraft and category of the flight phase, for levels. aircraft: whose mass decides
     whether levels apply. Raises a UserError where the input did not move, a column is missing or the flights are too short.
     """
-    from estimation.frequency.answer import answer
+    from estimation.frequency.answer import frequency_answer
     from estimation.frequency.forms import form_for
     from estimation.frequency.handling import Craft
     from estimation.frequency.response import ResponseOptions
@@ -57,12 +57,12 @@ def frequency(
     options = ResponseOptions(other_inputs, band, points, tuple(windows))
     read = read_flights(flights, segments)
     craft = _with_mass(craft_asked, read, aircraft)
-    return Response(answer(responded(read, input, output, options), form_name, craft), tuple(read))
+    return Response(frequency_answer(responded(read, input, output, options), form_name, craft), tuple(read))
 
 
 def _with_mass(craft: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
     """What is asked for, with the mass of the aircraft where it is known."""
-    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.aircraft.library import aircraft_of
     from estimation.errors import AircraftError
 
     try:
@@ -87,11 +87,11 @@ class Response(Answer):
         kind: class I to IV of a piloted aircraft, for levels; category: of the flight phase; mass: kg, by default that of the
         aircraft where it is known.
         """
-        from estimation.frequency.answer import answer
+        from estimation.frequency.answer import frequency_answer
         from estimation.frequency.handling import Craft
 
         craft = Craft(kind, category, self.answer.craft.mass if mass is None else mass)
-        return replace(self, answer=answer(self.answer.response, form, craft))
+        return replace(self, answer=frequency_answer(self.answer.response, form, craft))
 
     def to_json(self) -> dict[str, Any]:
         return self.answer.to_json()
@@ -113,9 +113,10 @@ class Response(Answer):
         )
 
     def lines(self) -> Iterator[str]:
-        from estimation.frequency.answer import lines
+        """What `sideslip frequency` prints."""
+        from estimation.frequency.answer import response_lines
 
-        return lines(self.answer)
+        return response_lines(self.answer)
 
     def plot(self, ax: Any = None) -> Any:
         """Magnitude [dB], phase [deg] and coherence over frequency; gives the three axes."""
@@ -129,7 +130,8 @@ class Response(Answer):
         return ax
 
     def report(self, folder: str | Path) -> Path:
-        from estimation.frequency.page import write_frequency_report
+        """Write the HTML page; gives its path."""
+        from estimation.frequency.answer import write_frequency_report
 
         return write_frequency_report(self.answer, self.flights, Path(folder))
 

@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from estimation.report.drawing.figures import Picture, picture, styled
-from estimation.report.markup.html import write_page
-from estimation.report.provenance import provenance_table
-from estimation.report.tables import ReportTable, significant, write_all
+from estimation.report.flight_tables import provenance_table
+from estimation.report.page import Page, Section, paragraph, sentence
+from estimation.report.tables import ReportTable, significant
 from estimation.watch.over_file import Watched
 from groundstation.flight import Flight
 
-HERE = Path(__file__).parent
 BEFORE_S, AFTER_S = 30.0, 20.0  # s about an alarm that are cut out for the gap workflow
 PAUSE_S = 2.0  # between two words of the monitor, beyond which no control moved and no line is drawn
 
@@ -45,20 +45,17 @@ def gap_command(path: Path, model: str, aircraft: str | None) -> str:
 
 def write_watch_report(found: Watched, folder: Path, command: str) -> Path:
     """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page."""
-    tables = {"alarms": _alarm_table(found), "provenance": provenance_table([found.flight])}
-    write_all(list(tables.values()), folder / "tables")
     head, *rest = lines(found)
-    return write_page(
-        folder / "index.html",
-        "watch.html.j2",
-        templates=HERE,
-        title=f"Gap monitor: {found.flight.name}",
-        lead=f"{head}.",
-        tables=tables,
-        figure=history_picture(found),
-        said=rest,
-        command=command if found.alarms else "",
-    )
+    alarms = _alarm_table(found)
+    sentences = [paragraph(sentence(line)) for line in rest]
+    follow = paragraph(Markup("Next: <code>{}</code>").format(command)) if command and found.alarms else None
+    sections = [
+        Section("watch_history", "Score", [history_picture(found)], "Score"),
+        Section("alarms", "Alarms", [*sentences, alarms if alarms.rows else None, follow], "Alarms"),
+        Section("provenance_of_flights", "Provenance", [provenance_table([found.flight])], "Provenance"),
+    ]
+    page = Page(f"Gap monitor: {found.flight.name}", f"{head}.", sections, beside=[alarms])
+    return page.write(folder / "index.html", folder / "tables")
 
 
 def history_picture(found: Watched) -> Picture:

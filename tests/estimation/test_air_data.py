@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.reconstruct import reconstruct
 from estimation.compatibility.air_data import AIR, AirData, airspeed_of, reconstruct_air, with_air
 from estimation.compatibility.air_filter import STATES, Assumptions, Nodes, Noise, _Chain
 from estimation.compatibility.air_nodes import fresh_samples
@@ -17,6 +16,7 @@ from firmware_sim.runs.direct import measured
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import RECONSTRUCTED, Flight, MissingColumnError, read_flight, write_flight
+from sideslip.verbs.reconstruct import reconstruct
 
 Columns = dict[str, np.ndarray]
 FIX_EVERY = 4  # samples: GNSS at 5 Hz beside the 20 Hz of the rest

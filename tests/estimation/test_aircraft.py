@@ -19,17 +19,17 @@ from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from estimation.aircraft import Aircraft, PriorDerivative, built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.aircraft.handbook import HandbookShape, beliefs, flap_effectiveness, lift_slope, wing_moment
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.aircraft.schema import aircraft_from_text
-from estimation.commands.aircraft import aircraft as verb
-from estimation.commands.estimate import estimate
-from estimation.commands.gap import gap
-from estimation.commands.match import match
 from estimation.errors import AircraftError, ModelError
 from estimation.models import load_model, write_model
 from estimation.session.aircraft_review import review_aircraft
 from groundstation.cli.import_log import import_
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
+from sideslip.verbs.aircraft import aircraft as verb
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.gap import gap
+from sideslip.verbs.match import match
 from tests.estimation.cessna import CESSNA_172, PUBLISHED, SHAPE
 
 FULL = "[geometry]\nspan = 2.0\narea = 0.5\nchord = 0.26\n[mass]\nmass = 3.0\nIxx = 0.2\nIyy = 0.15\nIzz = 0.3\n"

@@ -9,7 +9,6 @@ from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
-from estimation.commands.check import check
 from estimation.compatibility.correct import correct_flight
 from estimation.compatibility.problem import refuse_singular
 from estimation.compatibility.reconstruction import Compatibility, compatibility
@@ -17,6 +16,7 @@ from estimation.compatibility.records import attitude_errors, attitude_jumps
 from estimation.errors import EstimationError
 from estimation.models.kinematic import compatibility_model
 from groundstation.flight import Flight, MissingColumnError, write_flight
+from sideslip.verbs.check import check
 
 DEG = np.pi / 180
 NOISE = {

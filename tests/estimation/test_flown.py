@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.estimate import estimate
-from estimation.commands.match import match
 from estimation.errors import ModelError
 from estimation.models import load_model, write_model
 from estimation.models.load import read_model
 from estimation.session.proof_of_match import beyond_flown, flown_ranges
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.match import match
 
 LATERAL = load_model("lateral", "cdfp")
 

@@ -10,7 +10,6 @@ from click.testing import CliRunner, Result
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
 from estimation.errors import DataError, ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
@@ -23,6 +22,7 @@ from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 from groundstation.flight.findings import finding_texts
 from groundstation.flight.quality.repeats import repeats
+from sideslip.verbs.estimate import estimate
 
 LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]

@@ -10,13 +10,13 @@ from click.testing import CliRunner
 
 from daq.identification.live import LiveEstimator
 from estimation.aircraft.library import load_aircraft
-from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
 from estimation.models import load_model
 from estimation.models.base import Model, joint_model
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
+from sideslip.verbs.estimate import estimate
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 TRUE = {"Cl_beta": -0.0894, "Cl_p": -0.4951, "Cl_da": -0.0948, "Cn_beta": 0.0263, "Cn_r": -0.0472, "Cn_p": 0.0245}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.estimate import estimate
 from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
 from estimation.estimators.frequency_domain.estimate import FrequencyOptions, frequency_output_error
@@ -19,6 +18,7 @@ from estimation.models.base import InputTransform, Model, Parameter, Signal, joi
 from estimation.prepare.pipeline import prepare
 from estimation.signals.curves import finite_transform
 from groundstation.flight import Flight, read_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import STRONG, TRUE
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

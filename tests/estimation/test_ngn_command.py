@@ -11,12 +11,12 @@ from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
 from estimation.answers.estimates import read_truth
-from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.models import load_model
 from estimation.report.estimate_tables import mean_table
 from estimation.session import runner
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import TRUE
 
 

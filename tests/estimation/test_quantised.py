@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.check import check
-from estimation.commands.estimate import estimate
 from estimation.errors import DataError
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
@@ -21,6 +19,8 @@ from estimation.prepare.flight_data import Preparation
 from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.findings import FindingKind
+from sideslip.verbs.check import check
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import NOISE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")

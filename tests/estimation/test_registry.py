@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.estimators import registry
 from estimation.estimators.estimator import Estimator, Extra, Extras
 from estimation.estimators.registry import built_in, check_extras, estimator_names, find_estimator, listed_words
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "estimators.md").read_text()

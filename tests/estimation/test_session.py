@@ -11,8 +11,6 @@ from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
 from estimation.answers.estimates import session_lines
-from estimation.commands.estimate import estimate
-from estimation.commands.match import match
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
 from estimation.prepare.stretches import select_segments
@@ -21,6 +19,8 @@ from estimation.session.evidence import parameter_scatter
 from estimation.session.proof_of_match import predict_flight
 from estimation.signals.goodness_of_fit import autocorrelation, channel_fit
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.match import match
 from tests.estimation.truth import STRONG, TRUE
 
 LATERAL = load_model("lateral", "cdfp")

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
 from estimation.estimators import output_error as output_error_module
 from estimation.estimators.estimator import Estimator, Task
 from estimation.estimators.output_error import OutputErrorOptions, output_error
@@ -23,6 +22,7 @@ from estimation.session.evidence import driven_outputs, gain_of_filter
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY, verdict
 from groundstation.flight import Flight, MissingColumnError, write_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import NOISE, TRUE, Case, fly
 from tests.studies.verdict_study import JET_AIRCRAFT, JET_TRUE, jet_flights
 

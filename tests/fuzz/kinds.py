@@ -201,8 +201,8 @@ def _simulation(prefix: str) -> Reader:
     """A simulation asked at some states."""
 
     def read(path: Path, scratch: Path) -> object:
+        from estimation.simulation.attach import simulation_of
         from estimation.simulation.oracle import VARIABLES, States
-        from estimation.simulation.spec import simulation_of
 
         simulation = simulation_of(f"{prefix}{path}")
         rng = np.random.default_rng(1)

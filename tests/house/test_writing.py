@@ -22,8 +22,8 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("daq/contract/recordings/recovery.py", "open:wb"): GIVEN,
     ("daq/recorder/storage.py", "os.open:w"): "the card: segments that grow, unbuffered",
     ("daq/transport/signing.py", "write_text"): GIVEN,
-    ("estimation/campaign/workers/limits.py", "open:w"): "the null device",
-    ("estimation/campaign/workers/work.py", "write_bytes"): "a temporary folder, removed at once",
+    ("estimation/campaign/workers/in_process.py", "open:w"): "the null device",
+    ("estimation/campaign/workers/subjects.py", "write_bytes"): "a temporary folder, removed at once",
     ("estimation/engine/compiled.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/simulation/jsbsim/library.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/report/drawing/figures.py", "savefig"): "a picture in memory, and `save_figure`",
@@ -43,7 +43,7 @@ ALLOWED: dict[tuple[str, str], str] = {
         "NamedTemporaryFile",
     ): "runs by itself when the package is built, whole or not at all",
     ("daq/contract/link/dialect/build.py", "write_bytes"): "a temporary folder, removed at once",
-    ("sideslip/demo.py", "copyfile"): GIVEN,
+    ("sideslip/verbs/demo.py", "copyfile"): GIVEN,
     ("estimation/simulation/jsbsim/export.py", "copytree"): "a hidden folder that `replacing_folder` gave",
 }
 WRITERS = {

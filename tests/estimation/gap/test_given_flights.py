@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 import sideslip
-from estimation.commands.gap import gap as gap_verb
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
@@ -31,6 +30,7 @@ from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance, write_flight
 from groundstation.flight.quality.repeats import one_record_twice
+from sideslip.verbs.gap import gap as gap_verb
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
 

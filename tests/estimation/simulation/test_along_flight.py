@@ -11,9 +11,15 @@ from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model, write_model
 from estimation.session.proof_of_match import predict_flight
 from estimation.simulation import along_flight
-from estimation.simulation.attach import Free, attach, estimated_about_its_motion, renewed, settled
+from estimation.simulation.attach import (
+    Free,
+    attach,
+    estimated_about_its_motion,
+    motion_settled,
+    renewed_attachment,
+    simulation_of,
+)
 from estimation.simulation.oracle import VARIABLES, SimulationError, States
-from estimation.simulation.spec import simulation_of
 from groundstation.flight import Flight, Provenance, read_flight
 from tests.studies import second_truth as truth
 
@@ -104,7 +110,7 @@ def test_a_linear_simulation_moves_as_the_model_it_is(which: str, short: Flight,
     write_model(plain, tmp_path / "own.toml")
     told = attach(str(tmp_path / "own.toml"), which, [short], free=Free.NOTHING)
     exact = predict_flight(plain, short).predicted
-    for moving, share in ((told, 0.05), (renewed(told), 2e-3)):
+    for moving, share in ((told, 0.05), (renewed_attachment(told), 2e-3)):
         off = np.nanstd(predict_flight(moving.model, moving.flights[0]).predicted - exact, axis=0)
         assert (off < share * np.nanstd(exact, axis=0)).all()
     assert told.model.parameter("k_Cl" if which != "longitudinal" else "k_Cm").start == 1.0
@@ -151,7 +157,8 @@ def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(short: Fl
     first = attach(str(tmp_path / "cubic.toml"), "lateral", [short], free=Free.NOTHING)
     exact = predict_flight(cubic, short).predicted
     off = [
-        np.std(predict_flight(a.model, a.flights[0]).predicted - exact) for a in (first, renewed(first), settled(first))
+        np.std(predict_flight(a.model, a.flights[0]).predicted - exact)
+        for a in (first, renewed_attachment(first), motion_settled(first))
     ]
     assert np.std(exact) > 0.1
     assert off[0] > 0.01  # rad and rad/s, of what moves by tenths

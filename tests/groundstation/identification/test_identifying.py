@@ -23,8 +23,8 @@ from groundstation.live.watches import LandingLimits
 from groundstation.viewer import entities as e
 from groundstation.viewer.recorded import as_rrd
 from sideslip.chain import fly_scenario
-from sideslip.demo import DEMO_RADIO
 from sideslip.live_aircraft import live_aircraft
+from sideslip.verbs.demo import DEMO_RADIO
 from tests.groundstation.viewer.test_scene import entity_paths, scalars
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")
