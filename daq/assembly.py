@@ -10,13 +10,11 @@ from datetime import UTC, datetime
 
 from daq.acquisition.air_truth import AirTruth
 from daq.acquisition.sampler import Sampler
-from daq.actuation.actuation import Actuation, output_of
-from daq.actuation.devices import AutopilotPort, Devices
+from daq.actuation.actuation import Actuation, AutopilotPort, Devices, output_of
 from daq.actuation.pwm.heartbeat import HeartbeatLine
 from daq.actuation.servos import plan_of
 from daq.clock import Clock
-from daq.companion.config import IdentificationConfig
-from daq.companion.process import Companion
+from daq.companion.process import Companion, IdentificationConfig
 from daq.config import LoggerConfig, read_aircraft, read_calibration
 from daq.contract.channels import CHANNELS
 from daq.contract.manoeuvre import load_manoeuvre

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
-from daq.companion.config import IdentificationConfig
+from daq.companion.process import IdentificationConfig
 from daq.contract.errors import UserError
 from daq.contract.input_files import parse_toml, read_text
 from daq.recorder.config import RecorderConfig

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from estimation.aircraft import Aircraft, load_aircraft
-    from estimation.engine.data import Preparation
     from estimation.engine.simulate import simulate, simulate_with_sensitivities
     from estimation.estimators.estimator import Estimator, Extra, Look, Task
     from estimation.estimators.gauss_newton import LoopOptions
@@ -26,30 +25,20 @@ if TYPE_CHECKING:
         read_model,
         write_model,
     )
+    from estimation.prepare.flight_data import Preparation
 
 _HOMES = {
-    "Aircraft": "estimation.aircraft",
-    "load_aircraft": "estimation.aircraft",
-    "Preparation": "estimation.engine.data",
-    "simulate": "estimation.engine.simulate",
-    "simulate_with_sensitivities": "estimation.engine.simulate",
-    "LoopOptions": "estimation.estimators.gauss_newton",
-    "OutputErrorOptions": "estimation.estimators.output_error",
-    "output_error": "estimation.estimators.output_error",
-    "Estimator": "estimation.estimators.estimator",
-    "Extra": "estimation.estimators.estimator",
-    "Look": "estimation.estimators.estimator",
-    "Task": "estimation.estimators.estimator",
-    "Result": "estimation.estimators.result",
-    "InputTransform": "estimation.models",
-    "Model": "estimation.models",
-    "Parameter": "estimation.models",
-    "ParameterRole": "estimation.models",
-    "Signal": "estimation.models",
-    "load_model": "estimation.models",
-    "read_model": "estimation.models",
-    "write_model": "estimation.models",
-}
+    "estimation.aircraft": ("Aircraft", "load_aircraft"),
+    "estimation.prepare.flight_data": ("Preparation",),
+    "estimation.engine.simulate": ("simulate", "simulate_with_sensitivities"),
+    "estimation.estimators.gauss_newton": ("LoopOptions",),
+    "estimation.estimators.output_error": ("OutputErrorOptions", "output_error"),
+    "estimation.estimators.estimator": ("Estimator", "Extra", "Look", "Task"),
+    "estimation.estimators.result": ("Result",),
+    "estimation.models": (
+        "InputTransform", "Model", "Parameter", "ParameterRole", "Signal", "load_model", "read_model", "write_model",
+    ),
+}  # fmt: skip
 __all__ = [
     "Aircraft", "Estimator", "Extra", "InputTransform", "Look", "LoopOptions", "Model", "OutputErrorOptions", "Parameter",
     "ParameterRole", "Preparation", "Result", "Signal", "Task", "load_aircraft", "load_model", "output_error", "read_model",
@@ -58,8 +47,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        import importlib
+    for module, names in _HOMES.items():
+        if name in names:
+            import importlib
 
-        return getattr(importlib.import_module(_HOMES[name]), name)
+            return getattr(importlib.import_module(module), name)
     raise AttributeError(f"module 'estimation' has no attribute {name!r}")

@@ -12,35 +12,35 @@ MISTAKES = (
 """What a mistake in somebody's own module or class raises."""
 
 
-def named(text: str, what: str, example: str, error: type[EstimationError] = EstimationError) -> object:
+def import_named(text: str, what: str, example: str, error: type[EstimationError] = EstimationError) -> object:
     """What `module:NAME` names. what: begins the sentence of the error that is raised where there is no such thing;
     example: as it is written.
     """
     module_name, _, name = text.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), name)):
         raise error(f"{what}: write it as {example}")
-    here = str(Path.cwd())
-    added = here not in sys.path
-    if added:
-        sys.path.insert(0, here)
+    folder = str(Path.cwd())
+    inserted = folder not in sys.path
+    if inserted:
+        sys.path.insert(0, folder)
     try:
         module = importlib.import_module(module_name)
     except MISTAKES as mistake:
-        raise error(f"{what}: cannot import {module_name}: {said(mistake)}") from mistake
+        raise error(f"{what}: cannot import {module_name}: {mistake_text(mistake)}") from mistake
     finally:
-        if added:
-            sys.path.remove(here)
+        if inserted:
+            sys.path.remove(folder)
     if not hasattr(module, name):
         raise error(f"{what}: {module_name} has no {name!r}")
     return getattr(module, name)
 
 
-def said(error: Exception) -> str:
+def mistake_text(error: Exception) -> str:
     """An error of somebody's Python text, with its place where that is known."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    where = (
+    place = (
         f" (line {error.lineno})" if isinstance(error, SyntaxError) else f" (line {trace.tb_lineno})" if trace else ""
     )
-    return f"{type(error).__name__}: {error}{where if not isinstance(error, ImportError) else ''}"
+    return f"{type(error).__name__}: {error}{place if not isinstance(error, ImportError) else ''}"

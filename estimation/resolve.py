@@ -10,14 +10,14 @@ from pathlib import Path
 
 from daq.contract.plain_words import comma_separated
 from estimation.aircraft import Aircraft, unknown_aircraft
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Estimator
-from estimation.estimators.registry import find
+from estimation.estimators.registry import find_estimator
 from estimation.models import Model, load_model
 from estimation.models.load import asks_for_aircraft, check_model
-from estimation.session.flights import select_segments, separated, unique_names
-from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, settled
+from estimation.prepare.stretches import flights_of_segments, select_segments, unique_names
+from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, motion_settled
 from groundstation.flight import Flight, read_flight
 
 Flights = Flight | str | Path | Sequence[Flight | str | Path]
@@ -59,8 +59,8 @@ def resolve(
     `with_initial_states`. Raises a UserError of one sentence for what cannot be found or does not fit; what is mistyped in
     methods or model, before a flight is read.
     """
-    chosen = tuple(dict.fromkeys(comma_separated(methods)))
-    estimators = [find(name) for name in chosen]
+    method_names = tuple(dict.fromkeys(comma_separated(methods)))
+    estimators = [find_estimator(name) for name in method_names]
     if isinstance(model, str | Path):
         check_model(str(model))
     read = read_flights(flights, segments, each_segment=each_segment)
@@ -70,14 +70,16 @@ def resolve(
     else:
         craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
         loaded, notes = load_model(model, craft), ()
-    return ResolvedCall(with_initial_states(loaded, hold_initial, free_initial), craft, tuple(read), chosen, notes)
+    return ResolvedCall(
+        with_initial_states(loaded, hold_initial, free_initial), craft, tuple(read), method_names, notes
+    )
 
 
 def read_flights(flights: Flights, segments: str | None = None, *, each_segment: bool = False) -> list[Flight]:
     """Flights that are given as such or as files, the stretches `segments` of each, with names of their own."""
-    given = as_listed(flights)
-    read = [select_segments(f if isinstance(f, Flight) else read_flight(f), segments) for f in given]
-    return unique_names([part for f in read for part in separated(f)] if each_segment else read)
+    listed = as_listed(flights)
+    read = [select_segments(f if isinstance(f, Flight) else read_flight(f), segments) for f in listed]
+    return unique_names([part for f in read for part in flights_of_segments(f)] if each_segment else read)
 
 
 def as_listed(flights: Flights) -> list[Flight | str | Path]:
@@ -106,7 +108,7 @@ def _on_simulation(
     attached = attach(spec, str(model), flights, aircraft, free)
     if free is Free.DERIVATIVES:
         return estimated_about_its_motion(attached)
-    return settled(attached) if free is Free.NOTHING else attached
+    return motion_settled(attached) if free is Free.NOTHING else attached
 
 
 def with_initial_states(model: Model, hold: Names, free: Names) -> Model:
@@ -116,8 +118,8 @@ def with_initial_states(model: Model, hold: Names, free: Names) -> Model:
     """
     values: dict[str, float] = {}
     names: dict[str, list[str]] = {}
-    for option, given in (("--hold-initial", hold), ("--free-initial", free)):
-        words = comma_separated(given)
+    for option, option_text in (("--hold-initial", hold), ("--free-initial", free)):
+        words = comma_separated(option_text)
         names[option] = list(model.state_names) if words == ("all",) else [w for w in words if "=" not in w]
         for name, _, number in (w.partition("=") for w in words if "=" in w):
             try:
@@ -126,9 +128,9 @@ def with_initial_states(model: Model, hold: Names, free: Names) -> Model:
                 raise EstimationError(f"{option} {name}={number}: not a number; write it like phi=0.02") from None
             if option == "--free-initial" or not math.isfinite(values[name.strip()]):
                 raise EstimationError(f"{option} {name}={number}: a value is for --hold-initial, and finite")
-    held, freed = names["--hold-initial"], names["--free-initial"]
-    if both := sorted({*held, *values} & set(freed)):
-        raise EstimationError(f"{both[0]} is named by --hold-initial and --free-initial: choose one")
-    if held or values:
-        model = model.with_initial(*held, held=True, values=values)
-    return model.with_initial(*freed, held=False) if freed else model
+    held_names, freed_names = names["--hold-initial"], names["--free-initial"]
+    if contradictory := sorted({*held_names, *values} & set(freed_names)):
+        raise EstimationError(f"{contradictory[0]} is named by --hold-initial and --free-initial: choose one")
+    if held_names or values:
+        model = model.with_initial(*held_names, held=True, values=values)
+    return model.with_initial(*freed_names, held=False) if freed_names else model

@@ -22,13 +22,13 @@ def one_thread() -> Iterator[None]:
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
-    added = [name for name in VARIABLES if name not in os.environ]
-    os.environ.update(dict.fromkeys(added, "1"))
+    variables = [name for name in VARIABLES if name not in os.environ]
+    os.environ.update(dict.fromkeys(variables, "1"))
     try:
         with threadpool_limits(1):
             yield
     finally:
-        for name in added:
+        for name in variables:
             os.environ.pop(name, None)
 
 

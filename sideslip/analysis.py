@@ -25,8 +25,8 @@ def analyse(
     share of the whole. Raises a UserError of one sentence for a log that cannot be read."""
     from estimation.analysis.run import Given, analyse_flights
     from estimation.analysis.stages import Stages, digest
-    from estimation.report.markup.html import software
-    from estimation.session.flights import unique_names
+    from estimation.prepare.stretches import unique_names
+    from estimation.report.page import software
 
     logs = [logs] if isinstance(logs, str | Path) else list(logs)
     mapping = None if mapping is None else Path(mapping)
@@ -40,8 +40,10 @@ def analyse(
         imported.append(_imported(number, Path(path), mapping, aircraft, extra, stages))
     flights = unique_names([flight for flight, _, _ in imported])
     key = digest([k for _, k, _ in imported])
-    given = Given(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported))
-    return analyse_flights(given, aircraft, digest(extra[1:]), stages, tell)
+    imported_flights = Given(
+        tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported)
+    )
+    return analyse_flights(imported_flights, aircraft, digest(extra[1:]), stages, tell)
 
 
 def _content(path: Path | None) -> str:
@@ -79,11 +81,11 @@ def _imported(
 
 def _read(path: Path, mapping: Path | None, aircraft: str | None) -> "Flight":
     """A flight as it stands, a raw recording calibrated, or somebody else's log imported."""
-    from groundstation.importers.aircraft import with_aircraft
+    from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
 
     if path.suffix.lower() in READY and mapping is None:
-        from groundstation.export.run import open_flight
+        from groundstation.calibration.recording import open_flight
 
         flight = open_flight(path)
     else:

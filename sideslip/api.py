@@ -27,13 +27,12 @@ from estimation.answers import (
     responses,
     watching,
 )
-from estimation.answers.answer import Answer
+from estimation.answers.answer import Answer, Figures
 from estimation.answers.checks import Check
 from estimation.answers.designs import DesignAnswer
 from estimation.answers.estimates import Estimates
 from estimation.answers.gaps import GapAnswer
 from estimation.answers.matches import Match
-from estimation.answers.notebook import Figures
 from estimation.answers.performances import Performance
 from estimation.answers.reconstruction import Reconstruction
 from estimation.answers.responses import Response
@@ -58,7 +57,7 @@ FLIGHTS = ("flight", "flights", "holdout")
 
 def open(path: str | Path) -> "Flight":
     """A flight file (.mcap, .csv, .parquet), or a raw recording, calibrated with the set it carries."""
-    from groundstation.export.run import open_flight
+    from groundstation.calibration.recording import open_flight
 
     return open_flight(Path(path))
 
@@ -71,11 +70,11 @@ def _opening(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         bound = signature.bind(*args, **kwargs)
         for name in FLIGHTS:
-            given = bound.arguments.get(name)
-            if isinstance(given, str | Path):
-                bound.arguments[name] = open(given)
-            elif isinstance(given, list | tuple):
-                bound.arguments[name] = [open(f) if isinstance(f, str | Path) else f for f in given]
+            argument = bound.arguments.get(name)
+            if isinstance(argument, str | Path):
+                bound.arguments[name] = open(argument)
+            elif isinstance(argument, list | tuple):
+                bound.arguments[name] = [open(f) if isinstance(f, str | Path) else f for f in argument]
         return function(*bound.args, **bound.kwargs)
 
     return called
@@ -104,7 +103,7 @@ def import_log(
 
     mapping: a file as for `import --map`. aircraft: a built-in name, or a file, which then travels with the flight.
     """
-    from groundstation.importers.aircraft import with_aircraft
+    from groundstation.importers.records import with_aircraft
     from groundstation.importers.run import import_data
 
     flight = import_data(Path(path), None if mapping is None else Path(mapping), rate_hz=rate_hz)

@@ -41,13 +41,13 @@ def fly_scenario(
     tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
     """
     from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY
     from groundstation.flight import write_flight
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import hand_over
     from groundstation.live.station import Station
-    from groundstation.receiver.link_config import LinkConfig
+    from groundstation.receiver.ports import LinkConfig
     from groundstation.receiver.receive import Receiver
     from sideslip.live_aircraft import live_aircraft
 
@@ -66,30 +66,32 @@ def fly_scenario(
 
         flight.each_scan = in_step
         files = flight.run()
-        agreed = False
+        backfill_agreed = False
         if receiver.systems:  # the radio stays on until the aircraft has told of every scan whether it was sent
             flight.serve(lambda: not any(a.unknown for a in receiver.accounting()), limit_s=60.0)
         if backfill and receiver.systems:
             receiver.set_backfill("all")
-            agreed = flight.serve(lambda: all(receiver.backfill_agreed(s) for s in receiver.systems), limit_s=3600.0)
+            backfill_agreed = flight.serve(
+                lambda: all(receiver.backfill_agreed(s) for s in receiver.systems), limit_s=3600.0
+            )
         station.close()
         summary = receiver.summary()
-    flown = calibrate_recording(folder / "onboard", salvage=True)
-    write_flight(flown, folder / "flight.mcap")
+    calibrated = calibrate_recording(folder / "onboard", salvage=True)
+    write_flight(calibrated, folder / "flight.mcap")
     ground, lines = None, []
     recordings = sorted(ground_folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
     if recordings:
         session = next((s for s, r in receiver.session_recorders().items() if r.path == recordings[-1]), None)
-        handed = hand_over(
+        handover = hand_over(
             recordings[-1],
             ground_folder,
-            origin="telemetry and backfill" if agreed else "telemetry",
-            identified=None if session is None else station.identifications.kept(session),
+            origin="telemetry and backfill" if backfill_agreed else "telemetry",
+            identified=None if session is None else station.identifications.result(session),
         )
-        ground, lines = handed.path, handed.lines()
+        ground, lines = handover.path, handover.lines()
         summary["flight"] = str(ground)
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
-    return ChainFlight(folder / "flight.mcap", ground, files.truth, summary, agreed, lines, sequencer)
+    return ChainFlight(folder / "flight.mcap", ground, files.truth, summary, backfill_agreed, lines, sequencer)
 
 
 def _sequencer_words(onboard: Path) -> tuple[tuple[float, str], ...]:

@@ -39,41 +39,39 @@ class Verb:
 
 
 VERBS: dict[str, Verb] = {
-    "demo": Verb("sideslip.demo", "demo", "The whole chain in one go, on a simulated aircraft."),
-    "fly": Verb("sideslip.fly", "fly", "One simulated flight through the real logger, radio link and ground station."),
+    "demo": Verb("sideslip.verbs.demo", "demo", "The whole chain in one go, on a simulated aircraft."),
+    "fly": Verb(
+        "sideslip.verbs.fly", "fly", "One simulated flight through the real logger, radio link and ground station."
+    ),
     "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
     "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
-    "info": Verb("sideslip.contents", "info", "What is in a recording, flight or telemetry log."),
+    "info": Verb("sideslip.verbs.info", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
     "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
-    "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
+    "view": Verb("groundstation.cli.view", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb(
-        "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
+        "groundstation.cli.import_log", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
-    "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
-    "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
-    "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
-    "reconstruct": Verb(
-        "estimation.commands.reconstruct", "reconstruct", "Air data and wind of an aircraft without vanes."
-    ),
-    "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
-    "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "analyse": Verb("sideslip.verbs.analyse", "analyse", "From logs to an answer in one go: one page, one verdict."),
+    "export": Verb("sideslip.verbs.export", "export", "Flights, recordings and models for other programs."),
+    "check": Verb("sideslip.verbs.check", "check", "Data compatibility and data quality."),
+    "reconstruct": Verb("sideslip.verbs.reconstruct", "reconstruct", "Air data and wind of an aircraft without vanes."),
+    "estimate": Verb("sideslip.verbs.estimate", "estimate", "Aerodynamic parameters with bounds."),
+    "match": Verb("sideslip.verbs.match", "match", "Proof of match on flights not used for the estimate."),
     "performance": Verb(
-        "estimation.commands.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
+        "sideslip.verbs.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
     ),
-    "frequency": Verb(
-        "estimation.commands.frequency", "frequency", "Frequency responses with error, fits and figures."
-    ),
-    "design": Verb("estimation.commands.design", "design", "Inputs designed from what is known, under limits."),
+    "frequency": Verb("sideslip.verbs.frequency", "frequency", "Frequency responses with error, fits and figures."),
+    "design": Verb("sideslip.verbs.design", "design", "Inputs designed from what is known, under limits."),
     "aircraft": Verb(
-        "estimation.commands.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
+        "sideslip.verbs.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
     ),
-    "campaign": Verb("sideslip.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
-    "watch": Verb("estimation.commands.watch", "watch", "When a model stopped describing the aircraft in flight."),
-    "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
+    "campaign": Verb("sideslip.verbs.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
+    "watch": Verb("sideslip.verbs.watch", "watch", "When a model stopped describing the aircraft in flight."),
+    "gap": Verb("sideslip.verbs.gap", "gap", "Find, name and close the gap between model and flight."),
 }
 
 
@@ -93,10 +91,9 @@ class VerbTable(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """All verbs, in the order of the table; then those of installed packages."""
-        return [*VERBS, *(found.name for found in _package_verbs())]
+        return [*VERBS, *(entry.name for entry in _package_verbs())]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one verb."""
         verb = VERBS.get(cmd_name)
         if verb is None:
             return _package_verb(cmd_name)
@@ -112,25 +109,25 @@ class VerbTable(click.Group):
         """The verb that the first word means; for a mistyped one the usage error names those that it resembles."""
         word = args[0] if args else ""
         if word and not word.startswith("-") and self.get_command(ctx, word) is None and not ctx.resilient_parsing:
-            ctx.fail(f"No such verb {word!r}{_meant(word, self.list_commands(ctx), args[1:])}")
+            ctx.fail(f"No such verb {word!r}{_suggestion(word, self.list_commands(ctx), args[1:])}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of verbs from the table, without importing them."""
         with formatter.section("Commands"):
             rows = [(name, verb.summary) for name, verb in VERBS.items()]
-            formatter.write_dl([*rows, *((found.name, f"From {found.module}.") for found in _package_verbs())])
+            formatter.write_dl([*rows, *((entry.name, f"From {entry.module}.") for entry in _package_verbs())])
 
 
-def _meant(word: str, verbs: list[str], rest: list[str]) -> str:
+def _suggestion(word: str, verbs: list[str], rest: list[str]) -> str:
     """What somebody may have meant by a word that is no verb: verbs spelt alike or beginning alike; for a file, to look at it."""
     if Path(word).suffix and Path(word).exists():
         return f"; it is a file: did you mean 'sideslip {' '.join(['info', word, *rest])}'?"
     small = word.lower()
-    alike = get_close_matches(small, verbs, n=SUGGESTED, cutoff=ALIKE)
-    alike += [v for v in verbs if len(small) >= BEGINNING and v.startswith(small) and v not in alike]
-    quoted = [f"'sideslip {v}'" for v in alike[:SUGGESTED]]
-    return f"; did you mean {' or '.join(quoted)}?" if quoted else ""
+    similar_verbs = get_close_matches(small, verbs, n=SUGGESTED, cutoff=ALIKE)
+    similar_verbs += [v for v in verbs if len(small) >= BEGINNING and v.startswith(small) and v not in similar_verbs]
+    quoted_verbs = [f"'sideslip {v}'" for v in similar_verbs[:SUGGESTED]]
+    return f"; did you mean {' or '.join(quoted_verbs)}?" if quoted_verbs else ""
 
 
 def _package_verbs() -> tuple[EntryPoint, ...]:
@@ -140,13 +137,13 @@ def _package_verbs() -> tuple[EntryPoint, ...]:
 
 def _package_verb(name: str) -> click.Command | None:
     """The command of an installed package, None where none brings it. UserError when it cannot be had."""
-    for found in _package_verbs():
-        if found.name == name:
+    for entry in _package_verbs():
+        if entry.name == name:
             try:
-                command: click.Command = found.load()
+                command: click.Command = entry.load()
             except (ImportError, AttributeError) as error:
                 raise UserError(
-                    f"entry point sideslip.verbs {name} = {found.value}: no command there ({error}); correct the package"
+                    f"entry point sideslip.verbs {name} = {entry.value}: no command there ({error}); correct the package"
                 ) from error
             return command
     return None
@@ -182,10 +179,12 @@ def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
             stream.reconfigure(errors="backslashreplace")
     if interrupts is not None:
         interrupts.raise_in_work()
-    out, err = SafeStream(sys.stdout), SafeStream(sys.stderr)
-    visible_out, visible_err = (cast("TextIO", VisibleStream(cast("TextIO", stream))) for stream in (out, err))
+    output_stream, err = SafeStream(sys.stdout), SafeStream(sys.stderr)
+    visible_out, visible_err = (
+        cast("TextIO", VisibleStream(cast("TextIO", stream))) for stream in (output_stream, err)
+    )
     with contextlib.redirect_stdout(visible_out), contextlib.redirect_stderr(visible_err):
-        status = _with_streams(_status(argv, interrupts), out, err)
+        status = _with_streams(_status(argv, interrupts), output_stream, err)
     if interrupts is not None:
         interrupts.leave_at_once()  # all is closed; what is left is the interpreter's own end
         if interrupts.seen and not status:  # it came during the last import of all, and the work was done meanwhile
@@ -198,7 +197,9 @@ def _with_streams(status: int, out: SafeStream, err: SafeStream) -> int:
     """The exit status, where what was printed may not have arrived: a reader that has gone changes nothing, a full disk does."""
     out.flush()
     if out.trouble is not None and out.trouble.errno in DISK_ERRNOS:
-        status = _said(f"standard output: {out.trouble.strerror}; everything else is done, only its words are lost")
+        status = _error_line(
+            f"standard output: {out.trouble.strerror}; everything else is done, only its words are lost"
+        )
     err.flush()
     for stream in (out, err):
         stream.give_up()
@@ -213,11 +214,11 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         context = error.ctx if isinstance(error, click.UsageError) else None
         text = error.format_message().rstrip(".")
         hint = f"{' See' if text.endswith('?') else '; see'} '{context.command_path} --help'" if context else ""
-        return _said(text + hint)
+        return _error_line(text + hint)
     except UserError as error:
-        return _said(str(error))
+        return _error_line(str(error))
     except ModuleNotFoundError as error:
-        return _said(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
+        return _error_line(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
     except (KeyboardInterrupt, click.Abort):
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status
@@ -225,11 +226,11 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         return 0 if error.filename is not None else _unforeseen(error)
     except OSError as error:
         if error.filename is None and error.errno == errno.ENOENT:  # of tempfile: no folder takes a file
-            return _said(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
+            return _error_line(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
         if error.filename is None and error.errno not in DISK_ERRNOS:
             return _unforeseen(error)
-        where = error.filename2 or error.filename or "a file"
-        return _said(f"{where}: cannot be read or written ({error.strerror}); choose another place")
+        place = error.filename2 or error.filename or "a file"
+        return _error_line(f"{place}: cannot be read or written ({error.strerror}); choose another place")
     except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
         return _unforeseen(error)
     return status if isinstance(status, int) else 0
@@ -239,15 +240,15 @@ def _unforeseen(error: Exception) -> int:
     """What nobody thought of, in one sentence: a mistake of ours. With TRACEBACK in the environment it is seen whole."""
     if os.environ.get(TRACEBACK):
         raise error
-    at = traceback.extract_tb(error.__traceback__)[-1:]
-    place = f" at {Path(at[0].filename).name}:{at[0].lineno}" if at else ""
-    return _said(
+    last_frame = traceback.extract_tb(error.__traceback__)[-1:]
+    place = f" at {Path(last_frame[0].filename).name}:{last_frame[0].lineno}" if last_frame else ""
+    return _error_line(
         f"a mistake in this program, please report it: {type(error).__name__}{place}: {str(error) or 'no words'}"
         f"; {TRACEBACK}=1 in the environment shows where it comes from"
     )
 
 
-def _said(sentence: str) -> int:
+def _error_line(sentence: str) -> int:
     """One line on standard error, whatever names are in it."""
     click.echo(f"sideslip: {one_line(sentence)}", err=True)
     return 2

@@ -13,11 +13,11 @@ from daq.contract.errors import UserError
 from daq.contract.scan import ScanDecodeError
 from daq.identification.movement import ManoeuvreDetector
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.schema import load_calibration
+from groundstation.calibration.calibration_set import load_calibration
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.identification.words import short_line
-from groundstation.live.flight_phase import LandingLimits
+from groundstation.live.watches import LandingLimits
 from sideslip.live_aircraft import live_aircraft
 
 BATCH_S = 2.0  # s of scans at once: nobody looks at a screen here, and half the work is saved

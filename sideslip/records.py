@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def info(file: str | Path) -> "RecordAnswer":
     """What is in a raw recording, the directory of its segments, a flight, or a .tlog."""
-    from sideslip.contents import content_of, lines_of
+    from sideslip.verbs.info import content_of, lines_of
 
     file = Path(file)
     content = content_of(file)
@@ -25,17 +25,17 @@ def verify(recording: str | Path) -> "RecordAnswer":
     from daq.commands import verify_lines
     from daq.contract.recordings.accounting import verify as checked
 
-    found = checked(recording)
-    return RecordAnswer(found.to_dict(), tuple(verify_lines(Path(recording), found)), found.ok)
+    verification = checked(recording)
+    return RecordAnswer(verification.to_dict(), tuple(verify_lines(Path(recording), verification)), verification.ok)
 
 
 def recover(recording: str | Path, out: str | Path) -> "RecordAnswer":
     """Save everything undamaged in a recording to a new and sound one; `passed` is False where the original is not sound."""
     from daq.contract.recordings.recovery import recover as salvage
 
-    found = salvage(recording, out)
-    content = found.to_dict()
-    return RecordAnswer(content, (content["text"],), found.verification.ok)
+    salvaged = salvage(recording, out)
+    content = salvaged.to_dict()
+    return RecordAnswer(content, (content["text"],), salvaged.verification.ok)
 
 
 def calibrate(
@@ -54,8 +54,8 @@ def calibrate(
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
 
-    given = None if calibration is None else Path(calibration)
-    flight = calibrate_recording(Path(raw), given, align=align, salvage=salvage)
+    calibration_folder = None if calibration is None else Path(calibration)
+    flight = calibrate_recording(Path(raw), calibration_folder, align=align, salvage=salvage)
     if output is not None:
         write_flight(flight, Path(output))
     return Calibrated(flight, str(output or flight.name))
@@ -75,15 +75,12 @@ class RecordAnswer(Answer):
         return self.sound
 
     def to_json(self) -> dict[str, Any]:
-        """As the verb writes it with --json."""
         return dict(self.content)
 
     def lines(self) -> tuple[str, ...]:
-        """What the verb prints."""
         return self.sentences
 
     def headline(self) -> str:
-        """The first sentence."""
         return self.sentences[0]
 
     def numbers(self) -> dict[str, int]:
@@ -93,11 +90,9 @@ class RecordAnswer(Answer):
         return {n: v for n, v in self.content.items() if isinstance(v, int) and not isinstance(v, bool)}
 
     def rows(self) -> Rows:
-        """A row for each channel or count."""
         return ("", "number"), [(n, str(v)) for n, v in self.numbers().items()]
 
     def plot(self, ax: Any = None) -> Any:
-        """A bar for each channel or count; gives the axes."""
         return _bars(self.numbers(), ax)
 
 
@@ -109,33 +104,27 @@ class Calibrated(Answer):
     name: str
 
     def to_json(self) -> dict[str, Any]:
-        """As `calibrate --json` has it."""
         from groundstation.cli.data import written_content
 
         return written_content(self.flight, self.name)
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip calibrate` prints."""
         from groundstation.cli.data import written_lines
 
         return written_lines(self.flight, self.name)
 
     def headline(self) -> str:
-        """How much there is of the flight."""
         return next(self.lines())
 
     def numbers(self) -> dict[str, int]:
-        """Samples of each column."""
         import numpy as np
 
         return {n: int(np.isfinite(v).sum()) for n, v in self.flight.columns.items()}
 
     def rows(self) -> Rows:
-        """A row for each column."""
         return ("column", "samples"), [(n, str(v)) for n, v in self.numbers().items()]
 
     def plot(self, ax: Any = None) -> Any:
-        """A bar for each column; gives the axes."""
         return _bars(self.numbers(), ax)
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
@@ -147,7 +136,7 @@ class Calibrated(Answer):
 
 
 def _bars(numbers: Mapping[str, int], ax: Any) -> Any:
-    from estimation.answers.notebook import panels
+    from estimation.answers.answer import panels
 
     (axes,) = panels(ax, 1, (7.0, 0.6 + 0.22 * len(numbers)))
     axes.barh(list(numbers), list(numbers.values()))

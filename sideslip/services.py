@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from groundstation.cli.services import LogAdvice, Services
+from groundstation.cli.services import Services
 
 if TYPE_CHECKING:
     from daq.identification.regression import LiveAircraft
@@ -17,7 +17,7 @@ def _aircraft(name: str, text: str | None = None, model: str = "") -> "LiveAircr
     return live_aircraft(name, text, model)
 
 
-def _recipe(flight: "Flight") -> LogAdvice:
+def _recipe(flight: "Flight") -> Any:
     from estimation.session.recipe import recipe
 
     return recipe(flight)

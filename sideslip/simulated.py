@@ -10,12 +10,12 @@ NOT_FLOWN = ("sensors", "faults", "radio", "logger", "sequencer")
 """Tables of a scenario that decide nothing here: there is no bus, no chip and no radio."""
 
 
-def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+def describe_scenario(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
     """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key, and for a key that
     would change nothing."""
     from estimation.aircraft import load_aircraft
-    from firmware_sim.errors import ScenarioError
     from firmware_sim.physics.aerodynamics import true_derivatives
+    from firmware_sim.tables import ScenarioError
     from firmware_sim.world.scenario import load_scenario
 
     tables: dict[str, Any] = {}
@@ -31,12 +31,12 @@ def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
             tables.setdefault(table, {})[name] = value
         else:
             tables[key] = value
-    made = load_scenario(scenario).altered(**tables)
-    true_derivatives(load_aircraft(made.flight.aircraft), made.derivatives)
-    return made.model_dump(mode="json")
+    altered_scenario = load_scenario(scenario).altered(**tables)
+    true_derivatives(load_aircraft(altered_scenario.flight.aircraft), altered_scenario.derivatives)
+    return altered_scenario.model_dump(mode="json")
 
 
-def flown(description: Mapping[str, Any]) -> bytes:
+def fly_description(description: Mapping[str, Any]) -> bytes:
     """The flight of a description as CSV, by the direct sensor model: no bus, no chips."""
     import tempfile
     from pathlib import Path
@@ -54,4 +54,4 @@ def flown(description: Mapping[str, Any]) -> bytes:
 
 def simulator() -> FlightMaker:
     """What `estimation.campaign` takes."""
-    return FlightMaker(described, flown, digest_of_files(("firmware_sim", "estimation/aircraft")))
+    return FlightMaker(describe_scenario, fly_description, digest_of_files(("firmware_sim", "estimation/aircraft")))

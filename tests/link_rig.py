@@ -16,7 +16,7 @@ from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import RadioLink, radio_link
 from daq.transport.ports import memory_pair
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 
 START_UTC_NS = 1_795_000_000_000_000_000
@@ -157,6 +157,9 @@ class Rig:
     def look(self) -> list[ev.Event]:
         """Let the ground take what has arrived."""
         return self.ground.poll()
+
+    def findings(self, kind: ev.ReceptionFindingKind) -> list[ev.ReceptionFinding]:
+        return [e for e in self.events if isinstance(e, ev.ReceptionFinding) and e.kind is kind]
 
     def fly(self, scans: int, make: Callable[[int], Scan]) -> None:
         """So many scans at 20 Hz."""

@@ -13,9 +13,10 @@ from statistics import fmean, pstdev
 
 from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
 from daq.contract.scan import Scan
-from daq.sensors.config import Axis, Mounting, SensorsConfig, check_mounting
+from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
-from daq.sensors.ms4525do import nominal_transfer
+from daq.sensors.mounting import Axis, Mounting, check_mounting
+from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
 
 WINDOW_S = 5.0
@@ -69,7 +70,7 @@ class PitotAtRest:
     @property
     def words(self) -> str:
         """The reading for a person, with the airspeed it would be."""
-        speed = math.sqrt(2 * abs(self.offset_pa) / SEA_LEVEL_DENSITY)
+        speed = indicated_airspeed(abs(self.offset_pa))
         return f"{self.offset_pa:+.0f} Pa ({speed:.0f} m/s), spread {self.spread_pa:.1f} Pa"
 
 
@@ -108,42 +109,42 @@ def level(scans: Sequence[Scan], scales: Scales) -> tuple[bool, str] | None:
     if force is None or unrest(scans):
         return None
     size = math.hypot(*force)
-    seen = "specific force " + ", ".join(f"{n} {f:+.1f}" for n, f in zip("xyz", force, strict=True)) + " m/s2"
+    measured_force = "specific force " + ", ".join(f"{n} {f:+.1f}" for n, f in zip("xyz", force, strict=True)) + " m/s2"
     if abs(size - GRAVITY) > FORCE_ERROR * GRAVITY:
         return (
             False,
-            f"{seen} is {size:.1f} in all, not 9.8 (limit {FORCE_ERROR:.0%}); check accel_range_g, or calibrate",
+            f"{measured_force} is {size:.1f} in all, not 9.8 (limit {FORCE_ERROR:.0%}); check accel_range_g, or calibrate",
         )
     tilt = math.acos(max(-1.0, min(1.0, -force[2] / size)))
-    said = f"{seen}: {math.degrees(tilt):.0f} deg from level (limit {math.degrees(TILT_RAD):.0f})"
+    measured_tilt = f"{measured_force}: {math.degrees(tilt):.0f} deg from level (limit {math.degrees(TILT_RAD):.0f})"
     if tilt <= TILT_RAD:
-        return True, said
+        return True, measured_tilt
     right = mounting_for(force, scales.mounting)
-    written = "[" + ", ".join(f"'{axis}'" for axis in right) + "]"
+    suggestion = "[" + ", ".join(f"'{axis}'" for axis in right) + "]"
     return (
         False,
-        f"{said}; z should be -9.8 at rest: if the aircraft stands upright write sensors.imu.mounting = {written}",
+        f"{measured_tilt}; z should be -9.8 at rest: if the aircraft stands upright write sensors.imu.mounting = {suggestion}",
     )
 
 
 def mounting_for(force: tuple[float, float, float], mounting: Mounting) -> Mounting:
     """The mounting under which gravity would lie along body z, of those that leave most axes as they are."""
-    up = max(range(3), key=lambda i: abs(force[i]))
-    sign = 1 if force[up] < 0 else -1  # which way the axis must be named to read -9.8
-    down = mounting[up] if sign > 0 else _reversed(mounting[up])
-    best, kept_axes = mounting, -1
+    vertical = max(range(3), key=lambda i: abs(force[i]))
+    sign = 1 if force[vertical] < 0 else -1  # which way the axis must be named to read -9.8
+    vertical_axis = mounting[vertical] if sign > 0 else _reversed(mounting[vertical])
+    closest, kept_axes = mounting, -1
     for x in _AXES:
         for y in _AXES:
-            if len({x[1], y[1], down[1]}) < 3:
+            if len({x[1], y[1], vertical_axis[1]}) < 3:
                 continue
             try:
-                trial = check_mounting((x, y, down))
+                trial = check_mounting((x, y, vertical_axis))
             except ValueError:
                 continue
-            same = 2 * (x == mounting[0]) + (y == mounting[1])
-            if same > kept_axes:
-                best, kept_axes = trial, same
-    return best
+            equal_axes = 2 * (x == mounting[0]) + (y == mounting[1])
+            if equal_axes > kept_axes:
+                closest, kept_axes = trial, equal_axes
+    return closest
 
 
 def _reversed(axis: Axis) -> Axis:
@@ -204,10 +205,10 @@ class AirTruth:
         self._moved = True
         yield from self._pitot(scans, fmean(speeds))
         for name, words in _VANES.items():
-            seen = counts(scans, name)
-            if len(seen) >= LEAST_SCANS and max(seen) - min(seen) < FROZEN_COUNTS:
-                moved = f"moves by {max(seen) - min(seen):.0f} counts in {WINDOW_S:.0f} s at {fmean(speeds):.0f} m/s"
-                yield SensorContradiction(name, f"{words} is frozen: {moved} (at least {FROZEN_COUNTS:.0f} in flight)")
+            vane = counts(scans, name)
+            if len(vane) >= LEAST_SCANS and max(vane) - min(vane) < FROZEN_COUNTS:
+                travel = f"moves by {max(vane) - min(vane):.0f} counts in {WINDOW_S:.0f} s at {fmean(speeds):.0f} m/s"
+                yield SensorContradiction(name, f"{words} is frozen: {travel} (at least {FROZEN_COUNTS:.0f} in flight)")
         force = self._scales.force(scans)
         if force is not None and force[2] > -0.3 * GRAVITY:
             seen_z = f"mean specific force on body z is {force[2]:+.1f} m/s2 in flight (at most {-0.3 * GRAVITY:.1f})"
@@ -219,15 +220,15 @@ class AirTruth:
             return
         pressure = (fmean(pitot) - self._zero_count) * self._scales.pascal
         by_gps = SEA_LEVEL_DENSITY / 2 * speed**2
-        at = f"at GPS {speed:.0f} m/s"
+        gps = f"at GPS {speed:.0f} m/s"
         if pressure < NEGATIVE_PA:
-            words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {at} (limit {NEGATIVE_PA:.0f}): tubes swapped?"
+            words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {gps} (limit {NEGATIVE_PA:.0f}): tubes swapped?"
             yield SensorContradiction("pitot sign", words)
         elif pressure < LEAST_SHARE * by_gps:
-            words = f"pitot reads {pressure:.0f} Pa {at} (at least {LEAST_SHARE * by_gps:.0f}): covered or blocked?"
+            words = f"pitot reads {pressure:.0f} Pa {gps} (at least {LEAST_SHARE * by_gps:.0f}): covered or blocked?"
             yield SensorContradiction("pitot level", words)
         elif pressure > MOST_SHARE * by_gps:
             words = (
-                f"pitot reads {pressure:.0f} Pa {at} (at most {MOST_SHARE * by_gps:.0f}): blocked with pressure in it?"
+                f"pitot reads {pressure:.0f} Pa {gps} (at most {MOST_SHARE * by_gps:.0f}): blocked with pressure in it?"
             )
             yield SensorContradiction("pitot level", words)

@@ -148,11 +148,11 @@ class AttitudeFilter:
                 self._settled = time - self._begun >= self.SETTLING_S
                 self._set_gain(self._gain_at(time - self._begun, aided))
             if aided:
-                down = self._ground.plumb_line(self._axes, self.VELOCITY_GAIN * self._gain)
+                plumb_line = self._ground.plumb_line(self._axes, self.VELOCITY_GAIN * self._gain)
             else:
-                down = self._air.plumb_line(accel, rate)
+                plumb_line = self._air.plumb_line(accel, rate)
             self._ahrs.set_sample_period(step)
-            self._advance(turn_rate, down, field)
+            self._advance(turn_rate, plumb_line, field)
         quaternion = self._quaternion()
         self._axes = _axes_of(quaternion)
         antenna = turned(self._axes, cross(rate, self._config.antenna_m))
@@ -176,10 +176,10 @@ class AttitudeFilter:
         self._set_gain(self.FIRST_GAIN)
         self._ground.restart()
         self._heading_known = magnetic is not None
-        down = np.array(plumb_line)
-        z = -down / max(float(np.linalg.norm(down)), 1e-9)
-        ahead = np.array((1.0, 0.0, 0.0) if magnetic is None else magnetic)
-        y = np.cross(z, ahead)
+        gravity = np.array(plumb_line)
+        z = -gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+        heading_vector = np.array((1.0, 0.0, 0.0) if magnetic is None else magnetic)
+        y = np.cross(z, heading_vector)
         if np.linalg.norm(y) < 1e-9:
             return
         y /= np.linalg.norm(y)
@@ -261,24 +261,24 @@ class AttitudeFilter:
         return airspeed is None or airspeed < self.SLOWEST_FLIGHT
 
     def _quaternion(self) -> Quaternion:
-        w, x, left, up = self._ahrs.get_quaternion().tolist()
-        y, z = -left, -up
+        w, x, y_left, z_up = self._ahrs.get_quaternion().tolist()
+        y, z = -y_left, -z_up
         c, s = self._declination  # turn about the vertical, from magnetic to true north
         q = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
         return q if q[0] >= 0 else (-q[0], -q[1], -q[2], -q[3])
 
     def _status(self, time: float, magnetic: bool) -> AttitudeStatus:
-        flags, inside = self._ahrs.get_flags(), self._ahrs.get_internal_states()
+        flags, internal_states = self._ahrs.get_flags(), self._ahrs.get_internal_states()
         bits = 0
         if flags.startup or self._begun is None or time - self._begun < self.SETTLING_S:
             bits |= _INITIALISING
         if flags.overrange_recovery:
             bits |= _RATE_RECOVERY
-        if inside.accelerometer_ignored:
+        if internal_states.accelerometer_ignored:
             bits |= _ACCELERATION_REJECTED
         if magnetic:
             bits |= _MAGNETOMETER_USED
-            if inside.magnetometer_ignored:
+            if internal_states.magnetometer_ignored:
                 bits |= _MAGNETIC_REJECTED
         return _STATUSES[bits]
 
@@ -309,5 +309,5 @@ def _quaternion_of(axes: np.ndarray) -> np.ndarray:
             (d - b, c + g, f + h, 1 - a - e + i),
         )
     )
-    best = candidates[int(np.argmax(np.diag(candidates)))]  # the largest component: nothing is divided by little
-    return np.asarray(best / np.linalg.norm(best))
+    largest = candidates[int(np.argmax(np.diag(candidates)))]  # the largest component: nothing is divided by little
+    return np.asarray(largest / np.linalg.norm(largest))

@@ -4,14 +4,14 @@ import math
 from collections.abc import Mapping
 
 from daq.acquisition.attitude import AttitudeFilter
-from daq.acquisition.health import HealthRecord
+from daq.acquisition.health import GroupHealth
 from daq.acquisition.supervisor import GroupOutcome
-from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
+from daq.contract.constants import GRAVITY
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.config import SensorsConfig
 from daq.sensors.gravity_reference import VelocityFix
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
-from daq.sensors.ms4525do import nominal_transfer
+from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 
 _USABLE = (SensorState.OK, SensorState.RECOVERING, SensorState.OUT_OF_RANGE)
 _TESLA_PER_COUNT = 0.15e-6
@@ -25,7 +25,9 @@ class AttitudeSource:
     def __init__(self, config: SensorsConfig, imu_rate_hz: float, now_ns: int) -> None:
         assert config.attitude is not None
         imu = config.section("imu")
-        self.record = HealthRecord("attitude", SensorState.RECOVERING, now_ns, config.attitude.required)
+        self.record = GroupHealth(
+            "attitude", SensorState.RECOVERING, since_ns=now_ns, required=config.attitude.required
+        )
         gyro_range = getattr(imu, "gyro_range_dps", 500)
         self._accel_scale = GRAVITY / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
         self._gyro_scale = math.radians(1 / COUNTS_PER_DPS[gyro_range])
@@ -78,7 +80,7 @@ class AttitudeSource:
         if pitot is None or pitot.state is not SensorState.OK or math.isnan(self._pascal_per_count):
             return
         pressure = pitot.values["pitot_pressure"] * self._pascal_per_count + self._pascal_at_zero
-        self._airspeed = math.sqrt(max(0.0, 2 * pressure / SEA_LEVEL_DENSITY))
+        self._airspeed = indicated_airspeed(pressure)
         self._airspeed_ns = pitot.time_ns
 
 

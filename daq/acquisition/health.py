@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from daq.contract.channels import CHANNEL_BY_NAME, GROUPS
 from daq.contract.recordings.messages import Health, HealthEntry
@@ -14,23 +14,27 @@ from daq.sensors.config import HealthConfig
 _TITLES = {g.name: g.title for g in GROUPS}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class GroupHealth:
-    """How one sensor group is.
+    """How one sensor group is; kept up by its supervisor, handed out as copies.
 
     detail: what is wrong, in words; empty when nothing is. since_ns: monotonic time of the last change of state.
-    scans: number of scans spent in each state so far. retries: transfers that had to be repeated. setups: how often
-    the chip was set up (1 after a clean start).
+    retries: transfers that had to be repeated. setups: how often the chip was set up (1 after a clean start).
     """
 
     group: str
     state: SensorState
     detail: str = ""
     since_ns: int = 0
-    scans: Mapping[SensorState, int] = field(default_factory=dict)
     retries: int = 0
     setups: int = 0
     required: bool = True
+
+    def note(self, state: SensorState, detail: str, time_ns: int) -> None:
+        """The state from now on."""
+        if state is not self.state:
+            self.state, self.since_ns = state, time_ns
+        self.detail = detail
 
     @property
     def title(self) -> str:
@@ -145,62 +149,20 @@ class GroupWatch:
             value = values.get(name)
             if value is None:
                 continue
-            held = self._held.get(name)
-            if held is None or value != held[0]:
+            last_change = self._held.get(name)
+            if last_change is None or value != last_change[0]:
                 self._held[name] = value, time_ns
-            elif time_ns - held[1] > limit_ns:
-                verdict = SampleVerdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - held[1]) * 1e-9:.1f} s")
+            elif time_ns - last_change[1] > limit_ns:
+                verdict = SampleVerdict(
+                    SensorState.STUCK, f"{name} at {value} for {(time_ns - last_change[1]) * 1e-9:.1f} s"
+                )
         return verdict
-
-
-class HealthRecord:
-    """The mutable side of a `GroupHealth`, kept by the sampler."""
-
-    def __init__(self, group: str, state: SensorState, time_ns: int, required: bool) -> None:
-        self.group = group
-        self.state = state
-        self.detail = "" if state is not SensorState.ABSENT else "not set up yet"
-        self.since_ns = time_ns
-        self._scans = [0] * len(SensorState)  # by state
-        self.retries = 0
-        self.setups = 0
-        self.required = required
-
-    def turn(self, state: SensorState, time_ns: int, detail: str = "") -> None:
-        """Change to a state, outside of a scan."""
-        if state is not self.state:
-            self.state, self.since_ns = state, time_ns
-        self.detail = detail
-
-    def note(self, state: SensorState, detail: str, time_ns: int) -> None:
-        """One scan in a state."""
-        if state is not self.state:
-            self.state, self.since_ns = state, time_ns
-        self.detail = detail
-        self._scans[state] += 1
-
-    def forget_scans(self) -> None:
-        """Count anew."""
-        self._scans = [0] * len(SensorState)
-
-    def snapshot(self) -> GroupHealth:
-        """The record as data."""
-        return GroupHealth(
-            self.group,
-            self.state,
-            self.detail,
-            self.since_ns,
-            {state: self._scans[state] for state in SensorState if self._scans[state]},
-            self.retries,
-            self.setups,
-            self.required,
-        )
 
 
 def repetitions(summary: HealthSummary) -> str:
     """Which sensors had to be asked again, in words: a connector on its way out shows here first."""
-    found = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
-    return f"; transfers repeated: {', '.join(found)}" if found else ""
+    retries = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
+    return f"; transfers repeated: {', '.join(retries)}" if retries else ""
 
 
 def as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:

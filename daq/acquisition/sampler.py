@@ -14,18 +14,18 @@ Offsets may be negative: a conversion begun in one scan can end in the next, and
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from daq.acquisition.attitude_source import AttitudeSource
-from daq.acquisition.health import HealthRecord, HealthSummary
+from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.supervisor import GroupOutcome, Supervisor
 from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
+from daq.sensors.base import Driver, Surroundings
 from daq.sensors.bus import I2cBus, SerialPortCalls
-from daq.sensors.config import SensorsConfig
-from daq.sensors.registry import Surroundings, build_drivers
+from daq.sensors.config import SensorsConfig, build_drivers
 from daq.sensors.timebase import TimeBase
 
 BUDGET = 0.8
@@ -38,10 +38,6 @@ BUS_RETRY_LIMIT_NS = 1_000_000_000
 START_LIMIT_NS = 6_000_000_000
 SHARED_RATE_HZ = 50.0
 """At scan rates above twice this all groups but the IMU are read so often only, unless the configuration says `every`."""
-
-# Order of precedence on the bus. Converters first: they work while the others are read.
-_ORDER = ("analog_a", "analog_b", "analog_c", "imu", "pitot", "capture", "mag", "static", "thrust")
-_BEGUN_FIRST = frozenset(_ORDER[:5])  # these are begun before any converter is served again
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,30 +96,30 @@ class Sampler:
         self._budget_ns = round(BUDGET * self._period_ns)
         latency = config.gnss.arrival_s if config.gnss else 0.0
         self.timebase = TimeBase(round(latency * 1e9), self._period_ns)
-        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase)
-        now = clock.monotonic_ns()
+        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase, config.section)
+        now_ns = clock.monotonic_ns()
         self._supervisors = {
-            group: Supervisor(driver, config.section(group), config.health, self._every(group, driver, rate_hz), now)
+            group: Supervisor(driver, config.section(group), config.health, self._every(group, driver, rate_hz), now_ns)
             for group, driver in build_drivers(config, around).items()
         }
-        ranked = sorted(self._supervisors.values(), key=lambda s: _ORDER.index(s.group) if s.group in _ORDER else 99)
+        ranked = sorted(self._supervisors.values(), key=lambda s: s.driver.precedence)
         self._on_bus = [s for s in ranked if s.driver.uses_i2c]
         self._on_serial = [s for s in ranked if not s.driver.uses_i2c]
         self._all = (*self._on_serial, *self._on_bus)
         self._off = {g: GroupStatus(SensorState.OFF) for g in GROUP_NAMES if g not in config.fitted}
-        self._attitude = AttitudeSource(config, rate_hz / self._imu_every(), now) if config.attitude else None
+        self._attitude = AttitudeSource(config, rate_hz / self._imu_every(), now_ns) if config.attitude else None
         self._bus_held = ""
         self._bus_retry_ns = 0
         self._bus_pause_ns = BUS_RETRY_NS
         self._audit_turn = 0
-        self._last_audit_ns = now
+        self._last_audit_ns = now_ns
 
-    def _every(self, group: str, driver: "object", rate_hz: float) -> int:
-        chosen: int | None = self._config.section(group).every
-        if chosen is not None:
-            return chosen
-        highest = getattr(driver, "max_rate_hz", rate_hz)
-        if group != "imu" and getattr(driver, "uses_i2c", False) and rate_hz > 2 * SHARED_RATE_HZ:
+    def _every(self, group: str, driver: Driver, rate_hz: float) -> int:
+        configured: int | None = self._config.section(group).every
+        if configured is not None:
+            return configured
+        highest = driver.max_rate_hz
+        if group != "imu" and driver.uses_i2c and rate_hz > 2 * SHARED_RATE_HZ:
             highest = min(highest, SHARED_RATE_HZ)
         return max(1, math.ceil(rate_hz / highest - 1e-9))
 
@@ -135,25 +131,25 @@ class Sampler:
     def start(self) -> HealthSummary:
         """Set all sensors up, once each, waiting for them (a few seconds); those that fail are tried again later."""
         limit = self._clock.monotonic_ns() + START_LIMIT_NS
-        waiting = [s for s in self._supervisors.values() if not s.up]
-        while waiting and self._clock.monotonic_ns() < limit:
-            supervisor = min((s for s in waiting if not self._waits_for(s, waiting)), key=lambda s: s.next_try_ns)
+        pending = [s for s in self._supervisors.values() if not s.up]
+        while pending and self._clock.monotonic_ns() < limit:
+            supervisor = min((s for s in pending if not self._waits_for(s, pending)), key=lambda s: s.next_try_ns)
             self._clock.sleep_until(supervisor.next_try_ns)
             supervisor.setup_step(self._clock.monotonic_ns(), trusted=True)
             if supervisor.up or not supervisor.setting_up:
-                waiting.remove(supervisor)
+                pending.remove(supervisor)
         self._rehearse()
         return self.health()
 
     def _rehearse(self) -> None:
         """Two rounds over all sensors, thrown away: what they say about their timing is then as in flight."""
-        up = [s for s in self._on_bus if s.up]
+        running = [s for s in self._on_bus if s.up]
         for _ in range(2):
-            now = self._clock.monotonic_ns()
-            self._run(up, now, {})
+            now_ns = self._clock.monotonic_ns()
+            self._run(running, now_ns, {})
             for supervisor in self._on_serial:
                 self._read_serial(supervisor, 0, {})
-            self._clock.sleep_until(now + self._period_ns)
+            self._clock.sleep_until(now_ns + self._period_ns)
         for supervisor in self._supervisors.values():
             supervisor.rehearsed()
 
@@ -178,9 +174,9 @@ class Sampler:
                 self.on_event(EventMark(time_ns, number, "switch"))
         utc, accuracy = self.timebase.utc(start)
         lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
-        taken = UnfinishedScan(number, start, utc, accuracy, lateness_us, outcomes)
-        self.on_taken(taken)
-        return taken
+        unfinished = UnfinishedScan(number, start, utc, accuracy, lateness_us, outcomes)
+        self.on_taken(unfinished)
+        return unfinished
 
     def finish(self, taken: UnfinishedScan) -> Scan:
         """The scan, with the attitude at its instant."""
@@ -221,38 +217,38 @@ class Sampler:
     def _run(self, due: list[Supervisor], start: int, outcomes: dict[str, GroupOutcome]) -> None:
         """Take all due samples as far as the budget allows; a sample begun but not finished goes on in the next scan."""
         clock, limit = self._clock, start + self._budget_ns
-        waiting = list(due)
+        pending = list(due)
         timeouts = 0
-        now = start
-        while waiting and now <= limit:
-            supervisor = self._next(waiting, now)
+        now_ns = start
+        while pending and now_ns <= limit:
+            supervisor = self._next(pending, now_ns)
             ready = supervisor.ready_ns
             if ready is None:
                 supervisor.starved = False
-                supervisor.begin(now)
-            elif ready > now:
+                supervisor.begin(now_ns)
+            elif ready > now_ns:
                 if ready > limit:
                     return
                 clock.sleep_until(ready)
-                now = clock.monotonic_ns()
-            outcome = supervisor.advance(now, may_retry=now < limit)
-            now = clock.monotonic_ns()
+                now_ns = clock.monotonic_ns()
+            outcome = supervisor.advance(now_ns, may_retry=now_ns < limit)
+            now_ns = clock.monotonic_ns()
             if outcome is not None:
                 outcomes[supervisor.group] = outcome
-                waiting.remove(supervisor)
+                pending.remove(supervisor)
             if supervisor.timed_out:
                 timeouts += 1
                 supervisor.excuse()
                 if timeouts >= BUS_HELD_AFTER or self._bus_held:
-                    self._hold_bus(now)
-                    self._pass_over(waiting, now, outcomes)
+                    self._hold_bus(now_ns)
+                    self._pass_over(pending, now_ns, outcomes)
                     return
             elif self._bus_held:
                 self._bus_held, self._bus_pause_ns = "", BUS_RETRY_NS
-        for supervisor in waiting:
+        for supervisor in pending:
             if supervisor.ready_ns is None:
                 supervisor.starved = True
-                outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now)
+                outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now_ns)
 
     @staticmethod
     def _next(waiting: list[Supervisor], now: int) -> Supervisor:
@@ -262,7 +258,7 @@ class Sampler:
         for supervisor in waiting:
             ready = supervisor.ready_ns
             if ready is None:
-                if supervisor.starved or supervisor.group in _BEGUN_FIRST:
+                if supervisor.starved or supervisor.driver.begun_first:
                     return supervisor
                 willing = willing or supervisor
             elif ready <= now:
@@ -283,26 +279,26 @@ class Sampler:
     def _read_serial(self, supervisor: Supervisor, number: int, outcomes: dict[str, GroupOutcome]) -> None:
         if supervisor.every != 1 and not self._due(supervisor, number):
             return
-        now = self._clock.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         if not supervisor.up:
-            outcomes[supervisor.group] = supervisor.lost(now)
+            outcomes[supervisor.group] = supervisor.lost(now_ns)
             return
-        supervisor.begin(now)
-        outcome = supervisor.advance(now, may_retry=False)
+        supervisor.begin(now_ns)
+        outcome = supervisor.advance(now_ns, may_retry=False)
         if outcome is not None:
             outcomes[supervisor.group] = outcome
 
     def _maintain(self, start: int) -> None:
         """With what is left of the budget: one set-up step of a lost sensor, and now and then one audit."""
-        now = self._clock.monotonic_ns()
-        down = [s for s in self._all if not s.up]
-        if down and now < start + self._budget_ns:
-            self._set_up(down, now)
+        now_ns = self._clock.monotonic_ns()
+        failed = [s for s in self._all if not s.up]
+        if failed and now_ns < start + self._budget_ns:
+            self._set_up(failed, now_ns)
         if self._on_bus and not self._bus_held and start - self._last_audit_ns >= AUDIT_INTERVAL_NS:
             self._last_audit_ns = start
             self._audit_turn = (self._audit_turn + 1) % len(self._on_bus)
             if self._clock.monotonic_ns() < start + self._budget_ns:
-                self._on_bus[self._audit_turn].audit(now)
+                self._on_bus[self._audit_turn].audit(now_ns)
 
     def _set_up(self, down: list[Supervisor], now: int) -> None:
         """One step for the sensor that has waited longest, of those that can be reached."""
@@ -321,10 +317,10 @@ class Sampler:
         records = {g: s.record for g, s in self._supervisors.items()}
         if self._attitude is not None:
             records["attitude"] = self._attitude.record
-        now = self._clock.monotonic_ns()
-        off = {g: HealthRecord(g, SensorState.OFF, now, required=False) for g in self._off}
-        groups = tuple((records.get(g) or off[g]).snapshot() for g in GROUP_NAMES)
-        return HealthSummary(now, groups, self._bus_held)
+        now_ns = self._clock.monotonic_ns()
+        not_fitted = {g: GroupHealth(g, SensorState.OFF, since_ns=now_ns, required=False) for g in self._off}
+        groups = tuple(replace(records.get(g) or not_fitted[g]) for g in GROUP_NAMES)
+        return HealthSummary(now_ns, groups, self._bus_held)
 
     def metadata(self) -> dict[str, str]:
         """What the ground needs to use the counts, `group.key` -> text; goes into every recording."""

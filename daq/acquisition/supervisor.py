@@ -8,12 +8,12 @@ marked recovering before they count. Every exception of a driver that means trou
 from collections.abc import Generator, Mapping
 from typing import NamedTuple
 
-from daq.acquisition.health import WELL, GroupWatch, HealthRecord
+from daq.acquisition.health import WELL, GroupHealth, GroupWatch
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, Wait
+from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, SensorSection, Wait
 from daq.sensors.bus import TIMEOUT_ERRNOS
-from daq.sensors.config import HealthConfig, SensorSection
+from daq.sensors.config import HealthConfig
 
 REPETITIONS = 3
 """How often a sample that failed is begun again within a scan, while the scan's budget lasts."""
@@ -47,7 +47,9 @@ class Supervisor:
         self.driver = driver
         self.group = driver.group
         self.every = every
-        self.record = HealthRecord(self.group, SensorState.ABSENT, now_ns, section.required)
+        self.record = GroupHealth(
+            self.group, SensorState.ABSENT, "not set up yet", since_ns=now_ns, required=section.required
+        )
         self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
         self.ready_ns: int | None = None  # when the sample under way can go on [ns]; None when there is none
         self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
@@ -102,12 +104,12 @@ class Supervisor:
         self._stale_since_ns = None
         self._watch.forget()
         self.record.setups += 1
-        self.record.turn(SensorState.OK if trusted else SensorState.RECOVERING, now_ns)
+        self.record.note(SensorState.OK if trusted else SensorState.RECOVERING, "", now_ns)
 
     def _setup_failed(self, state: SensorState, detail: str, now_ns: int) -> None:
         self._setup = None
         self._lost_state, self._lost_detail = state, detail
-        self.record.turn(state, now_ns, detail)
+        self.record.note(state, detail, now_ns)
         self._next_try_ns = now_ns + self._pause_ns
         self._pause_ns = min(2 * self._pause_ns, round(self._config.retry_limit_s * SECOND))
 
@@ -122,7 +124,6 @@ class Supervisor:
         self.driver.keep_timing()
         self._watch.forget()
         self.starved = False
-        self.record.forget_scans()
 
     # -- reading ----------------------------------------------------------------------------------------------
 
@@ -160,9 +161,9 @@ class Supervisor:
         self._end_sample()
         self.timed_out = error.errno in TIMEOUT_ERRNOS
         if may_retry and self._repetitions and not self.timed_out:
-            left = self._repetitions - 1
+            remaining = self._repetitions - 1
             self.begin(now_ns)
-            self._repetitions = left
+            self._repetitions = remaining
             self.record.retries += 1
             return None
         detail = f"does not answer: {error.strerror or error}"
@@ -205,9 +206,9 @@ class Supervisor:
         """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
         if self._stale_since_ns is None:
             self._stale_since_ns = now_ns
-        waited = now_ns - self._stale_since_ns
-        if waited >= 4 * self._config.stale_s * SECOND or (
-            waited >= self._config.stale_s * SECOND and not self._intact()
+        stale_ns = now_ns - self._stale_since_ns
+        if stale_ns >= 4 * self._config.stale_s * SECOND or (
+            stale_ns >= self._config.stale_s * SECOND and not self._intact()
         ):
             self._stale_since_ns = None
             if state is SensorState.ABSENT:

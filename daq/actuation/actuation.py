@@ -5,27 +5,52 @@ from the ground come through `ask`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
-from daq.actuation.autopilot.link import AutopilotError
+from daq.actuation.autopilot.link import AutopilotError, AutopilotPort
 from daq.actuation.autopilot.output import ArduPilotOutput
+from daq.actuation.autopilot.trial import AutopilotTrial
 from daq.actuation.config import SequencerConfig
-from daq.actuation.devices import Devices
 from daq.actuation.motion import MotionReader
-from daq.actuation.output import Output
-from daq.actuation.pwm.heartbeat import HeartbeatError
+from daq.actuation.output import FrameObservation, Output, SequencerCommand
+from daq.actuation.pwm.heartbeat import HeartbeatError, HeartbeatLine
 from daq.actuation.pwm.output import PwmOutput
-from daq.actuation.seen import Seen
-from daq.actuation.sequencer import Sequencer, SequencerCommand
-from daq.actuation.servos import ServoManoeuvre, plan_of, servos_of
+from daq.actuation.pwm.trial import ServoDriverTrial
+from daq.actuation.sequencer import Sequencer
+from daq.actuation.servos import ServoManoeuvre, TrialFinding, plan_of, servos_of
 from daq.clock import NS, Clock
 from daq.contract.manoeuvre import Manoeuvre
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Reason, State
+from daq.sensors.bus import I2cBus
 from daq.sensors.config import SensorsConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """bus and heartbeat for a servo driver behind a multiplexer, autopilot for one in between; None where not opened."""
+
+    bus: I2cBus | None
+    heartbeat: HeartbeatLine | None
+    clock: Clock
+    autopilot: AutopilotPort | None = None
+
+
+def findings(config: SequencerConfig, devices: Devices, take_scan: Callable[[], Scan]) -> Iterator[TrialFinding]:
+    """Try the configured output; take_scan: one scan of the aircraft's sensors, now."""
+    if config.through == "ardupilot":
+        if devices.autopilot is None:
+            return iter([TrialFinding("sequencer", False, "no port to the autopilot is open; set sequencer.autopilot")])
+        return AutopilotTrial(config, devices.autopilot, devices.clock, take_scan).findings()
+    if devices.bus is None or devices.heartbeat is None:
+        words = "no bus or heartbeat line is open; set sequencer.heartbeat"
+        return iter([TrialFinding("sequencer", False, words)])
+    return ServoDriverTrial(config, devices.bus, devices.heartbeat, devices.clock, take_scan).findings()
+
 
 _ORDINARY = (Reason.NONE, Reason.COMPLETE)
 
@@ -97,29 +122,34 @@ class Actuation:
     def weigh(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
         """Weigh a manoeuvre against this aircraft's limits, in any thread. What is returned puts it in place, between two
         frames, and says why not, empty when it is taken. Raises ManoeuvreError."""
-        return partial(self.sequencer.take, plan_of(manoeuvre, self._config))
+        return partial(self.sequencer.load_plan, plan_of(manoeuvre, self._config))
 
     def frame(self, scan: Scan, reporter: Reporter) -> None:
         """One frame, after the scan it goes by."""
-        now = self._clock.monotonic_ns()
-        output = self._output.look(scan, now)
-        seen = Seen(
-            now_ns=now,
+        now_ns = self._clock.monotonic_ns()
+        output = self._output.look(scan, now_ns)
+        observation = FrameObservation(
+            now_ns=now_ns,
             late_ns=1000 * scan.lateness_us,
-            motion=self._motion.read(scan, now),
+            motion=self._motion.read(scan, now_ns),
             output=output,
             recording=reporter.recording and self._recorded,
-            link_s=self.link_s(now),
+            link_s=self.link_s(now_ns),
         )
-        frame = self.sequencer.step(seen)
-        self._report(frame, self._output.put(frame, now), seen, scan, reporter)
+        frame = self.sequencer.decide_frame(observation)
+        self._report(frame, self._output.put(frame, now_ns), observation, scan, reporter)
 
     def close(self) -> None:
         """Let go at the end of the recording."""
         self._output.close(self._clock.monotonic_ns())
 
     def _report(
-        self, frame: SequencerCommand, put: tuple[float, ...] | None, seen: Seen, scan: Scan, reporter: Reporter
+        self,
+        frame: SequencerCommand,
+        put: tuple[float, ...] | None,
+        seen: FrameObservation,
+        scan: Scan,
+        reporter: Reporter,
     ) -> None:
         if frame.words:
             ordinary = frame.reason in _ORDINARY or frame.state is State.IDLE

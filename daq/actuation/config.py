@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from daq.sensors.config import Address, NotNegative, Positive
+from daq.sensors.base import Address, NotNegative, Positive
 
 LEAST_RATE_HZ = 50.0
 """Frames a second: manoeuvre files have a sample every 20 ms, and 10 Hz has been found too slow in flight (PX4 #25775)."""
@@ -178,9 +178,9 @@ class SequencerConfig(_SequencerTable):
                 raise ValueError(f"output {name}: channel {output.channel} cannot be released by 0; use 1 to 8")
             if output.pilot_input or output.readback:
                 raise ValueError(f"output {name}: the autopilot shows the sticks; leave pilot_input and readback out")
-        taken = [*(o.channel for o in self.output.values()), self.autopilot.switch_channel, *self.autopilot.watch]
-        if len(set(taken)) < len(taken):
-            raise ValueError(f"a channel of the receiver is used twice: {', '.join(map(str, taken))}")
+        channels = [*(o.channel for o in self.output.values()), self.autopilot.switch_channel, *self.autopilot.watch]
+        if len(set(channels)) < len(channels):
+            raise ValueError(f"a channel of the receiver is used twice: {', '.join(map(str, channels))}")
 
     def _check_servos(self) -> None:
         unread = [name for name, o in self.output.items() if not o.pilot_input]
@@ -188,9 +188,9 @@ class SequencerConfig(_SequencerTable):
             raise ValueError(f"output {unread[0]}: pilot_input is missing; name the pulse input of the pilot's signal")
         channels = [o.channel for o in self.output.values()] + [self.chip.loopback_channel]
         inputs = [o.pilot_input for o in self.output.values()] + [self.pilot.switch_input, self.pilot.loopback_input]
-        for what, taken in (("chip channel", channels), ("pilot input", inputs)):
-            if len(set(taken)) < len(taken):
-                raise ValueError(f"a {what} is used twice: {', '.join(map(str, taken))}")
+        for kind, numbers in (("chip channel", channels), ("pilot input", inputs)):
+            if len(set(numbers)) < len(numbers):
+                raise ValueError(f"a {kind} is used twice: {', '.join(map(str, numbers))}")
         if max(channels) - min(channels) > 6:
             raise ValueError(
                 "output and loopback channels must lie within seven neighbours: one block write carries them"

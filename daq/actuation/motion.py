@@ -8,12 +8,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from daq.actuation.config import SequencerConfig
-from daq.contract.constants import SEA_LEVEL_DENSITY
+from daq.actuation.config import EnvelopeConfig, SequencerConfig
 from daq.contract.scan import RawValue, Scan, SensorState
+from daq.contract.sequencing import Reason
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_G
-from daq.sensors.ms4525do import nominal_transfer
+from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 
 _MS = 1_000_000
 _QUATERNION_SCALE = 1 / 32767
@@ -68,9 +68,9 @@ class MotionReader:
 
     def _values(self, group: str, now_ns: int) -> Mapping[str, RawValue]:
         """Values of a group's last good sample; empty when it is too old. Values of one scan stay together."""
-        good = self._good.get(group)
+        sample = self._good.get(group)
         stale_ns = self._gnss_stale_ns if group == "gnss" else self._stale_ns
-        return good[1] if good is not None and now_ns - good[0] <= stale_ns else {}
+        return sample[1] if sample is not None and now_ns - sample[0] <= stale_ns else {}
 
     def _scaled(self, group: str, channel: str, now_ns: int, scale: float) -> float | None:
         count = self._values(group, now_ns).get(channel)
@@ -88,7 +88,7 @@ class MotionReader:
         if count is None:
             return None
         pressure = count * self._pascal_per_count + self._pascal_at_zero
-        return math.sqrt(max(0.0, 2.0 * pressure / SEA_LEVEL_DENSITY))
+        return indicated_airspeed(pressure)
 
     def _alpha(self, now_ns: int) -> float | None:
         volts = self._scaled("analog_a", "alpha_vane", now_ns, self._volt_per_count)
@@ -97,3 +97,36 @@ class MotionReader:
     def _height(self, now_ns: int) -> float | None:
         height = self._scaled("gnss", "height_msl_mm", now_ns, 1e-3)
         return None if height is None else height - self._elevation
+
+
+class FlightEnvelope:
+    """Judges a motion against the configured limits; a watched quantity that is not known is a stale sensor."""
+
+    def __init__(self, limits: EnvelopeConfig) -> None:
+        bank = None if limits.bank_deg is None else (-math.radians(limits.bank_deg), math.radians(limits.bank_deg))
+        alpha = (
+            None if limits.alpha_deg is None else (math.radians(limits.alpha_deg[0]), math.radians(limits.alpha_deg[1]))
+        )
+        degree, unity = math.degrees(1.0), 1.0
+        rows = (
+            ("bank", bank, Reason.BANK, degree, "deg"),
+            ("load_factor", limits.load_factor, Reason.LOAD_FACTOR, unity, ""),
+            ("airspeed", limits.airspeed, Reason.AIRSPEED, unity, "m/s"),
+            ("alpha", alpha, Reason.ALPHA, degree, "deg"),
+            ("height", limits.height_m, Reason.HEIGHT, unity, "m"),
+        )
+        self._rows = [
+            (name, limit, reason, scale, unit) for name, limit, reason, scale, unit in rows if limit is not None
+        ]
+
+    def judge(self, motion: MotionState) -> tuple[Reason, str] | None:
+        """The first thing that is wrong, stale sensors before limits; None inside."""
+        for name, *_ in self._rows:
+            if getattr(motion, name) is None:
+                return Reason.SENSOR, f"no {name.replace('_', ' ')}"
+        for name, (low, high), reason, scale, unit in self._rows:
+            value = getattr(motion, name)
+            if not low <= value <= high:
+                extent = f"{low * scale:.3g} to {high * scale:.3g} {unit}".rstrip()
+                return reason, f"{value * scale:.3g} outside {extent}"
+        return None

@@ -12,9 +12,8 @@ from enum import Enum, auto
 from statistics import median
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.envelope import FlightEnvelope
-from daq.actuation.proof import OutputTrial
-from daq.actuation.seen import Glimpse, Seen
+from daq.actuation.motion import FlightEnvelope
+from daq.actuation.output import FrameObservation, OutputObservation, OutputTrial, SequencerCommand
 from daq.actuation.servos import STILL, ConfiguredServo, Increments, ServoManoeuvre
 from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch
 
@@ -28,19 +27,6 @@ FOLLOW_US = 25.0
 """They may differ by so much: two steps of 4.9 us, jitter of 10 us, and the co-processor's rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class SequencerCommand:
-    """What to do. pulses: for each output [us], None for none. words: what to tell, empty without a transition."""
-
-    state: State
-    reason: Reason
-    elapsed_s: float = 0.0
-    increments: Increments = STILL
-    pulses: tuple[float, ...] | None = None
-    limited: bool = False
-    words: str = ""
-
-
 class SequencerRequest(Enum):
     """What the ground asks for."""
 
@@ -49,7 +35,7 @@ class SequencerRequest(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class StateTransition:
     """A transition that is due."""
 
     to: State
@@ -87,7 +73,7 @@ class Sequencer:
         self._fading = STILL
         self._put_out: deque[tuple[int, tuple[float, ...]]] = deque()
         self._followed_ns = 0
-        self._handlers: Mapping[State, Callable[[Seen], Move | None]] = {
+        self._handlers: Mapping[State, Callable[[FrameObservation], StateTransition | None]] = {
             State.IDLE: self._idle,
             State.CHECKING: self._checking,
             State.ARMED: self._armed,
@@ -122,7 +108,7 @@ class Sequencer:
         self._wish = SequencerRequest.STOP
         return ""
 
-    def take(self, plan: ServoManoeuvre) -> str:
+    def load_plan(self, plan: ServoManoeuvre) -> str:
         """Another manoeuvre to fly; why not, empty when it is taken. The pilot arms what he has been told of, so his switch is at
         off meanwhile."""
         if self.state not in (State.IDLE, State.RELEASED):
@@ -134,7 +120,7 @@ class Sequencer:
 
     # ---------------------------------------------------------------------------------------- a frame
 
-    def step(self, seen: Seen) -> SequencerCommand:
+    def decide_frame(self, seen: FrameObservation) -> SequencerCommand:
         """Decide one frame."""
         self._note(seen)
         move = self._handlers[self.state](seen)
@@ -144,7 +130,7 @@ class Sequencer:
         self._last_ns = seen.now_ns
         return frame
 
-    def _note(self, seen: Seen) -> None:
+    def _note(self, seen: FrameObservation) -> None:
         output = seen.output
         self._proof.note(seen)
         self._positions.append(output.switch)
@@ -161,7 +147,7 @@ class Sequencer:
     def _held(self, position: Switch) -> bool:
         return len(self._positions) == SWITCH_FRAMES and all(p is position for p in self._positions)
 
-    def _enter(self, move: Move, seen: Seen) -> str:
+    def _enter(self, move: StateTransition, seen: FrameObservation) -> str:
         if move.to not in TRANSITIONS[self.state]:
             raise RuntimeError(f"no transition from {self.state.words} to {move.to.words}")
         self.state, self.reason, self._since_ns = move.to, move.reason, seen.now_ns
@@ -175,174 +161,182 @@ class Sequencer:
             self._followed_ns = seen.now_ns
         if move.to is State.RAMPING:
             self._fading = self._increments
-        why = f": {move.reason.words}" if move.reason is not Reason.NONE else ""
+        reason = f": {move.reason.words}" if move.reason is not Reason.NONE else ""
         detail = f" ({move.detail})" if move.detail else ""
-        return f"sequencer {move.to.words}{why}{detail}"
+        return f"sequencer {move.to.words}{reason}{detail}"
 
     def _seconds(self, now_ns: int) -> float:
         return (now_ns - self._since_ns) * 1e-9
 
     # ---------------------------------------------------------------------------------------- states
 
-    def _idle(self, seen: Seen) -> Move | None:
-        return Move(State.CHECKING) if self._off_seen and self._held(Switch.ARM) else None
+    def _idle(self, seen: FrameObservation) -> StateTransition | None:
+        return StateTransition(State.CHECKING) if self._off_seen and self._held(Switch.ARM) else None
 
-    def _checking(self, seen: Seen) -> Move | None:
+    def _checking(self, seen: FrameObservation) -> StateTransition | None:
         fault = self._standing(seen)
         if fault is not None:
             return fault
         if seen.output.switch is Switch.GO:
-            return Move(State.RELEASED, Reason.TOO_EARLY)
+            return StateTransition(State.RELEASED, Reason.TOO_EARLY)
         proven = self._proof.check(seen, self._seconds(seen.now_ns))
         if proven is None:
             return None
         if proven.reason is not Reason.NONE:
-            return Move(State.RELEASED, proven.reason, proven.detail)
-        return Move(State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {proven.detail}")
+            return StateTransition(State.RELEASED, proven.reason, proven.detail)
+        return StateTransition(
+            State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {proven.detail}"
+        )
 
-    def _armed(self, seen: Seen) -> Move | None:
+    def _armed(self, seen: FrameObservation) -> StateTransition | None:
         fault = self._standing(seen)
         if fault is not None:
             return fault
         if self._go_ns is None:
             self._proof.rest()
             return None
-        wrong = self._untimely(seen) or self._outside(seen)
-        if wrong is not None:
-            return Move(State.RELEASED, wrong.reason, wrong.detail)
+        fault_move = self._untimely(seen) or self._outside(seen)
+        if fault_move is not None:
+            return StateTransition(State.RELEASED, fault_move.reason, fault_move.detail)
         proven = self._proof.at_go(seen)
         if proven is None:
             return None
         if proven.reason is not Reason.NONE:
-            return Move(State.RELEASED, proven.reason, proven.detail)
+            return StateTransition(State.RELEASED, proven.reason, proven.detail)
         if self._config.start == "switch" or self._wish is SequencerRequest.START:
             return self._start()
-        waited = (seen.now_ns - self._go_ns) * 1e-9
-        return Move(State.RELEASED, Reason.WAITED, f"in {waited:.0f} s") if waited > self._config.wait_s else None
+        waiting_s = (seen.now_ns - self._go_ns) * 1e-9
+        if waiting_s <= self._config.wait_s:
+            return None
+        return StateTransition(State.RELEASED, Reason.WAITED, f"in {waiting_s:.0f} s")
 
-    def _start(self) -> Move:
+    def _start(self) -> StateTransition:
         if len(self._sticks) < CAPTURE_FRAMES:
-            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+            return StateTransition(State.RELEASED, Reason.PILOT_SIGNALS)
         for servo, signals in zip(self._servos, zip(*self._sticks, strict=True), strict=True):
             if max(signals) - min(signals) > self._limits.stick_us / 2.0:
-                return Move(State.RELEASED, Reason.STICKS_NOT_STILL, servo.name)
+                return StateTransition(State.RELEASED, Reason.STICKS_NOT_STILL, servo.name)
             low, high = self.plan.reach(servo)
             centre = median(signals)
             if centre + low < servo.lowest_us or centre + high > servo.highest_us:
                 extent = f"{centre + low:.0f} to {centre + high:.0f} us"
-                return Move(State.RELEASED, Reason.NO_ROOM, f"{servo.name} would go from {extent}")
-        return Move(State.RUNNING)
+                return StateTransition(State.RELEASED, Reason.NO_ROOM, f"{servo.name} would go from {extent}")
+        return StateTransition(State.RUNNING)
 
-    def _running(self, seen: Seen) -> Move | None:
-        wrong = self._interruption(seen) or self._outside(seen)
-        if wrong is not None:
-            to = State.RAMPING if wrong.reason.exit is Exit.RAMP else State.RELEASED
-            return Move(to, wrong.reason, wrong.detail)
+    def _running(self, seen: FrameObservation) -> StateTransition | None:
+        interruption = self._interruption(seen) or self._outside(seen)
+        if interruption is not None:
+            next_state = State.RAMPING if interruption.reason.exit is Exit.RAMP else State.RELEASED
+            return StateTransition(next_state, interruption.reason, interruption.detail)
         if self._seconds(seen.now_ns) >= self.plan.duration_s:
-            return Move(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
+            return StateTransition(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
         return None
 
-    def _ramping(self, seen: Seen) -> Move | None:
-        wrong = self._interruption(seen)
-        if wrong is not None and wrong.reason.exit is Exit.DROP:
-            return Move(State.RELEASED, wrong.reason, wrong.detail)
+    def _ramping(self, seen: FrameObservation) -> StateTransition | None:
+        interruption = self._interruption(seen)
+        if interruption is not None and interruption.reason.exit is Exit.DROP:
+            return StateTransition(State.RELEASED, interruption.reason, interruption.detail)
         if self._seconds(seen.now_ns) >= self._config.ramp_s:
-            return Move(State.RELEASED, self.reason)
+            return StateTransition(State.RELEASED, self.reason)
         return None
 
-    def _released(self, seen: Seen) -> Move | None:
-        return Move(State.IDLE) if self._held(Switch.OFF) else None
+    def _released(self, seen: FrameObservation) -> StateTransition | None:
+        return StateTransition(State.IDLE) if self._held(Switch.OFF) else None
 
     # ---------------------------------------------------------------------------------------- what ends it
 
-    def _standing(self, seen: Seen) -> Move | None:
+    def _standing(self, seen: FrameObservation) -> StateTransition | None:
         """What ends checking and being armed, in whichever position the switch is."""
         output = seen.output
         if output.pilot is None and not output.hidden:
-            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+            return StateTransition(State.RELEASED, Reason.PILOT_SIGNALS)
         if output.switch is Switch.OFF:
-            return Move(State.IDLE, Reason.SWITCH)
+            return StateTransition(State.IDLE, Reason.SWITCH)
         if output.switch is Switch.UNKNOWN:
-            return Move(State.RELEASED, Reason.SWITCH, "between its positions")
+            return StateTransition(State.RELEASED, Reason.SWITCH, "between its positions")
         if output.fault:
-            return Move(State.RELEASED, self._proof.fault, output.fault)
+            return StateTransition(State.RELEASED, self._proof.fault, output.fault)
         if not seen.recording:
-            return Move(State.RELEASED, Reason.RECORDING)
-        return Move(State.RELEASED, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
+            return StateTransition(State.RELEASED, Reason.RECORDING)
+        return StateTransition(State.RELEASED, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
 
-    def _untimely(self, seen: Seen) -> Move | None:
+    def _untimely(self, seen: FrameObservation) -> StateTransition | None:
         if seen.late_ns > self._limits.late_ms * 1e6:
-            return Move(State.RELEASED, Reason.LATE, f"{seen.late_ns * 1e-6:.0f} ms")
+            return StateTransition(State.RELEASED, Reason.LATE, f"{seen.late_ns * 1e-6:.0f} ms")
         gap = 0.0 if self._last_ns is None else (seen.now_ns - self._last_ns) * 1e-9
         # one frame lost makes a gap of two periods; lateness within its own limit makes less than one and a half
-        return Move(State.RELEASED, Reason.MISSED, f"{gap * 1e3:.0f} ms") if gap > 1.6 * self._period_s else None
+        return (
+            StateTransition(State.RELEASED, Reason.MISSED, f"{gap * 1e3:.0f} ms")
+            if gap > 1.6 * self._period_s
+            else None
+        )
 
-    def _interruption(self, seen: Seen) -> Move | None:
+    def _interruption(self, seen: FrameObservation) -> StateTransition | None:
         """What ends a manoeuvre other than the motion: hands first, then what can no longer be trusted, then the rest."""
         output = seen.output
         if output.pilot is None and not output.hidden:
-            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+            return StateTransition(State.RELEASED, Reason.PILOT_SIGNALS)
         if output.switch is not Switch.GO:
-            return Move(State.RELEASED, Reason.SWITCH)
-        moved = self._moved(output)
-        if moved:
-            return Move(State.RELEASED, Reason.STICK, moved)
+            return StateTransition(State.RELEASED, Reason.SWITCH)
+        stick = self._moved(output)
+        if stick:
+            return StateTransition(State.RELEASED, Reason.STICK, stick)
         if output.fault:
-            return Move(State.RELEASED, self._proof.fault, output.fault)
-        wrong = self._untimely(seen) or self._not_followed(seen)
-        if wrong is not None:
-            return wrong
+            return StateTransition(State.RELEASED, self._proof.fault, output.fault)
+        failure = self._untimely(seen) or self._not_followed(seen)
+        if failure is not None:
+            return failure
         if not seen.recording:
-            return Move(State.RAMPING, Reason.RECORDING)
-        return Move(State.RAMPING, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
+            return StateTransition(State.RAMPING, Reason.RECORDING)
+        return StateTransition(State.RAMPING, Reason.GROUND) if self._wish is SequencerRequest.STOP else None
 
-    def _moved(self, output: Glimpse) -> str:
+    def _moved(self, output: OutputObservation) -> str:
         """Which of the pilot's signals that can be seen has left where it was at the start, empty for none."""
         names = [servo.name for servo in self._servos] if output.pilot is not None else []
-        now, then = (*(output.pilot or ()), *output.watched), (*self._captured[: len(names)], *self._watched)
+        present_us, start_us = (*(output.pilot or ()), *output.watched), (*self._captured[: len(names)], *self._watched)
         names += [f"watched channel {i + 1}" for i in range(len(output.watched))]
         return next(
             (
                 f"{name} by {a - b:+.0f} us"
-                for name, a, b in zip(names, now, then, strict=True)
+                for name, a, b in zip(names, present_us, start_us, strict=True)
                 if abs(a - b) > self._limits.stick_us
             ),
             "",
         )
 
-    def _outside(self, seen: Seen) -> Move | None:
+    def _outside(self, seen: FrameObservation) -> StateTransition | None:
         """What of motion and link forbids a manoeuvre."""
-        wrong = self._envelope.judge(seen.motion)
-        if wrong is not None:
-            return Move(State.RAMPING, *wrong)
+        excess = self._envelope.judge(seen.motion)
+        if excess is not None:
+            return StateTransition(State.RAMPING, *excess)
         limit = self._limits.link_s
         if limit is not None and (seen.link_s is None or seen.link_s > limit):
-            return Move(State.RAMPING, Reason.LINK, f"silent for more than {limit:g} s")
+            return StateTransition(State.RAMPING, Reason.LINK, f"silent for more than {limit:g} s")
         return None
 
-    def _not_followed(self, seen: Seen) -> Move | None:
+    def _not_followed(self, seen: FrameObservation) -> StateTransition | None:
         """Whether the servo pulses read back have, for longer than FOLLOW_S, been none of those put out lately."""
-        recent = [pulses for at, pulses in self._put_out if (seen.now_ns - at) * 1e-9 <= FOLLOW_S]
+        recent = [pulses for time_ns, pulses in self._put_out if (seen.now_ns - time_ns) * 1e-9 <= FOLLOW_S]
         if self._follows(recent, seen.output.readback):
             self._followed_ns = seen.now_ns
         if (seen.now_ns - self._followed_ns) * 1e-9 <= FOLLOW_S:
             return None
-        return Move(State.RELEASED, Reason.NOT_FOLLOWED, self._proof.unlike)
+        return StateTransition(State.RELEASED, Reason.NOT_FOLLOWED, self._proof.unlike)
 
     def _follows(self, recent: list[tuple[float, ...]], readback: tuple[float | None, ...]) -> bool:
         if not recent:
             return True
-        for index, (servo, found) in enumerate(zip(self._servos, readback, strict=False)):
+        for index, (servo, width) in enumerate(zip(self._servos, readback, strict=False)):
             widths = [pulses[index] for pulses in recent]
             if not servo.read_back:
                 continue
-            if found is None or not min(widths) - FOLLOW_US <= found <= max(widths) + FOLLOW_US:
+            if width is None or not min(widths) - FOLLOW_US <= width <= max(widths) + FOLLOW_US:
                 return False
         return True
 
     # ---------------------------------------------------------------------------------------- output
 
-    def _put(self, seen: Seen, words: str) -> SequencerCommand:
+    def _put(self, seen: FrameObservation, words: str) -> SequencerCommand:
         elapsed = self._seconds(seen.now_ns)
         if self.state in (State.CHECKING, State.ARMED):
             return SequencerCommand(self.state, self.reason, elapsed, pulses=self._proof.pulses(seen), words=words)
@@ -359,15 +353,17 @@ class Sequencer:
     def _wanted(self, elapsed_s: float) -> Increments:
         if self.state is State.RUNNING:
             return self.plan.at(elapsed_s)
-        left = max(0.0, 1.0 - elapsed_s / self._config.ramp_s)
-        return tuple(left * value for value in self._fading)
+        share = max(0.0, 1.0 - elapsed_s / self._config.ramp_s)
+        return tuple(share * value for value in self._fading)
 
     def _limited(self, now_ns: int) -> tuple[tuple[float, ...], bool]:
         """The pulses for the increments, within slew and limits; whether any was held back."""
         seconds = (
             self._period_s if self._last_ns is None else min((now_ns - self._last_ns) * 1e-9, 2.0 * self._period_s)
         )
-        wanted = [base + s.shift(self._increments) for s, base in zip(self._servos, self._captured, strict=True)]
-        made = tuple(s.limited(w, last, seconds) for s, w, last in zip(self._servos, wanted, self._last, strict=True))
-        self._last = made
-        return made, any(abs(a - b) > 1e-6 for a, b in zip(wanted, made, strict=True))
+        targets = [base + s.shift(self._increments) for s, base in zip(self._servos, self._captured, strict=True)]
+        pulses = tuple(
+            s.limited(w, last, seconds) for s, w, last in zip(self._servos, targets, self._last, strict=True)
+        )
+        self._last = pulses
+        return pulses, any(abs(a - b) > 1e-6 for a, b in zip(targets, pulses, strict=True))

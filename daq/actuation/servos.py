@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.actuation.config import CONTROLS, SequencerConfig
-from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
+from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError, load_manoeuvre
 
 Increments = tuple[float, ...]
 """One value for each of CONTROLS [rad]."""
@@ -60,8 +60,8 @@ class ServoManoeuvre:
         if not 0 <= index < len(self.increments) - 1:
             return STILL
         share = place - index
-        before, after = self.increments[index], self.increments[index + 1]
-        return tuple(a + share * (b - a) for a, b in zip(before, after, strict=True))
+        first, second = self.increments[index], self.increments[index + 1]
+        return tuple(a + share * (b - a) for a, b in zip(first, second, strict=True))
 
     def reach(self, servo: ConfiguredServo) -> tuple[float, float]:
         """Smallest and largest change of a servo's pulse width [us]."""
@@ -94,8 +94,8 @@ def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> ServoManoeuvre:
                 f"manoeuvre: {name} goes to {math.degrees(peak):.1f} deg, sequencer.limits.largest_deg allows "
                 f"{config.limits.largest_deg:g}; design it with smaller limits"
             )
-    still = (0.0,) * manoeuvre.samples
-    rows = zip(*(manoeuvre.increments.get(c, still) for c in CONTROLS), strict=True)
+    zeros = (0.0,) * manoeuvre.samples
+    rows = zip(*(manoeuvre.increments.get(c, zeros) for c in CONTROLS), strict=True)
     plan = ServoManoeuvre(manoeuvre.digest, manoeuvre.time_step, tuple(rows))
     for servo in servos_of(config):
         _check_servo(servo, plan)
@@ -124,3 +124,21 @@ def _check_moved(manoeuvre: Manoeuvre, servos: Sequence[ConfiguredServo]) -> Non
             raise ManoeuvreError(
                 f"manoeuvre: moves {control}, but no [sequencer.output] does; wire it or design without it"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class TrialFinding:
+    """One thing tried: well or not, in words."""
+
+    what: str
+    well: bool
+    text: str
+
+
+def try_manoeuvre(config: SequencerConfig) -> TrialFinding:
+    """Whether the configured manoeuvre is one this aircraft may fly."""
+    try:
+        plan = plan_of(load_manoeuvre(config.manoeuvre), config)
+    except ManoeuvreError as error:
+        return TrialFinding("manoeuvre", False, str(error))
+    return TrialFinding("manoeuvre", True, f"{plan.digest[:6]}, {plan.duration_s:.1f} s, within this aircraft's limits")

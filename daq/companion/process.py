@@ -5,11 +5,29 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from typing import Annotated
 
-from daq.companion.config import IdentificationConfig
+from pydantic import BaseModel, ConfigDict, Field
+
 from daq.companion.wire import LONGEST_LINE, CompanionReply, Setup, frame, read_answer, setup_frame
 from daq.contract.recordings.messages import LogLevel
 from daq.contract.scan import Scan, encode_scan
+
+
+class IdentificationConfig(BaseModel):
+    """Needs `calibration`, and `aircraft.file` or a built-in `aircraft.name`.
+
+    model: lateral, longitudinal, six-dof, or the file of a model, estimated in flight; empty: lateral. every_s: time between two
+    answers. command: the process; empty: this Python's own `-m sideslip.onboard`. niceness: its own.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    model: str = ""
+    every_s: Annotated[float, Field(ge=1.0, le=600.0)] = 5.0
+    command: tuple[str, ...] = ()
+    niceness: Annotated[int, Field(ge=0, le=19)] = 10
+
 
 NAME = "identification"
 BACKLOG = 1 << 20  # bytes that wait for the pipe: two minutes at 20 Hz, while the process starts or swaps
@@ -84,7 +102,7 @@ class Companion:
         os.set_blocking(process.stdin.fileno(), True)
         try:
             rest, _ = process.communicate(bytes(self._waiting), timeout=END_S)
-            self._take(rest or b"")
+            self._read_lines(rest or b"")
         except (subprocess.TimeoutExpired, OSError):
             self._say(LogLevel.WARNING, NAME, "has not finished in time; its last numbers are those before")
         finally:
@@ -95,10 +113,10 @@ class Companion:
         assert self._process.stdin is not None
         while self._waiting:
             try:
-                written = os.write(self._process.stdin.fileno(), self._waiting)
+                count = os.write(self._process.stdin.fileno(), self._waiting)
             except BlockingIOError:
                 return
-            del self._waiting[:written]
+            del self._waiting[:count]
 
     def _listen(self) -> None:
         """Take what it has answered; also the last words of one that has ended."""
@@ -111,22 +129,22 @@ class Companion:
         except OSError as error:
             self._broken, data = error.strerror or str(error), b""
         if data:
-            self._take(data)
+            self._read_lines(data)
         elif data is not None or self._broken:
             process, self._process = self._process, None
             status = _ended(process)
-            why = self._broken or "it has ended"
-            self._say(LogLevel.WARNING, NAME, f"is lost ({why}, exit status {status}); recording goes on")
+            reason = self._broken or "it has ended"
+            self._say(LogLevel.WARNING, NAME, f"is lost ({reason}, exit status {status}); recording goes on")
 
-    def _take(self, data: bytes) -> None:
+    def _read_lines(self, data: bytes) -> None:
         *lines, rest = (self._heard + data).split(b"\n")
         self._heard = rest[-LONGEST_LINE:]
         for line in lines:
             answer = read_answer(line)
             if answer is not None:
-                self._tell(answer)
+                self._handle_reply(answer)
 
-    def _tell(self, answer: CompanionReply) -> None:
+    def _handle_reply(self, answer: CompanionReply) -> None:
         if answer.trouble:
             self._say(LogLevel.WARNING, NAME, f"{answer.trouble}; recording goes on")
             process, self._process = self._process, None

@@ -78,16 +78,16 @@ def read_setup(data: bytes) -> Setup:
 def read_answer(line: bytes) -> CompanionReply | None:
     """An answer, of what it holds only what can be shown; None for a line that is none."""
     try:
-        found = json.loads(line)
-        values = found["values"]
-        told = {
+        answer = json.loads(line)
+        values = answer["values"]
+        pairs = {
             str(name): (float(pair[0]), float(pair[1]))
             for name, pair in list(values.items())[:MOST_VALUES]
             if _NAME.fullmatch(name) and len(pair) == 2
         }
-        time = math.nan if found["time"] is None else float(found["time"])
-        words, trouble = str(found["words"]), str(found["trouble"])
+        time = math.nan if answer["time"] is None else float(answer["time"])
+        words, trouble = str(answer["words"]), str(answer["trouble"])
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError, OverflowError):
         return None
-    sound = {n: v for n, v in told.items() if all(map(math.isfinite, v))}
-    return CompanionReply(time, sound, words[:500], trouble[:500])
+    finite = {n: v for n, v in pairs.items() if all(map(math.isfinite, v))}
+    return CompanionReply(time, finite, words[:500], trouble[:500])

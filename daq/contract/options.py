@@ -18,6 +18,21 @@ STRETCHES = (
 _PATH = click.Path(path_type=Path)
 
 
+def flights_argument(name: str = "flights", metavar: str = "FLIGHT...") -> Option[Any]:
+    """Files, one or more."""
+    return click.argument(name, nargs=-1, required=True, type=_PATH, metavar=metavar)
+
+
+def flag_option(*names: str, text: str, default: bool | None = False) -> Option[Any]:
+    """An option without a value; default None tells one that was not given from one that was."""
+    return click.option(*names, is_flag=True, default=default, help=text)
+
+
+def path_option(*names: str, text: str, tried: Callable[..., Any] | None = None, **more: Any) -> Option[Any]:
+    """A file or folder; tried: what looks before the verb begins whether it can be written; more: of `click.option`."""
+    return click.option(*names, type=_PATH, callback=tried, help=text, **more)
+
+
 def json_option(text: str = "Write the answer as JSON.", name: str = "json_path") -> Option[Any]:
     """`--json PATH`; name: of the verb's argument."""
     return click.option("--json", name, type=_PATH, callback=tried_file, help=text)

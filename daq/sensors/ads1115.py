@@ -11,13 +11,14 @@ Self-test: the written configuration is read back. Plausibility: full-scale code
 """
 
 from collections.abc import Callable, Generator
-from typing import TypeVar
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import field_validator
 
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import SECOND, US, Driver, Reading, SelfTestError, Wait
-from daq.sensors.bus import NACK_ERRNOS, I2cBus
-from daq.sensors.config import AnalogConfig
+from daq.sensors.base import SECOND, US, Address, Driver, Reading, SelfTestError, SensorSection, Wait, one_of
+from daq.sensors.bus import NACK_ERRNOS
 
 CONVERSION, CONFIG = 0x00, 0x01
 START, SINGLE_SHOT, COMPARATOR_OFF = 0x8000, 0x0100, 0x0003
@@ -44,16 +45,40 @@ def configuration(channel: int, range_v: float, rate: int) -> int:
     )
 
 
+class AnalogConfig(SensorSection):
+    """`[sensors.analog_a]` and so on: one ADS1115. inputs: the chip input of each channel of the group, in order."""
+
+    driver: str = "ads1115"
+    address: Address
+    range_v: Annotated[float, one_of(*RANGES)] = 4.096
+    samples_per_second: Literal[8, 16, 32, 64, 128, 250, 475, 860] = 860
+    inputs: tuple[int, int, int, int] = (0, 1, 2, 3)
+
+    @field_validator("inputs")
+    @classmethod
+    def _each_once(cls, inputs: tuple[int, ...]) -> tuple[int, ...]:
+        if sorted(inputs) != [0, 1, 2, 3]:
+            raise ValueError("inputs must name each of 0, 1, 2 and 3 once")
+        return inputs
+
+
 class Ads1115(Driver):
     """Four single-ended inputs of one group [counts]."""
 
-    def __init__(self, config: AnalogConfig, group: str, bus: I2cBus, now_ns: Callable[[], int]) -> None:
-        self.group = group
-        self._bus = bus
-        self._now = now_ns
-        self._address = config.address
-        self._range_v = config.range_v
-        self._names = tuple(c.name for c in channels_of(group))[:4]
+    name = "ads1115"
+    groups = ("analog_a", "analog_b", "analog_c")
+    precedence = 0  # it works while the others are read
+    begun_first = True
+    stuck_s = {  # noqa: RUF012
+        **dict.fromkeys(("alpha_vane", "beta_vane"), 2.0),
+        **dict.fromkeys(("elevon_left_pot", "elevon_right_pot", "rudder_pot"), 10.0),
+    }
+    max_step = dict.fromkeys(("alpha_vane", "beta_vane"), 12000.0)
+    _config: AnalogConfig
+
+    def _adopt_settings(self) -> None:
+        config = self._config
+        self._names = tuple(c.name for c in channels_of(self.group))[:4]
         words = [configuration(i, config.range_v, config.samples_per_second) for i in config.inputs]
         self._inputs = tuple(zip(self._names, words, strict=True))
         self._conversion = round(SECOND / config.samples_per_second)
@@ -67,10 +92,10 @@ class Ads1115(Driver):
         _, word = self._inputs[0]
         self._start(word)
         yield self._wait
-        found = self._word(CONFIG)
-        if (found | DONE) != word:
+        answer = self._word(CONFIG)
+        if (answer | DONE) != word:
             raise SelfTestError(
-                f"the chip at 0x{self._address:02x} answers with configuration 0x{found:04x} instead of 0x{word:04x};"
+                f"the chip at 0x{self._address:02x} answers with configuration 0x{answer:04x} instead of 0x{word:04x};"
                 " it is no ADS1115 or its wiring is disturbed"
             )
         yield from self.stages()
@@ -85,9 +110,9 @@ class Ads1115(Driver):
             self._start(word)
             middles.append(self._now() + self._conversion // 2)
             yield self._wait
-            found = self._word(CONFIG)
-            if found != word:  # done and nothing changed reads as it was written
-                yield from self._finish(word, found)
+            answer = self._word(CONFIG)
+            if answer != word:  # done and nothing changed reads as it was written
+                yield from self._finish(word, answer)
             count = self._word(CONVERSION)
             values[name] = count - 0x10000 if count & 0x8000 else count
         self._middles = middles
@@ -152,6 +177,6 @@ class Ads1115(Driver):
         centre = sum(middles) // len(middles)
         return {
             "chip": "ADS1115",
-            "scale_v": repr(self._range_v / 32768),
+            "scale_v": repr(self._config.range_v / 32768),
             **{f"{n}_after_s": f"{(m - centre) * 1e-9:.6f}" for n, m in zip(self._names, middles, strict=True)},
         }

@@ -11,12 +11,22 @@ range; no data-ready bit is stale. Bypass is opened again on every set-up, becau
 
 from collections.abc import Generator
 from struct import Struct
+from typing import Literal
 
 from daq.contract.scan import SensorState
-from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.base import (
+    MS,
+    Address,
+    Driver,
+    Reading,
+    SelfTestError,
+    SensorSection,
+    Surroundings,
+    Wait,
+    WrongChipError,
+)
 from daq.sensors.bus import I2cBus
-from daq.sensors.config import ImuConfig, MagConfig
-from daq.sensors.icm20948 import BYPASS, INT_PIN_CFG, USER_CTRL
+from daq.sensors.icm20948 import BYPASS, INT_PIN_CFG, USER_CTRL, ImuConfig
 from daq.sensors.mounting import rotation
 
 WIA1, ST1, CNTL2, CNTL3 = 0x00, 0x10, 0x31, 0x32
@@ -27,19 +37,31 @@ MODE = {10: 0x02, 20: 0x04, 50: 0x06, 100: 0x08}
 _BURST = Struct("<B3hxB")  # ST1, HX, HY, HZ, TMPS, ST2
 
 
+class MagConfig(SensorSection):
+    """`[sensors.mag]`: AK09916, reached through the IMU's bypass; it turns with the IMU's mounting."""
+
+    driver: str = "ak09916"
+    address: Address = 0x0C
+    rate_hz: Literal[10, 20, 50, 100] = 100
+
+
 class Ak09916(Driver):
     """Magnetic field in body axes [counts of 0.15 uT]."""
 
-    group = "mag"
+    name, groups, precedence = "ak09916", ("mag",), 4
+    stuck_s = dict.fromkeys(("mag_x", "mag_y", "mag_z"), 3.0)
     needs = "imu"
 
     def __init__(self, config: MagConfig, imu: ImuConfig, bus: I2cBus) -> None:
-        self._bus = bus
-        self._address = config.address
+        super().__init__(config, bus)
         self._imu_address = imu.address
         self._mode = MODE[config.rate_hz]
         self._turn = rotation(imu.mounting)
         self.max_rate_hz = config.rate_hz / 1.1  # the chip's clock may run 10 % slow
+
+    @classmethod
+    def build(cls, group: str, around: Surroundings) -> Driver:
+        return cls(around.section(group), around.section("imu"), around.need_bus(group))
 
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address

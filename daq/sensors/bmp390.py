@@ -9,11 +9,12 @@ missing data-ready flag; 0 and 0xFFFFFF are out of range. A chip back in sleep m
 """
 
 from collections.abc import Generator
+from typing import Literal
+
+from pydantic import model_validator
 
 from daq.contract.scan import SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait, WrongChipError
-from daq.sensors.bus import I2cBus
-from daq.sensors.config import StaticConfig
+from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, SensorSection, Wait, WrongChipError
 
 CHIP_ID, ERR, STATUS, DATA, PWR_CTRL = 0x00, 0x02, 0x03, 0x04, 0x1B
 OSR, ODR, FILTER, NVM, CMD = 0x1C, 0x1D, 0x1F, 0x31, 0x7E
@@ -24,15 +25,37 @@ IDENTITY = {"bmp390": 0x60, "bmp388": 0x50}
 ODR_SELECT = {200: 0, 100: 1, 50: 2, 25: 3}
 
 
+class StaticConfig(SensorSection):
+    """`[sensors.static]`: BMP390 or BMP388."""
+
+    driver: str = "bmp390"
+    address: Literal[0x76, 0x77] = 0x77
+    chip: Literal["bmp390", "bmp388"] = "bmp390"
+    rate_hz: Literal[25, 50, 100, 200] = 50
+    pressure_oversampling: Literal[1, 2, 4, 8, 16, 32] = 8
+    temperature_oversampling: Literal[1, 2, 4, 8, 16, 32] = 1
+
+    @model_validator(mode="after")
+    def _fits_the_interval(self) -> "StaticConfig":
+        # BMP390 datasheet rev 1.7, section 3.9.2: conversion time by oversampling
+        conversion = 234 + 392 + self.pressure_oversampling * 2020 + 163 + self.temperature_oversampling * 2020
+        if conversion * self.rate_hz > 1_000_000:
+            raise ValueError(
+                f"a conversion takes {conversion / 1000:.1f} ms, longer than 1/rate_hz; lower the oversampling or rate_hz"
+            )
+        return self
+
+
 class Bmp390(Driver):
     """Uncompensated pressure and temperature [24-bit counts]."""
 
-    group = "static"
+    name, groups, precedence = "bmp390", ("static",), 5
+    stuck_s = {"static_pressure": 1.0}  # noqa: RUF012
+    max_step = {"static_pressure": 40000.0}  # noqa: RUF012
+    _config: StaticConfig
 
-    def __init__(self, config: StaticConfig, bus: I2cBus) -> None:
-        self._config = config
-        self._bus = bus
-        self._address = config.address
+    def _adopt_settings(self) -> None:
+        config = self._config
         self._osr = (
             config.pressure_oversampling.bit_length() - 1 | (config.temperature_oversampling.bit_length() - 1) << 3
         )
@@ -41,9 +64,9 @@ class Bmp390(Driver):
 
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address
-        found = bus.read_byte_data(address, CHIP_ID)
-        if found != IDENTITY[self._config.chip]:
-            raise WrongChipError(self._config.chip.upper(), address, IDENTITY[self._config.chip], found)
+        identity = bus.read_byte_data(address, CHIP_ID)
+        if identity != IDENTITY[self._config.chip]:
+            raise WrongChipError(self._config.chip.upper(), address, IDENTITY[self._config.chip], identity)
         bus.write_byte_data(address, CMD, SOFT_RESET)
         yield 5 * MS
         nvm = bytes(bus.read_i2c_block_data(address, NVM, NVM_LENGTH))

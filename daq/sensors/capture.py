@@ -9,13 +9,13 @@ A channel without a valid pulse is left unset; a digital bit is 1 if the input w
 import errno
 from collections.abc import Callable, Generator
 from struct import Struct
+from typing import Annotated
 
 import fastcrc
+from pydantic import Field
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
-from daq.sensors.bus import I2cBus
-from daq.sensors.config import CaptureConfig
+from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait, WrongChipError
 
 ID, MAP_VERSION, FIRMWARE, CONTROL, TIMEOUT, SNAPSHOT = 0x00, 0x01, 0x02, 0x04, 0x05, 0x10
 IDENTITY, VERSION, ACKNOWLEDGE = 0x5C, 1, 0x01
@@ -33,6 +33,22 @@ crc8: Callable[[bytes], int] = fastcrc.crc8.smbus
 """CRC-8/SMBUS: polynomial 0x07, start 0."""
 
 
+class CaptureConfig(SensorSection):
+    """`[sensors.capture]`: PWM widths and digital inputs.
+
+    driver `capture` is the co-processor on I2C; `mavlink_servo` listens to an autopilot's SERVO_OUTPUT_RAW on the
+    serial `device` instead (no digital inputs then). pwm_inputs: how many of the six are wired and must be alive.
+    """
+
+    driver: str = "capture"
+    address: Address = 0x40
+    timeout_ms: Annotated[int, Field(ge=10, le=250)] = 50
+    debounce_ms: Annotated[int, Field(ge=0, le=250)] = 10
+    pwm_inputs: Annotated[int, Field(ge=0, le=6)] = 4
+    device: str = "/dev/ttyACM0"
+    baud: Annotated[int, Field(ge=1200)] = 115200
+
+
 class ChecksumError(OSError):
     """A snapshot whose checksum is wrong: the transfer was disturbed."""
 
@@ -43,14 +59,11 @@ class ChecksumError(OSError):
 class Capture(Driver):
     """Pulse widths [0.1 us] and digital bits; reports edges of the event switch."""
 
-    group = "capture"
+    name, groups, precedence = "capture", ("capture",), 3
+    _config: CaptureConfig
 
-    def __init__(self, config: CaptureConfig, bus: I2cBus, now_ns: Callable[[], int]) -> None:
-        self._config = config
-        self._bus = bus
-        self._now = now_ns
-        self._address = config.address
-        self._wired = (1 << config.pwm_inputs) - 1
+    def _adopt_settings(self) -> None:
+        self._wired = (1 << self._config.pwm_inputs) - 1
         self._sequence: int | None = None
         self._sequence_ns = 0
         self._edges: int | None = None
@@ -83,12 +96,12 @@ class Capture(Driver):
         sequence, *rest = self._snapshot()
         widths, valid = rest[0:6], rest[6]
         _level, latched, edges, edge_age, status, _crc = rest[8:14]
-        now = self._now()
+        now_ns = self._now()
         if status & STATUS_RESET:
             return Reading(state=SensorState.FAULT, detail="capture co-processor was restarted")
         if sequence != self._sequence:
-            self._sequence, self._sequence_ns = sequence, now
-        elif now - self._sequence_ns > _SLICE:
+            self._sequence, self._sequence_ns = sequence, now_ns
+        elif now_ns - self._sequence_ns > _SLICE:
             return Reading(state=SensorState.STALE, detail="capture co-processor's loop stands still")
         values: dict[str, RawValue] = {}
         for (bit, name), width in zip(_PWM, widths, strict=True):
@@ -96,13 +109,13 @@ class Capture(Driver):
                 values[name] = width
         for bit, name in _DIGITAL:
             values[name] = 1 if latched & bit else 0
-        events = self._new_edges(edges, edge_age, now) if edges != self._edges else ()
+        events = self._new_edges(edges, edge_age, now_ns) if edges != self._edges else ()
         if self._wired & ~valid:
             silent = [name for bit, name in _PWM if self._wired & ~valid & bit]
-            return Reading(values, SensorState.OUT_OF_RANGE, f"no valid pulses on {', '.join(silent)}", now, events)
+            return Reading(values, SensorState.OUT_OF_RANGE, f"no valid pulses on {', '.join(silent)}", now_ns, events)
         if status & STATUS_OVERRUN:
-            return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now, events)
-        return Reading(values, time_ns=now, events=events)
+            return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now_ns, events)
+        return Reading(values, time_ns=now_ns, events=events)
 
     def _new_edges(self, edges: int, age_ms: int, now: int) -> tuple[int, ...]:
         """Times of switch edges since the last reading; only the newest one's is known, earlier ones share it."""

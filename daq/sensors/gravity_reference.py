@@ -63,22 +63,22 @@ class GroundVelocity:
     def hear(self, fix: VelocityFix | None) -> None:
         """Take in a fix that has come since the last call, as soon as the integration has reached its time; after a pause
         the integration begins anew at it."""
-        for known in (self._waiting, fix):
-            if known is None:
+        for velocity_fix in (self._waiting, fix):
+            if velocity_fix is None:
                 continue
-            self._waiting = known
-            if self._history and known.time <= self._history[-1][0]:
+            self._waiting = velocity_fix
+            if self._history and velocity_fix.time <= self._history[-1][0]:
                 self._waiting = None
-                self._compare(known)
+                self._compare(velocity_fix)
 
     def _compare(self, fix: VelocityFix) -> None:
-        lost = not self.known(fix.time)
+        restart = not self.known(fix.time)
         self._fix_time = fix.time
         error = plus(fix.velocity, self._at(fix.time), -1.0)
-        if lost:
+        if restart:
             self._velocity = plus(self._velocity, error)
             self._history = deque((t, plus(v, error)) for t, v in self._history)
-        self._error = ZERO if lost else error
+        self._error = ZERO if restart else error
 
     def known(self, time: float) -> bool:
         """Whether there was a fix lately."""
@@ -94,12 +94,12 @@ class GroundVelocity:
 
     def _at(self, time: float) -> Vector:
         """The integrated velocity at an earlier time, by straight lines."""
-        later = self._history[-1]
+        next_sample = self._history[-1]
         for earlier in reversed(self._history):
             if earlier[0] < time:
                 break
-            later = earlier
-        (t0, v0), (t1, v1) = earlier, later
+            next_sample = earlier
+        (t0, v0), (t1, v1) = earlier, next_sample
         if t0 == t1:  # before all that is remembered, or at its end
             return v1
         return plus(v0, plus(v1, v0, -1.0), (time - t0) / (t1 - t0))

@@ -13,13 +13,24 @@ whether the chip has been reset.
 import math
 from collections.abc import Generator
 from struct import Struct
+from typing import Annotated, Literal
+
+from pydantic import field_validator
 
 from daq.contract.constants import GRAVITY
 from daq.contract.scan import SensorState
-from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
-from daq.sensors.bus import I2cBus
-from daq.sensors.config import ImuConfig
-from daq.sensors.mounting import Rotation, rotation
+from daq.sensors.base import (
+    MS,
+    Address,
+    Driver,
+    Reading,
+    SelfTestError,
+    SensorSection,
+    Wait,
+    WrongChipError,
+    one_of,
+)
+from daq.sensors.mounting import Mounting, Rotation, check_mounting, rotation
 
 # bank 0
 WHO_AM_I, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, INT_PIN_CFG, INT_STATUS_1 = 0x00, 0x03, 0x06, 0x07, 0x0F, 0x1A
@@ -46,16 +57,35 @@ def setting(lowpass_index: int, range_index: int) -> int:
     return lowpass_index << 3 | range_index << 1 | 1
 
 
+class ImuConfig(SensorSection):
+    """`[sensors.imu]`: ICM-20948 accelerometer and gyro.
+
+    mounting: the chip axis that lies along body x (forward), y (right) and z (down).
+    lowpass: 3 dB bandwidths of the chip's filters [Hz]; one value of the datasheet's list.
+    """
+
+    driver: str = "icm20948"
+    address: Address = 0x68
+    accel_range_g: Literal[2, 4, 8, 16] = 8
+    gyro_range_dps: Literal[250, 500, 1000, 2000] = 500
+    accel_lowpass_hz: Annotated[float, one_of(*sorted(set(ACCEL_LOWPASS_HZ), reverse=True))] = 11.5
+    gyro_lowpass_hz: Annotated[float, one_of(*sorted(GYRO_LOWPASS_HZ, reverse=True))] = 11.6
+    mounting: Mounting = ("+x", "+y", "+z")
+
+    _rotation = field_validator("mounting")(check_mounting)
+
+
 class Icm20948(Driver):
     """Accelerometer and gyro in body axes [counts]; also opens the bypass to the magnetometer."""
 
-    group = "imu"
+    name, groups, precedence, begun_first = "icm20948", ("imu",), 1, True
+    stuck_s = dict.fromkeys(_NAMES[:6], 1.0)
+    max_step = {**dict.fromkeys(_NAMES[:3], 20000.0), **dict.fromkeys(_NAMES[3:6], 30000.0)}  # noqa: RUF012
     max_rate_hz = 1125.0
+    _config: ImuConfig
 
-    def __init__(self, config: ImuConfig, bus: I2cBus) -> None:
-        self._config = config
-        self._bus = bus
-        self._address = config.address
+    def _adopt_settings(self) -> None:
+        config = self._config
         self._unread = False
         self._turn: Rotation = rotation(config.mounting)
         self._gyro_setting = setting(
@@ -68,9 +98,9 @@ class Icm20948(Driver):
     def initialise(self) -> Generator[Wait, None, None]:
         bus, address = self._bus, self._address
         bus.write_byte_data(address, REG_BANK_SEL, 0)
-        found = bus.read_byte_data(address, WHO_AM_I)
-        if found != IDENTITY:
-            raise WrongChipError("ICM-20948", address, IDENTITY, found)
+        identity = bus.read_byte_data(address, WHO_AM_I)
+        if identity != IDENTITY:
+            raise WrongChipError("ICM-20948", address, IDENTITY, identity)
         bus.write_byte_data(address, PWR_MGMT_1, RESET)
         yield 100 * MS  # start-up time for register access, table 3: 100 ms worst case
         bus.write_byte_data(address, PWR_MGMT_1, AUTO_CLOCK)
@@ -106,13 +136,13 @@ class Icm20948(Driver):
         self._unread = bool(bus.read_byte_data(self._address, INT_STATUS_1) & 1) or self._unread
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
         fresh, self._unread = self._unread, False
-        least, most = min(raw[:6]), max(raw[:6])
-        if least == most == 0:
+        lowest, highest = min(raw[:6]), max(raw[:6])
+        if lowest == highest == 0:
             return self._explain_zeros()
         if not fresh:
             return Reading(state=SensorState.STALE, detail="IMU has no new sample")
         values = dict(zip(_NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
-        if least > _LEAST and most < _MOST:
+        if lowest > _LEAST and highest < _MOST:
             return Reading(values)
         clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in (_LEAST, _MOST)]
         return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")

@@ -15,13 +15,12 @@ from struct import Struct
 from fastcrc import crc16
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
+from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Surroundings, Wait
 from daq.sensors.bus import SerialPortCalls
-from daq.sensors.config import CaptureConfig
+from daq.sensors.capture import CaptureConfig
 
 SERVO_OUTPUT_RAW, CRC_EXTRA = 36, 222
 V1, V2 = 0xFE, 0xFD
-_SIGNED = 0x01
 _PAYLOAD = Struct("<I8HB")
 _STALE = SECOND // 2
 
@@ -40,8 +39,8 @@ def servo_frames(buffer: bytearray) -> Iterator[bytes]:
             return
         message = int.from_bytes(buffer[7:10], "little") if header == 10 else buffer[5]
         if message == SERVO_OUTPUT_RAW:
-            given = buffer[end - 2] | buffer[end - 1] << 8
-            if crc16.mcrf4xx(bytes(buffer[1 : end - 2]) + bytes((CRC_EXTRA,))) == given:
+            checksum = buffer[end - 2] | buffer[end - 1] << 8
+            if crc16.mcrf4xx(bytes(buffer[1 : end - 2]) + bytes((CRC_EXTRA,))) == checksum:
                 yield bytes(buffer[header : end - 2])
                 del buffer[:end]
                 continue
@@ -51,7 +50,7 @@ def servo_frames(buffer: bytearray) -> Iterator[bytes]:
 class MavlinkServo(Driver):
     """Pulse widths [0.1 us] of outputs 1 to 6."""
 
-    group = "capture"
+    name, groups, group = "mavlink_servo", ("capture",), "capture"
     uses_i2c = False
     max_rate_hz = 50.0
 
@@ -62,6 +61,10 @@ class MavlinkServo(Driver):
         self._buffer = bytearray()
         self._newest: tuple[int, ...] | None = None
         self._newest_ns = 0
+
+    @classmethod
+    def build(cls, group: str, around: Surroundings) -> Driver:
+        return cls(around.section(group), around.need_port(around.autopilot, group), around.now_ns)
 
     def initialise(self) -> Generator[Wait, None, None]:
         asked_ns = self._now()
@@ -75,10 +78,10 @@ class MavlinkServo(Driver):
         )
 
     def _receive(self) -> None:
-        waiting = min(self._port.in_waiting, 4096)
-        if not waiting:
+        available = min(self._port.in_waiting, 4096)
+        if not available:
             return
-        self._buffer += self._port.read(waiting)
+        self._buffer += self._port.read(available)
         for payload in servo_frames(self._buffer):
             full = payload[: _PAYLOAD.size].ljust(_PAYLOAD.size, b"\0")  # MAVLink 2 trims trailing zeros
             _, *widths, port = _PAYLOAD.unpack(full)

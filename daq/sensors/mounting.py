@@ -1,11 +1,28 @@
 """Turning counts from chip axes to body axes by a signed permutation, exact in integers."""
 
 from collections.abc import Callable
+from typing import Literal
 
-from daq.sensors.config import Mounting
-
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Mounting = tuple[Axis, Axis, Axis]
 Rotation = Callable[[int, int, int], tuple[int, int, int]]
 """Chip x, y, z counts to body x, y, z counts."""
+
+
+_DETERMINANT_SIGN = {"xyz": 1, "yzx": 1, "zxy": 1, "xzy": -1, "zyx": -1, "yxz": -1}
+
+
+def check_mounting(mounting: Mounting) -> Mounting:
+    """A mounting that is a rotation: each chip axis once, right-handed. Raises ValueError otherwise."""
+    letters = "".join(axis[1] for axis in mounting)
+    if letters not in _DETERMINANT_SIGN:
+        raise ValueError(f"mounting must name each of x, y and z once, not {', '.join(mounting)}")
+    sign = _DETERMINANT_SIGN[letters]
+    for axis in mounting:
+        sign *= -1 if axis[0] == "-" else 1
+    if sign < 0:
+        raise ValueError(f"mounting {', '.join(mounting)} is a mirror image, not a rotation; change one sign")
+    return mounting
 
 
 def _as_it_is(x: int, y: int, z: int) -> tuple[int, int, int]:

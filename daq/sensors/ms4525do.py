@@ -12,16 +12,35 @@ Self-test: two reads that agree; the part has no identity. Plausibility: status 
 
 import math
 from collections.abc import Generator
+from typing import Literal
 
+from pydantic import field_validator
+
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.scan import SensorState
-from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait
-from daq.sensors.bus import I2cBus, read_raw
-from daq.sensors.config import PitotConfig
+from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait
+from daq.sensors.bus import read_raw
 
 NORMAL, RESERVED, FETCHED, FAULT = range(4)
 FULL = 0x3FFF
 LARGEST_JUMP = 0xFF
 SPAN = {"A": (0.1, 0.8), "B": (0.05, 0.9)}
+
+
+class PitotConfig(SensorSection):
+    """`[sensors.pitot]`: MS4525DO; output type A spans 10 to 90 % of the counts, type B 5 to 95 %."""
+
+    driver: str = "ms4525do"
+    address: Address = 0x28
+    output: Literal["A", "B"] = "A"
+    range_pa: tuple[float, float] = (-6894.757, 6894.757)
+
+    @field_validator("range_pa")
+    @classmethod
+    def _rising(cls, range_pa: tuple[float, float]) -> tuple[float, float]:
+        if range_pa[0] >= range_pa[1]:
+            raise ValueError("range_pa must be [lowest, highest]")
+        return range_pa
 
 
 def nominal_transfer(config: object) -> tuple[float, float]:
@@ -33,6 +52,11 @@ def nominal_transfer(config: object) -> tuple[float, float]:
     return per_count, low - start * FULL * per_count
 
 
+def indicated_airspeed(dynamic_pressure: float) -> float:
+    """Airspeed [m/s] that a dynamic pressure [Pa] means at sea level; 0 where it is not positive."""
+    return math.sqrt(max(0.0, 2.0 * dynamic_pressure / SEA_LEVEL_DENSITY))
+
+
 def split(data: bytes) -> tuple[int, int, int]:
     """Status, pressure count and temperature count of the four bytes."""
     return data[0] >> 6, (data[0] & 0x3F) << 8 | data[1], data[2] << 3 | data[3] >> 5
@@ -41,19 +65,20 @@ def split(data: bytes) -> tuple[int, int, int]:
 class Ms4525do(Driver):
     """Differential pressure and die temperature [counts]."""
 
-    group = "pitot"
+    name, groups, precedence, begun_first = "ms4525do", ("pitot",), 2, True
+    stuck_s = {"pitot_pressure": 3.0}  # noqa: RUF012
+    max_step = {"pitot_pressure": 1500.0}  # noqa: RUF012
+    _config: PitotConfig
 
-    def __init__(self, config: PitotConfig, bus: I2cBus) -> None:
-        self._config = config
-        self._bus = bus
+    def _adopt_settings(self) -> None:
         self._unconfirmed: tuple[int, int] | None = None  # fetched, but the confirming read failed
 
     def initialise(self) -> Generator[Wait, None, None]:
-        read_raw(self._bus, self._config.address, 4)
+        read_raw(self._bus, self._address, 4)
         yield 10 * MS  # power-up to first data: 8.4 ms
-        status, first, _ = split(read_raw(self._bus, self._config.address, 4))
+        status, first, _ = split(read_raw(self._bus, self._address, 4))
         yield 2 * MS
-        _, second, temperature = split(read_raw(self._bus, self._config.address, 4))
+        _, second, temperature = split(read_raw(self._bus, self._address, 4))
         if status in (RESERVED, FAULT):
             raise SelfTestError(f"MS4525DO reports status {status} (bridge fault); replace it")
         if abs(second - first) > LARGEST_JUMP or temperature in (0, 0x7FF):
@@ -63,7 +88,7 @@ class Ms4525do(Driver):
             )
 
     def read(self) -> Reading:
-        status, pressure, temperature = split(read_raw(self._bus, self._config.address, 4))
+        status, pressure, temperature = split(read_raw(self._bus, self._address, 4))
         if status in (RESERVED, FAULT):
             return Reading(state=SensorState.FAULT, detail=f"pitot sensor reports status {status}")
         if status == FETCHED:
@@ -71,24 +96,22 @@ class Ms4525do(Driver):
                 return Reading(state=SensorState.STALE, detail="pitot sensor has no new sample")
             pressure, temperature = self._unconfirmed
         self._unconfirmed = pressure, temperature
-        again, repeated, _ = split(read_raw(self._bus, self._config.address, 4))
+        second_status, repeated, _ = split(read_raw(self._bus, self._address, 4))
         self._unconfirmed = None
         values = {"pitot_pressure": pressure, "pitot_temperature": temperature}
         if pressure in (0, FULL) or temperature in (0, 0x7FF):
             return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")
-        if again in (NORMAL, FETCHED) and abs(repeated - pressure) > LARGEST_JUMP:
+        if second_status in (NORMAL, FETCHED) and abs(repeated - pressure) > LARGEST_JUMP:
             return Reading(
                 values, SensorState.OUT_OF_RANGE, f"pitot pressure jumps from {pressure} to {repeated} counts"
             )
         return Reading(values)
 
     def metadata(self) -> dict[str, str]:
-        low, high = self._config.range_pa
-        start, span = SPAN[self._config.output]
-        scale = (high - low) / (span * FULL)
+        scale, offset = nominal_transfer(self._config)
         return {
             "chip": "MS4525DO",
             "scale_pa": repr(scale),
-            "offset_pa": repr(low - start * FULL * scale),
+            "offset_pa": repr(offset),
             "filter_delay_s": "0.0005",
         }

@@ -9,11 +9,22 @@ is stale; end codes are out of range. The first six conversions after set-up are
 """
 
 from collections.abc import Generator
+from typing import Annotated, Literal
 
 from daq.contract.scan import SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait, WrongChipError, signed
-from daq.sensors.bus import I2cBus
-from daq.sensors.config import ThrustConfig
+from daq.sensors.base import (
+    MS,
+    SECOND,
+    Address,
+    Driver,
+    Reading,
+    SelfTestError,
+    SensorSection,
+    Wait,
+    WrongChipError,
+    one_of,
+    signed,
+)
 
 PU_CTRL, CTRL1, CTRL2, ADC, ADC_SETTINGS, PGA_POWER, REVISION = 0x00, 0x01, 0x02, 0x12, 0x15, 0x1C, 0x1F
 RR, PUD, PUA, PUR, CS, CR, AVDDS = (1 << bit for bit in (0, 1, 2, 3, 4, 5, 7))
@@ -26,15 +37,25 @@ _SETTLING = 6
 _CALIBRATION_POLLS = 20
 
 
+class ThrustConfig(SensorSection):
+    """`[sensors.thrust]`: load cell on a NAU7802."""
+
+    driver: str = "nau7802"
+    address: Address = 0x2A
+    gain: Literal[1, 2, 4, 8, 16, 32, 64, 128] = 128
+    rate_hz: Literal[10, 20, 40, 80, 320] = 80
+    supply_v: Annotated[float, one_of(*sorted(SUPPLY_SELECT))] = 3.0
+
+
 class Nau7802(Driver):
     """Load cell [24-bit signed counts]."""
 
-    group = "thrust"
+    name, groups, precedence = "nau7802", ("thrust",), 6
+    stuck_s = {"thrust_load": 1.0}  # noqa: RUF012
+    _config: ThrustConfig
 
-    def __init__(self, config: ThrustConfig, bus: I2cBus) -> None:
-        self._config = config
-        self._bus = bus
-        self._address = config.address
+    def _adopt_settings(self) -> None:
+        config = self._config
         self._ctrl1 = SUPPLY_SELECT[config.supply_v] << 3 | config.gain.bit_length() - 1
         self._ctrl2 = RATE_SELECT[config.rate_hz] << 4
         self.max_rate_hz = config.rate_hz / 1.1

@@ -6,17 +6,13 @@ Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPo
 import errno
 import fcntl
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from daq.clock import Clock
 from daq.sensors.config import SensorsConfig
-
-if TYPE_CHECKING:
-    import serial
-    from smbus2 import SMBus
 
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
@@ -35,7 +31,7 @@ class Hardware:
     pulse: "SysfsPulse | None"
 
     @property
-    def devices(self) -> tuple["ReopeningBus | ReopeningPort", ...]:
+    def devices(self) -> tuple["_Reopening", ...]:
         """What was asked for of the bus and the ports."""
         return tuple(d for d in (self.bus, self.gnss, self.autopilot) if d is not None)
 
@@ -43,7 +39,7 @@ class Hardware:
     def absent(self) -> tuple[str, ...]:
         """A sentence on every bus, port and pulse that was not there when it was opened."""
         pulse = () if self.pulse is None else (self.pulse.absent,)
-        return tuple(why for why in (*(d.absent for d in self.devices), *pulse) if why)
+        return tuple(reason for reason in (*(d.absent for d in self.devices), *pulse) if reason)
 
     def close(self) -> None:
         """Release everything."""
@@ -55,7 +51,7 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
     capture_serial = config.capture is not None and config.capture.driver == "mavlink_servo"
     chips = [g for g in config.fitted if g not in ("attitude", "gnss") and not (g == "capture" and capture_serial)]
-    bus = open_bus(config, clock) if chips else None
+    bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock) if chips else None
     gnss = autopilot = None
     if config.gnss is not None:
         gnss = ReopeningPort(config.gnss.device, config.gnss.baud, clock)
@@ -65,84 +61,83 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     return Hardware(bus, gnss, autopilot, SysfsPulse(Path(pps), clock) if pps else None)
 
 
-def open_bus(config: SensorsConfig, clock: Clock) -> "ReopeningBus":
-    """The I2C adapter of the configuration, which may come later."""
-    return ReopeningBus(config.bus.device, config.bus.timeout_ms, clock)
+class _Reopening:
+    """A device that comes, and comes back: opened again once a second, and meanwhile every call raises OSError.
+
+    absent: why it was not there at the start, or empty.
+    """
+
+    def __init__(self, device: str, clock: Clock) -> None:
+        self._device = device
+        self._clock = clock
+        self._retry_ns = 0
+        self._opened: Any = None
+        self.absent = ""
+        try:
+            self._opened = self._open()
+        except OSError as error:
+            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
+            self.absent = self._advice(error)
+
+    def _open(self) -> Any:
+        raise NotImplementedError
+
+    def _advice(self, error: OSError) -> str:
+        raise NotImplementedError
+
+    def _failed(self) -> None:
+        """After a call that raised: whether to let go of the device."""
+        raise NotImplementedError
+
+    def _use(self, call: Callable[[Any], Any]) -> Any:
+        if self._opened is None:
+            now_ns = self._clock.monotonic_ns()
+            if now_ns < self._retry_ns:
+                raise OSError(errno.ENODEV, f"{self._device} is not there")
+            self._retry_ns = now_ns + REOPEN_AFTER_NS
+            self._opened = self._open()
+        try:
+            return call(self._opened)
+        except OSError:
+            self._failed()
+            raise
+
+    def close(self) -> None:
+        if self._opened is not None:
+            self._opened.close()
+            self._opened = None
 
 
-def _advice(error: OSError, when_missing: str) -> str:
-    if error.errno == errno.ENOENT:
-        return f"no such device; {when_missing} or correct the key sensors.bus.device"
-    if error.errno == errno.EACCES:
-        return "no permission; add the user to the group i2c"
-    if error.errno == errno.EBUSY:
-        return "busy; stop the other program that uses it"
-    return f"cannot be opened ({error.strerror or error})"
-
-
-class ReopeningBus:
+class ReopeningBus(_Reopening):
     """An I2C adapter that comes back after its plug was pulled, whatever number it then has.
 
     As long as anybody holds a file of an adapter that is gone, the kernel keeps its number, and its USB hub sees nothing
     new. So after an error the name is looked at: where it leads elsewhere, or nowhere, the file is closed and the name is
     tried again once a second. `device` should be a name that udev keeps. Time-outs are shortened so that a held bus costs
-    one scan little. Raises OSError. absent: why it was not there at the start, or empty.
+    one scan little.
     """
 
     def __init__(self, device: str, timeout_ms: int, clock: Clock) -> None:
-        self._device = device
         self._timeout = timeout_ms // 10
-        self._clock = clock
-        self._retry_ns = self._look_ns = 0
-        self._bus: SMBus | None = None
-        self.absent = ""
-        try:
-            self._bus = self._open()
-        except OSError as error:
-            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
-            self.absent = f"{device}: {_advice(error, 'enable I2C (raspi-config, or dtparam=i2c_arm=on)')}"
+        self._look_ns = 0
+        super().__init__(device, clock)
 
     def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
-        try:
-            return int(self._usable().read_byte_data(i2c_addr, register))
-        except OSError:
-            self._look()
-            raise
+        return int(self._use(lambda bus: bus.read_byte_data(i2c_addr, register)))
 
     def write_byte_data(self, i2c_addr: int, register: int, value: int, /) -> None:
-        try:
-            self._usable().write_byte_data(i2c_addr, register, value)
-        except OSError:
-            self._look()
-            raise
+        self._use(lambda bus: bus.write_byte_data(i2c_addr, register, value))
 
     def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
-        try:
-            return list(self._usable().read_i2c_block_data(i2c_addr, register, length))
-        except OSError:
-            self._look()
-            raise
+        return list(self._use(lambda bus: bus.read_i2c_block_data(i2c_addr, register, length)))
 
     def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
-        try:
-            self._usable().write_i2c_block_data(i2c_addr, register, data)
-        except OSError:
-            self._look()
-            raise
+        self._use(lambda bus: bus.write_i2c_block_data(i2c_addr, register, data))
 
     def i2c_rdwr(self, *i2c_msgs: Any) -> None:
-        try:
-            self._usable().i2c_rdwr(*i2c_msgs)
-        except OSError:
-            self._look()
-            raise
+        self._use(lambda bus: bus.i2c_rdwr(*i2c_msgs))
 
-    def close(self) -> None:
-        if self._bus is not None:
-            self._bus.close()
-            self._bus = None
-
-    def _open(self) -> "SMBus":
+    def _open(self) -> Any:
         from smbus2 import SMBus
 
         bus = SMBus(self._device)
@@ -154,93 +149,63 @@ class ReopeningBus:
             raise
         return bus
 
-    def _usable(self) -> "SMBus":
-        if self._bus is None:
-            now = self._clock.monotonic_ns()
-            if now < self._retry_ns:
-                raise OSError(errno.ENODEV, f"{self._device} is not there")
-            self._retry_ns = now + REOPEN_AFTER_NS
-            self._bus = self._open()
-        return self._bus
+    def _advice(self, error: OSError) -> str:
+        if error.errno == errno.ENOENT:
+            enable = "enable I2C (raspi-config, or dtparam=i2c_arm=on)"
+            advice = f"no such device; {enable} or correct the key sensors.bus.device"
+        elif error.errno == errno.EACCES:
+            advice = "no permission; add the user to the group i2c"
+        elif error.errno == errno.EBUSY:
+            advice = "busy; stop the other program that uses it"
+        else:
+            advice = f"cannot be opened ({error.strerror or error})"
+        return f"{self._device}: {advice}"
 
-    def _look(self) -> None:
-        """After an error: let go of an adapter that is no longer there. Not at every error: a chip may be missing for hours."""
-        now = self._clock.monotonic_ns()
-        if self._bus is None or now < self._look_ns:
+    def _failed(self) -> None:
+        """Let go of an adapter that is no longer there. Looked at not at every error: a chip may be missing for hours."""
+        now_ns = self._clock.monotonic_ns()
+        if self._opened is None or now_ns < self._look_ns:
             return
-        self._look_ns = now + LOOK_AFTER_NS
-        held = os.fstat(self._bus.fd)
+        self._look_ns = now_ns + LOOK_AFTER_NS
+        open_file = os.fstat(self._opened.fd)
         try:
-            named = Path(self._device).stat()
-            there = (held.st_dev, held.st_ino) == (named.st_dev, named.st_ino)
+            device_file = Path(self._device).stat()
+            present = (open_file.st_dev, open_file.st_ino) == (device_file.st_dev, device_file.st_ino)
         except OSError:
-            there = False
-        if not there:
+            present = False
+        if not present:
             self.close()
 
 
-class ReopeningPort:
-    """A serial port that comes, and comes back after its plug was pulled: opened again once a second. Raises OSError while it is
-    away. absent: why it was not there at the start, or empty.
-    """
+class ReopeningPort(_Reopening):
+    """A serial port that comes, and comes back after its plug was pulled."""
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
-        import serial
-
-        self._open = lambda: serial.Serial(device, baud, timeout=0, write_timeout=0, exclusive=True)
-        self._device = device
-        self._clock = clock
-        self._retry_ns = 0
-        self._port: serial.Serial | None = None
-        self.absent = ""
-        try:
-            self._port = self._open()
-        except OSError as error:
-            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
-            busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)
-            advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error}); {BY_ID}"
-            self.absent = f"serial port {device}: {advice}"
+        self._baud = baud
+        super().__init__(device, clock)
 
     @property
     def in_waiting(self) -> int:
-        port = self._usable()
-        try:
-            return int(port.in_waiting)
-        except OSError:
-            self._drop()
-            raise
+        return int(self._use(lambda port: port.in_waiting))
 
     def read(self, size: int = 1, /) -> bytes:
-        port = self._usable()
-        try:
-            return bytes(port.read(size))
-        except OSError:
-            self._drop()
-            raise
+        return bytes(self._use(lambda port: port.read(size)))
 
     def write(self, data: bytes, /) -> int | None:
-        port = self._usable()
-        try:
-            return port.write(data)
-        except OSError:
-            self._drop()
-            raise
+        accepted: int | None = self._use(lambda port: port.write(data))
+        return accepted
 
-    def close(self) -> None:
-        if self._port is not None:
-            self._port.close()
-            self._port = None
+    def _open(self) -> Any:
+        import serial
 
-    def _usable(self) -> "serial.Serial":
-        if self._port is None:
-            now = self._clock.monotonic_ns()
-            if now < self._retry_ns:
-                raise OSError(errno.ENODEV, f"{self._device} is not there")
-            self._retry_ns = now + REOPEN_AFTER_NS
-            self._port = self._open()
-        return self._port
+        return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
 
-    def _drop(self) -> None:
+    def _advice(self, error: OSError) -> str:
+        busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)
+        advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error}); {BY_ID}"
+        return f"serial port {self._device}: {advice}"
+
+    def _failed(self) -> None:
         self._retry_ns = self._clock.monotonic_ns() + REOPEN_AFTER_NS
         self.close()
 
@@ -260,8 +225,8 @@ class SysfsPulse:
         try:
             path.read_text()
         except OSError as error:
-            what = f"no pulse-per-second source ({error.strerror})"
-            self.absent = f"{path}: {what}; load the pps-gpio overlay or remove sensors.gnss.pps"
+            reason = f"no pulse-per-second source ({error.strerror})"
+            self.absent = f"{path}: {reason}; load the pps-gpio overlay or remove sensors.gnss.pps"
 
     def __call__(self) -> int | None:
         try:

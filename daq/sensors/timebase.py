@@ -57,7 +57,7 @@ class _OffsetLine:
     def __len__(self) -> int:
         return len(self._bins)
 
-    def add(self, monotonic_ns: int, offset_ns: int) -> None:
+    def add_offset(self, monotonic_ns: int, offset_ns: int) -> None:
         if self._bins and abs(offset_ns - self.offset_at(monotonic_ns)) > self._jump_ns:
             self._contradict(monotonic_ns, offset_ns)
             return
@@ -73,14 +73,14 @@ class _OffsetLine:
             self._fit()
 
     def _contradict(self, monotonic_ns: int, offset_ns: int) -> None:
-        others = self._contradictions
-        if others and abs(others[0][1] - offset_ns) > self._jump_ns // 4:
-            others.clear()
-        others.append((monotonic_ns, offset_ns))
-        if len(others) >= self._AGREED:
+        contradictions = self._contradictions
+        if contradictions and abs(contradictions[0][1] - offset_ns) > self._jump_ns // 4:
+            contradictions.clear()
+        contradictions.append((monotonic_ns, offset_ns))
+        if len(contradictions) >= self._AGREED:
             self._bins.clear()
-            self._bins.extend(others[-1:])
-            others.clear()
+            self._bins.extend(contradictions[-1:])
+            contradictions.clear()
             self._fit()
 
     def _fit(self) -> None:
@@ -134,7 +134,7 @@ class TimeBase:
 
     def observe_fix(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:
         """A fix valid at `utc_ns` (one sigma `accuracy_ns`) was received at `monotonic_ns`."""
-        self._fixes.add(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
+        self._fixes.add_offset(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
         self._time_accuracy_ns = accuracy_ns
         self._by_fixes = self._by_pulses = None
 
@@ -143,11 +143,11 @@ class TimeBase:
         if not len(self._fixes) or monotonic_ns == self._last_edge_ns:
             return
         self._last_edge_ns = monotonic_ns
-        about = monotonic_ns + self._fixes.offset_at(monotonic_ns)
-        second = (about + NS // 2) // NS * NS
-        if abs(about - second) > 300 * MS:
+        estimate = monotonic_ns + self._fixes.offset_at(monotonic_ns)
+        second = (estimate + NS // 2) // NS * NS
+        if abs(estimate - second) > 300 * MS:
             return  # cannot be told apart from its neighbour: no edge of this receiver
-        self._pulses.add(monotonic_ns, second - monotonic_ns)
+        self._pulses.add_offset(monotonic_ns, second - monotonic_ns)
         self._last_pulse_ns = monotonic_ns
         self._by_pulses = None
 

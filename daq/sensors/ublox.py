@@ -9,11 +9,13 @@ seconds absent; a fix the receiver itself does not vouch for (gnssFixOK clear, o
 
 from collections import deque
 from collections.abc import Callable, Generator
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
+from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, SensorSection, Surroundings, Wait
 from daq.sensors.bus import SerialPortCalls
-from daq.sensors.config import GnssConfig
 from daq.sensors.timebase import TimeBase
 from daq.sensors.ubx import ACK_ACK, ACK_NAK, NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
 
@@ -25,10 +27,33 @@ _SILENT = 2 * SECOND
 _FIX_3D = (3, 4)
 
 
+class GnssConfig(SensorSection):
+    """`[sensors.gnss]`: u-blox receiver.
+
+    generation: how it is told what to send; `m9` (and M10) by CFG-VALSET, `m8` by the older messages, `none` leaves
+    the receiver as it was set up. latency_s: from the instant of a fix to the first byte of its message, the receiver's
+    computing time; the time on the line follows from `baud`. No data sheet states it: measure it once against a pulse.
+    pps: sysfs file of the kernel's pulse-per-second stamps, e.g. /sys/class/pps/pps0/assert.
+    """
+
+    driver: str = "ublox"
+    device: str = "/dev/serial0"
+    baud: Annotated[int, Field(ge=9600)] = 115200
+    rate_hz: Annotated[float, Field(gt=0, le=25)] = 10.0
+    generation: Literal["m9", "m8", "none"] = "m9"
+    latency_s: Annotated[float, Field(ge=0, le=1)] = 0.05
+    pps: str | None = None
+
+    @property
+    def arrival_s(self) -> float:
+        """From the instant of a fix to the last byte of its NAV-PVT message: 100 bytes of ten bits [s]."""
+        return self.latency_s + 1000.0 / self.baud
+
+
 class Ublox(Driver):
     """GPS position, velocity and time [receiver units]; feeds the relation of the two clocks."""
 
-    group = "gnss"
+    name, groups, group = "ublox", ("gnss",), "gnss"
     uses_i2c = False
 
     def __init__(
@@ -46,10 +71,15 @@ class Ublox(Driver):
         # A fix is missing once it should have been seen at the scan before; receivers are some ten milliseconds uneven.
         self._stale_after = round(SECOND / config.rate_hz) + max(3 * timebase.poll_ns // 2, 50 * MS)
 
+    @classmethod
+    def build(cls, group: str, around: Surroundings) -> Driver:
+        port = around.need_port(around.gnss, group)
+        return cls(around.section(group), port, around.now_ns, around.timebase)
+
     def initialise(self) -> Generator[Wait, None, None]:
         setup = _SETUP.get(self._config.generation)
         messages = setup(self._config.rate_hz) if setup else []
-        refused: list[int] = []
+        rejected: list[int] = []
         answered = 0
         for number, message in enumerate(messages):
             self._answers.clear()
@@ -61,12 +91,12 @@ class Ublox(Driver):
                     break
             answered += bool(self._answers)
             if self._answers and not self._answers.pop():
-                refused.append(number)
+                rejected.append(number)
         if 0 < answered < len(messages):  # it came back, or lost a byte, while it was being set up
             raise SelfTestError(
                 f"the GPS receiver answered {answered} of {len(messages)} settings only; it is set up again"
             )
-        self._check_answers(messages, refused)
+        self._check_answers(messages, rejected)
         self._backlog.clear()
         self._last_byte_ns = self._now()
         for _ in range(40):
@@ -98,31 +128,31 @@ class Ublox(Driver):
             )
 
     def _receive(self) -> None:
-        waiting = min(self._port.in_waiting, _READ_LIMIT)
-        if not waiting:
+        available = min(self._port.in_waiting, _READ_LIMIT)
+        if not available:
             return
-        now = self._now()
-        self._last_byte_ns = now
-        data = self._port.read(waiting)
+        now_ns = self._now()
+        self._last_byte_ns = now_ns
+        data = self._port.read(available)
         self._nmea = self._nmea or b"$G" in data
         for message, payload in self._parser.feed(data):
             if message in (ACK_ACK, ACK_NAK):
                 self._answers.append(message == ACK_ACK)
             elif message == NAV_PVT and len(payload) == 92:
                 fix = parse_nav_pvt(payload)
-                self._last_fix_ns = now
-                self._backlog.append((fix, now))
+                self._last_fix_ns = now_ns
+                self._backlog.append((fix, now_ns))
                 if fix.utc_ns:
-                    self._timebase.observe_fix(now, fix.utc_ns, fix.time_accuracy_ns)
+                    self._timebase.observe_fix(now_ns, fix.utc_ns, fix.time_accuracy_ns)
 
     def read(self) -> Reading:
         self._receive()
         if self._backlog:
             return self._report(*self._backlog.popleft())
-        now = self._now()
-        if now - self._last_byte_ns > _SILENT:
+        now_ns = self._now()
+        if now_ns - self._last_byte_ns > _SILENT:
             return Reading(state=SensorState.ABSENT, detail="GPS receiver is silent")
-        if now - self._last_fix_ns > self._stale_after:
+        if now_ns - self._last_fix_ns > self._stale_after:
             return Reading(state=SensorState.STALE, detail="GPS receiver sends no fix")
         return Reading()
 

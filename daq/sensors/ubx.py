@@ -104,25 +104,10 @@ def parse_nav_pvt(payload: bytes) -> NavPvt:
     utc = 0
     if valid & resolved == resolved and _is_date(year, month, day, hour, minute, second):
         utc = (_midnight(year, month, day) + hour * 3600 + minute * 60 + second) * 1_000_000_000 + nano
-    satellites, longitude, latitude = f[13:16]
-    height_msl, horizontal_accuracy, vertical_accuracy, north, east, down = f[17:23]
-    return NavPvt(
-        itow,
-        max(utc, 0),
-        time_accuracy,
-        f[10],
-        f[11] & _FIX_OK != 0,
-        satellites,
-        longitude,
-        latitude,
-        height_msl,
-        horizontal_accuracy,
-        vertical_accuracy,
-        north,
-        east,
-        down,
-        f[25],
-    )
+    head = (itow, max(utc, 0), time_accuracy, f[10], f[11] & _FIX_OK != 0)
+    return NavPvt._make(
+        (*head, *f[13:16], *f[17:23], f[25])
+    )  # in the order of the message, without what is left unread
 
 
 def _is_date(year: int, month: int, day: int, hour: int, minute: int, second: int) -> bool:

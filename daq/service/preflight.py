@@ -13,14 +13,12 @@ from typing import Any
 
 from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.sampler import Sampler
-from daq.actuation.devices import Devices
-from daq.actuation.trials import findings
+from daq.actuation.actuation import Devices, findings
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.storage import Storage, in_memory
-from daq.service.checks import PreflightCheck, PreflightVerdict
-from daq.service.rest_checks import rest_checks
+from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
 _PROBE_BYTES = 64 * 1024
@@ -55,17 +53,6 @@ class Preflight:
             "go": self.go,
             "checks": [{"check": c.name, "verdict": c.verdict.value, "text": c.text} for c in self.checks],
         }
-
-
-@dataclass(frozen=True, slots=True)
-class RadioReport:
-    """What was heard from the radio: local and remote signal and noise [dBm], share of the send buffer free [%]."""
-
-    rssi_dbm: float
-    noise_dbm: float
-    remote_rssi_dbm: float
-    remote_noise_dbm: float
-    free_percent: int
 
 
 def run_preflight(
@@ -124,43 +111,45 @@ def _sensor_check(health: GroupHealth, scans: list[Scan]) -> PreflightCheck:
 
     The attitude filter needs seconds to find its level, whatever the sensors do: of it the last scans count.
     """
-    since = len(scans) - _LEVEL_SCANS if health.group == "attitude" else len(scans) // 2
-    states = [s.groups[health.group].state for s in scans[max(0, since) :] if health.group in s.groups]
-    well = sum(1 for s in states if s is SensorState.OK)
-    steady = bool(states) and well >= 0.9 * len(states)
-    bad = PreflightVerdict.NO_GO if health.required else PreflightVerdict.CAUTION
+    first = len(scans) - _LEVEL_SCANS if health.group == "attitude" else len(scans) // 2
+    states = [s.groups[health.group].state for s in scans[max(0, first) :] if health.group in s.groups]
+    ok_count = sum(1 for s in states if s is SensorState.OK)
+    steady = bool(states) and ok_count >= 0.9 * len(states)
+    failure = PreflightVerdict.NO_GO if health.required else PreflightVerdict.CAUTION
     if health.state is SensorState.OK and steady:
         return PreflightCheck(health.group, PreflightVerdict.GO, health.words)
-    if health.state is SensorState.OK or (health.group == "gnss" and health.state is SensorState.STALE and well):
+    if health.state is SensorState.OK or (health.group == "gnss" and health.state is SensorState.STALE and ok_count):
         return PreflightCheck(
-            health.group, PreflightVerdict.CAUTION, f"{health.words}, but well in only {well} of {len(states)} scans"
+            health.group,
+            PreflightVerdict.CAUTION,
+            f"{health.words}, but well in only {ok_count} of {len(states)} scans",
         )
-    return PreflightCheck(health.group, bad, health.words)
+    return PreflightCheck(health.group, failure, health.words)
 
 
 def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> PreflightCheck:
-    worst = sorted(lateness_us)[int(0.99 * (len(lateness_us) - 1))] / 1000
+    p99_ms = sorted(lateness_us)[int(0.99 * (len(lateness_us) - 1))] / 1000
     limit = config.preflight.lateness_p99_ms
-    text = f"99 % of scans begin within {worst:.2f} ms of their deadline (limit {limit:g} ms)"
-    return PreflightCheck("timing", PreflightVerdict.GO if worst <= limit else PreflightVerdict.NO_GO, text)
+    text = f"99 % of scans begin within {p99_ms:.2f} ms of their deadline (limit {limit:g} ms)"
+    return graded("timing", p99_ms <= limit, text)
 
 
 def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightCheck:
     limit = config.preflight.time_accuracy_ms
-    bad = PreflightVerdict.NO_GO if config.preflight.require_time else PreflightVerdict.CAUTION
+    failure = PreflightVerdict.NO_GO if config.preflight.require_time else PreflightVerdict.CAUTION
     if not last.time_utc_ns:
-        return PreflightCheck("clock", bad, "UTC is not known: no resolved GPS time yet; wait for a fix under open sky")
+        return PreflightCheck(
+            "clock", failure, "UTC is not known: no resolved GPS time yet; wait for a fix under open sky"
+        )
     accuracy = last.utc_accuracy_ns / 1e6
     if accuracy > limit:
         text = (
             f"UTC is known to {accuracy:.2f} ms only (limit {limit:g} ms); wait, or connect the pulse-per-second line"
         )
-        return PreflightCheck("clock", bad, text)
-    off = (clock.utc_ns() - clock.monotonic_ns() + last.time_monotonic_ns - last.time_utc_ns) / NS
-    if abs(off) > 2:
-        text = (
-            f"UTC known to {accuracy:.3g} ms; this computer's own clock is {off:+.0f} s off, which file names will show"
-        )
+        return PreflightCheck("clock", failure, text)
+    offset_s = (clock.utc_ns() - clock.monotonic_ns() + last.time_monotonic_ns - last.time_utc_ns) / NS
+    if abs(offset_s) > 2:
+        text = f"UTC known to {accuracy:.3g} ms; this computer's own clock is {offset_s:+.0f} s off, which file names will show"
         return PreflightCheck("clock", PreflightVerdict.CAUTION, text)
     return PreflightCheck("clock", PreflightVerdict.GO, f"UTC from GPS, known to {accuracy:.3g} ms")
 
@@ -172,23 +161,22 @@ def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterab
             free = storage.free_bytes(directory)
             slowest_ms = _probe(storage, clock, directory / ".preflight")
         except OSError as error:
-            bad = PreflightVerdict.NO_GO if i == 0 else PreflightVerdict.CAUTION
-            yield PreflightCheck(name, bad, f"{directory}: cannot be written ({error.strerror or error})")
+            failure = PreflightVerdict.NO_GO if i == 0 else PreflightVerdict.CAUTION
+            yield PreflightCheck(name, failure, f"{directory}: cannot be written ({error.strerror or error})")
             continue
         hours = free / (_BYTES_PER_SCAN * config.scan.rate_hz) / 3600
         text = f"{directory}: {free / 1e6:.0f} MB free, enough for {hours:.1f} h; slowest write and sync {slowest_ms:.0f} ms"
-        enough = free >= config.preflight.free_space_mb * 1e6
+        roomy = free >= config.preflight.free_space_mb * 1e6
         fast = slowest_ms <= config.preflight.write_latency_ms
-        if not enough:
+        if not roomy:
             text += f" (at least {config.preflight.free_space_mb:g} MB wanted)"
         if not fast:
             text += f" (at most {config.preflight.write_latency_ms:g} ms wanted)"
         lasting = not in_memory(directory)
         if not lasting:
             text += "; it lies in memory and goes with the power: is the card mounted?"
-        bad = PreflightVerdict.NO_GO if i == 0 and not (enough and lasting) else PreflightVerdict.CAUTION
-        verdict = PreflightVerdict.GO if enough and fast and lasting else bad
-        yield PreflightCheck(name, verdict, text)
+        failure = PreflightVerdict.NO_GO if i == 0 and not (roomy and lasting) else PreflightVerdict.CAUTION
+        yield graded(name, roomy and fast and lasting, text, failure)
 
 
 def _probe(storage: Storage, clock: Clock, path: Path) -> float:
@@ -244,16 +232,16 @@ def _calibration_check(config: LoggerConfig) -> PreflightCheck:
 
 
 def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] | None) -> PreflightCheck:
-    bad = PreflightVerdict.NO_GO if config.preflight.require_radio else PreflightVerdict.CAUTION
+    failure = PreflightVerdict.NO_GO if config.preflight.require_radio else PreflightVerdict.CAUTION
     if radio is None:
-        wanted = config.preflight.require_radio
-        return PreflightCheck("radio", bad if wanted else PreflightVerdict.GO, "no downlink configured")
+        required = config.preflight.require_radio
+        return PreflightCheck("radio", failure if required else PreflightVerdict.GO, "no downlink configured")
     report = radio()
     if report is None:
         return PreflightCheck(
-            "radio", bad, "nothing heard from the radio; is it powered, and is the ground station on?"
+            "radio", failure, "nothing heard from the radio; is it powered, and is the ground station on?"
         )
     margin = min(report.rssi_dbm - report.noise_dbm, report.remote_rssi_dbm - report.remote_noise_dbm)
     limit = config.preflight.radio_margin_db
     text = f"signal {margin:.0f} dB above noise at the weaker end (limit {limit:g} dB), buffer {report.free_percent} % free"
-    return PreflightCheck("radio", PreflightVerdict.GO if margin >= limit else bad, text)
+    return graded("radio", margin >= limit, text, failure)

@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 
 from daq.acquisition.sampler import Sampler
-from daq.actuation.devices import Devices
+from daq.actuation.actuation import Devices
 from daq.actuation.pwm.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import RealClock
@@ -22,11 +22,9 @@ from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
-from daq.service.checks import PreflightCheck, PreflightVerdict
-from daq.service.notify import Notifier
-from daq.service.preflight import Preflight, RadioReport, run_preflight
-from daq.service.radio_probe import listen
-from daq.service.realtime import GarbageDiscipline, prepare_process
+from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, listen_to_radio
+from daq.service.preflight import Preflight, run_preflight
+from daq.service.realtime import GarbageDiscipline, Notifier, prepare_process
 from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
@@ -100,10 +98,10 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
         opening += [
             Opening(LogLevel.WARNING, "hardware", f"{w}; it joins when it comes") for w in absent(hardware, radio)
         ]
-        why = without_sequencer(config, table)
-        if why is not None:
+        reason = without_sequencer(config, table)
+        if reason is not None:
             config = config.model_copy(update={"sequencer": None})
-            opening.append(Opening(LogLevel.WARNING, "sequencer", f"sequencer is off for this session: {why}"))
+            opening.append(Opening(LogLevel.WARNING, "sequencer", f"sequencer is off for this session: {reason}"))
         edge = HardwareEdge(
             clock,
             hardware.bus,
@@ -127,7 +125,7 @@ def run_until_signal(config: LoggerConfig, text: str, edge: HardwareEdge, openin
         seconds = count()
 
         def every_second() -> None:
-            notifier.alive(_status_line(made) if next(seconds) % _STATUS_EVERY == 0 else "")
+            notifier.alive(_status_line(assembly) if next(seconds) % _STATUS_EVERY == 0 else "")
             garbage.collect()
 
         def asked_to_end() -> bool:
@@ -136,16 +134,16 @@ def run_until_signal(config: LoggerConfig, text: str, edge: HardwareEdge, openin
             notifier.stopping()  # first, for to end a recording on a bad card may take longer than the watchdog waits
             return True
 
-        made = assemble(config, text, edge, opening=opening, housekeeping=every_second)
+        assembly = assemble(config, text, edge, opening=opening, housekeeping=every_second)
         garbage.freeze()
-        notifier.ready(f"recording {made.session}")
+        notifier.ready(f"recording {assembly.session}")
         try:
-            books = made.logger.run(asked_to_end)
+            books = assembly.logger.run(asked_to_end)
         finally:
             notifier.close()
-            if made.link is not None:
-                made.link.uplink.close()
-    return RecordingOutcome(books, config.recorder.directories[0] / made.session, stop.name)
+            if assembly.link is not None:
+                assembly.link.uplink.close()
+    return RecordingOutcome(books, config.recorder.directories[0] / assembly.session, stop.name)
 
 
 def _status_line(made: Assembly) -> str:
@@ -167,16 +165,16 @@ def _preflight(
         autopilot=hardware.autopilot,
         pulse=hardware.pulse,
     )
-    heard: Callable[[], RadioReport | None] | None = None
+    probe: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         ours = config.downlink or DownlinkConfig()
-        heard = lambda: listen(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
-    table = run_preflight(config, clock, sampler, RealStorage(), heard, devices)
-    away = (
-        PreflightCheck("hardware", PreflightVerdict.CAUTION, f"{why}; it joins when it comes")
-        for why in absent(hardware, radio)
+        probe = lambda: listen_to_radio(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
+    table = run_preflight(config, clock, sampler, RealStorage(), probe, devices)
+    missing = (
+        PreflightCheck("hardware", PreflightVerdict.CAUTION, f"{reason}; it joins when it comes")
+        for reason in absent(hardware, radio)
     )
-    return replace(table, checks=(*table.checks, *away))
+    return replace(table, checks=(*table.checks, *missing))
 
 
 def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
@@ -200,8 +198,8 @@ def without_sequencer(config: LoggerConfig, table: Preflight | None) -> str | No
         return None
     if table is None:
         return "the preflight check was skipped"
-    wrong = [f"{c.name}: {c.text}" for c in table.failed if c.of_sequencer]
-    return "; ".join(wrong) or None
+    faults = [f"{c.name}: {c.text}" for c in table.failed if c.of_sequencer]
+    return "; ".join(faults) or None
 
 
 class _Stop:
@@ -220,12 +218,12 @@ class _Stop:
 @contextmanager
 def _signals() -> Iterator[_Stop]:
     stop = _Stop()
-    before: dict[signal.Signals, Any] = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
-    before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # its terminal goes: the recording does not
+    handlers: dict[signal.Signals, Any] = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
+    handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # its terminal goes: the recording does not
     try:
         yield stop
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
@@ -236,12 +234,12 @@ def _quick_turns() -> Iterator[None]:
     A bus transfer gives it away, and there are some 45 in a scan: by Python's 5 ms each, a thread that lists files or packs an
     answer would make a scan last four periods.
     """
-    before = sys.getswitchinterval()
+    interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     try:
         yield
     finally:
-        sys.setswitchinterval(before)
+        sys.setswitchinterval(interval)
 
 
 @contextmanager
@@ -269,8 +267,8 @@ def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened:
 
 def absent(hardware: Hardware, radio: BytePort | None) -> list[str]:
     """A sentence on everything that was not there at the start."""
-    away = radio.why_away if isinstance(radio, ReconnectingPort) else ""
-    return [*hardware.absent, *([f"radio: {away}"] if away else [])]
+    radio_fault = radio.why_away if isinstance(radio, ReconnectingPort) else ""
+    return [*hardware.absent, *([f"radio: {radio_fault}"] if radio_fault else [])]
 
 
 def _open_radio(config: LoggerConfig) -> BytePort | None:

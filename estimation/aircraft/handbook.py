@@ -111,7 +111,7 @@ def _longitudinal(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     wing, tail = lift_slope(aspect, s.sweep), TAIL_PRESSURE * _surface(s.tail_area, s.tail_span)
     downwash = 2.0 * wing / (math.pi * aspect)
     share, volume = s.tail_area / aircraft.area, s.tail_area * s.tail_arm / (aircraft.area * aircraft.chord)
-    out = {
+    derivatives = {
         "CL_0": 0.0,
         "CL_alpha": wing + tail * share * (1.0 - downwash),
         "CL_q": 2.0 * tail * volume,
@@ -123,8 +123,8 @@ def _longitudinal(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     }
     if s.tail_area:
         power = tail * flap_effectiveness(s.elevator_flap)
-        out |= {"CL_de": power * share, "Cm_de": -power * volume}
-    return out
+        derivatives |= {"CL_de": power * share, "Cm_de": -power * volume}
+    return derivatives
 
 
 def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
@@ -135,7 +135,7 @@ def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     share, arm, height = s.fin_area / aircraft.area, s.fin_arm / aircraft.span, s.fin_height / aircraft.span
     middle = (1.0 + 2.0 * s.taper) / (6.0 * (1.0 + s.taper))  # mean of |y|/b over the wing's area
     outer = (1.0 + 3.0 * s.taper) / (12.0 * (1.0 + s.taper))  # mean of 2 (y/b)^2 over it
-    out = {
+    derivatives = {
         "CY_0": 0.0,
         "CY_beta": -fin * share,
         "CY_p": -2.0 * fin * share * height,
@@ -154,8 +154,8 @@ def _lateral(aircraft: "Aircraft", s: HandbookShape) -> dict[str, float]:
     }
     if s.fin_area:
         power = fin * flap_effectiveness(s.rudder_flap) * share
-        out |= {"CY_dr": power, "Cl_dr": power * height, "Cn_dr": -power * arm}
-    return out
+        derivatives |= {"CY_dr": power, "Cl_dr": power * height, "Cn_dr": -power * arm}
+    return derivatives
 
 
 def wing_moment(aspect: float, taper: float, slope: float, angle: Callable[[Array], Array]) -> float:
@@ -170,10 +170,10 @@ def wing_moment(aspect: float, taper: float, slope: float, angle: Callable[[Arra
     chord = 2.0 * (1.0 - (1.0 - taper) * np.abs(y)) / ((1.0 + taper) * aspect)  # over the span
     mu = 2.0 * math.pi * chord / 4.0
     system = np.sin(np.outer(theta, n)) * (np.outer(mu, n) + np.sin(theta)[:, None])
-    turned, straight = np.linalg.solve(
+    twisted, straight = np.linalg.solve(
         system, np.stack([angle(y), np.ones(POINTS)], 1) * (mu * np.sin(theta))[:, None]
     ).T
-    return float(0.25 * math.pi * aspect * turned[1] * slope / (math.pi * aspect * straight[0]))
+    return float(0.25 * math.pi * aspect * twisted[1] * slope / (math.pi * aspect * straight[0]))
 
 
 POINTS = 60

@@ -147,7 +147,7 @@ def aircraft_from_text(text: str, where: str, name: str) -> Aircraft:
     """
     file = read_file(text, where)
     geometry, mass = file.geometry, file.mass
-    made = Aircraft(
+    aircraft = Aircraft(
         name=file.name or name,
         span=_or_nan(geometry.span),
         area=_or_nan(geometry.area),
@@ -168,9 +168,9 @@ def aircraft_from_text(text: str, where: str, name: str) -> Aircraft:
         throws={name: throw for name, throw in file.throws if throw is not None},
         text=text,
     )
-    computed = beliefs(made, file.shape) if file.shape else {}
-    stated = {key: PriorDerivative(**value.model_dump()) for key, value in file.derivatives.items()}
-    return replace(made, derivatives={**computed, **stated})
+    computed = beliefs(aircraft, file.shape) if file.shape else {}
+    derivatives = {key: PriorDerivative(**value.model_dump()) for key, value in file.derivatives.items()}
+    return replace(aircraft, derivatives={**computed, **derivatives})
 
 
 def _or_nan(value: float | None) -> float:
@@ -185,7 +185,9 @@ def _sentence(error: ValidationError) -> str:
         return f"unknown key {key}; check its spelling or remove it (docs/aircraft.md has all keys)"
     if first["type"] == "missing":
         return f"{key} is missing"
-    shown = f" = {first['input']!r}" if isinstance(first["input"], str | int | float | list) else ""
+    value_text = f" = {first['input']!r}" if isinstance(first["input"], str | int | float | list) else ""
     message = str(first["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
     message = message.replace("greater than 0", "greater than zero")
-    return f"{key}{shown} {message}" if message.startswith(("must be", "is not")) else f"{key}{shown}: {message}"
+    return (
+        f"{key}{value_text} {message}" if message.startswith(("must be", "is not")) else f"{key}{value_text}: {message}"
+    )

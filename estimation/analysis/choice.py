@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from estimation.session.flights import select_segments
+from estimation.prepare.stretches import select_segments
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
-from groundstation.flight.airborne import airborne
 from groundstation.flight.errors import FlightError
-from groundstation.flight.manoeuvres import CONTROLS, ManoeuvreStretch, cut, find_manoeuvres
+from groundstation.flight.manoeuvres import CONTROLS, ManoeuvreStretch, cut_to_manoeuvres, find_manoeuvres
 from groundstation.flight.marks import marks_of
+from groundstation.flight.stretches import airborne
 
 BY_HAND = ("MANUAL",)
 """Modes in which the pilot alone moves the surfaces: elsewhere an autopilot moves them with the motion, which hides damping."""
@@ -66,30 +66,30 @@ def choose_stretches(flight: Flight) -> ChosenStretches:
             part = select_segments(flight, f"mode:{mode}")
         except FlightError:
             continue  # never in it on the wings, or for a moment only
-        if _duration(part) >= ENOUGH and moved(part):
+        if _duration(part) >= ENOUGH and moved_controls(part):
             return ChosenStretches(part, f"mode:{mode}", _new_notes(flight, part))
     if modes:
-        known = ", ".join(sorted(modes))
+        mode_names = ", ".join(sorted(modes))
         hint = (
-            f"{flight.name}: no inputs in MANUAL (its modes are {known:.{LONGEST_TEXT}}); an autopilot that moves the "
+            f"{flight.name}: no inputs in MANUAL (its modes are {mode_names:.{LONGEST_TEXT}}); an autopilot that moves the "
             "surfaces with the motion hides damping: fly the inputs by hand"
         )
-    flown = airborne(flight)
-    notes = (flown.text,) if flown.text else ()
-    whole = flight if flown.flying.all() else flight.part(flown.flying)
-    found = find_manoeuvres(whole)
-    if found and sum(m.stop - m.start for m in found) < MOSTLY * _duration(whole):
-        return ChosenStretches(cut(whole, found, flight.name), _times(found), notes, hint)
-    return ChosenStretches(whole, "all that was flown", notes, hint)
+    airborne_part = airborne(flight)
+    notes = (airborne_part.text,) if airborne_part.text else ()
+    flight_part = flight if airborne_part.flying.all() else flight.part(airborne_part.flying)
+    manoeuvres = find_manoeuvres(flight_part)
+    if manoeuvres and sum(m.stop - m.start for m in manoeuvres) < MOSTLY * _duration(flight_part):
+        return ChosenStretches(cut_to_manoeuvres(flight_part, manoeuvres, flight.name), _times(manoeuvres), notes, hint)
+    return ChosenStretches(flight_part, "all that was flown", notes, hint)
 
 
-def _times(found: Sequence[ManoeuvreStretch]) -> str:
-    return "manoeuvres " + ",".join(f"{m.start:.2f}:{m.stop:.2f}" for m in found)[:LONGEST_TEXT]
+def _times(manoeuvres: Sequence[ManoeuvreStretch]) -> str:
+    return "manoeuvres " + ",".join(f"{m.start:.2f}:{m.stop:.2f}" for m in manoeuvres)[:LONGEST_TEXT]
 
 
-def _new_notes(before: Flight, after: Flight) -> tuple[str, ...]:
-    known = {n.text for n in before.notes}
-    return tuple(n.text for n in after.notes if n.text not in known and "left out" in n.text)
+def _new_notes(original: Flight, part: Flight) -> tuple[str, ...]:
+    texts_before = {n.text for n in original.notes}
+    return tuple(n.text for n in part.notes if n.text not in texts_before and "left out" in n.text)
 
 
 def _duration(flight: Flight) -> float:
@@ -97,14 +97,14 @@ def _duration(flight: Flight) -> float:
     return float(sum(flight.time[s.stop - 1] - flight.time[s.start] for s in flight.segments))
 
 
-def moved(flight: Flight) -> tuple[str, ...]:
+def moved_controls(flight: Flight) -> tuple[str, ...]:
     """Controls that were moved."""
-    found = []
+    controls = []
     for name in CONTROLS:
         values = flight[name][np.isfinite(flight[name])] if flight.measured(name) else np.zeros(0)
         if values.size and float(np.subtract(*np.percentile(values, [95, 5]))) >= MOVED:
-            found.append(name)
-    return tuple(found)
+            controls.append(name)
+    return tuple(controls)
 
 
 def models_to_try(recipe: Recipe, controls: Sequence[str]) -> list[str]:

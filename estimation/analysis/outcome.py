@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from estimation.answers.answer import Answer, Rows
-from estimation.report.tables import pair
+from markupsafe import Markup
 
-HERE = Path(__file__).parent
+from estimation.answers.answer import Answer, Rows
+from estimation.report.tables import value_and_bound
+
 SHOWN = 10
 """Derivatives in the sentence."""
 
@@ -22,35 +23,32 @@ class Analysis(Answer):
     repeated: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """As `answer.json`."""
         return dict(self.content)
 
     @property
     def passed(self) -> bool:
         """Whether something is recommended, and nothing contradicts it."""
         stopped = any(c.get("stops") for c in self.content["contradictions"])
-        return recommended(self.content["estimate"]).get("method", "none") != "none" and not stopped
+        return recommendation_of(self.content["estimate"]).get("method", "none") != "none" and not stopped
 
     def headline(self) -> str:
-        """The verdict."""
         return str(self.content["verdict"])
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip analyse` prints."""
         yield self.headline()
         yield from (f"  contradiction in {c['flight']}: {c['text']}" for c in self.content["contradictions"])
-        for name, value, bound, told in self.derivatives():
-            yield f"  {name:<12}{value:>11} +- {bound:<10}{told}".rstrip()
+        for name, value, bound, reason in self.derivatives():
+            yield f"  {name:<12}{value:>11} +- {bound:<10}{reason}".rstrip()
         yield from (f"  next: {n}" for n in self.content["next"])
 
     def derivatives(self) -> list[tuple[str, str, str, str]]:
         """Name, estimate, corrected bound and why not, of the method that is recommended, or the first."""
-        found = []
-        for name, p in parameters(self.content["estimate"]).items():
+        rows = []
+        for name, p in parameters_of(self.content["estimate"]).items():
             if p.get("estimate") is not None:
-                value, bound = pair(p["estimate"], p["std_coloured"])
-                found.append((name, value, bound, "" if p.get("identifiable") else str(p.get("why", "cannot tell"))))
-        return found
+                value, bound = value_and_bound(p["estimate"], p["std_coloured"])
+                rows.append((name, value, bound, "" if p.get("identifiable") else str(p.get("why", "cannot tell"))))
+        return rows
 
     def rows(self) -> Rows:
         """The derivatives."""
@@ -58,103 +56,115 @@ class Analysis(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Derivatives relative to their size, with the corrected bound; gives the axes."""
-        from estimation.answers.notebook import panels
+        from estimation.answers.answer import panels
 
         (axes,) = panels(ax, 1)
-        told = {n: p for n, p in parameters(self.content["estimate"]).items() if p.get("identifiable")}
-        sizes = [abs(p["estimate"]) or 1.0 for p in told.values()]
+        identifiable = {n: p for n, p in parameters_of(self.content["estimate"]).items() if p.get("identifiable")}
+        sizes = [abs(p["estimate"]) or 1.0 for p in identifiable.values()]
         axes.errorbar(
-            range(len(told)),
-            [p["estimate"] / s for p, s in zip(told.values(), sizes, strict=True)],
-            [p["std_coloured"] / s for p, s in zip(told.values(), sizes, strict=True)],
+            range(len(identifiable)),
+            [p["estimate"] / s for p, s in zip(identifiable.values(), sizes, strict=True)],
+            [p["std_coloured"] / s for p, s in zip(identifiable.values(), sizes, strict=True)],
             fmt="o",
         )
-        axes.set_xticks(range(len(told)), list(told), rotation=90)
+        axes.set_xticks(range(len(identifiable)), list(identifiable), rotation=90)
         return axes
 
     def report(self, folder: str | Path) -> Path:
         """Write the page whose first screen is the answer; gives its path."""
-        from estimation.report.markup.html import write_page
+        from estimation.report.page import Page, Section, box, bullets, paragraph
         from estimation.report.tables import ReportTable
 
-        head, rows = self.rows()
         c = self.content
-        stretches = tuple((s["flight"], s["by"], f"{s['from']:.2f}", f"{s['to']:.2f}") for s in c["stretches"])
-        modes = tuple((m["flight"], m["mode"], f"{m['from']:.2f}", f"{m['to']:.2f}") for m in c["modes"])
-        without = c.get("without_aircraft") or {}
-        return write_page(
-            Path(folder) / "index.html",
-            "analysis.html.j2",
-            templates=HERE,
-            title=f"Analysis of {', '.join(f['name'] for f in c['flights'])}",
-            lead="",
-            analysis=c,
-            passed=self.passed,
-            pages=self.pages,
-            estimates=ReportTable("derivatives", "Derivatives", tuple(head), tuple(map(tuple, rows))),
-            stretches=ReportTable(
-                "stretches", "Stretches used", ("flight", "by", "from [s]", "to [s]"), stretches, symbols=False
-            ),
-            modes=ReportTable(
-                "modes", "Flight modes of the log", ("flight", "mode", "from [s]", "to [s]"), modes, symbols=False
-            ),
-            channels=ReportTable(
-                "channels",
-                "Where each channel comes from",
-                ("channel", "from", "kind", "rate [Hz]"),
-                _channels(c),
-                symbols=False,
-            ),
-            without=without,
+        head, rows = self.rows()
+        derivatives = ReportTable("derivatives", "Derivatives", tuple(head), tuple(map(tuple, rows)))
+        spans = ("from [s]", "to [s]")
+        stretches = ReportTable(
+            "stretches", "Stretches used", ("flight", "by", *spans), _spans(c["stretches"], "by"), symbols=False
         )
+        modes = ReportTable(
+            "modes", "Flight modes of the log", ("flight", "mode", *spans), _spans(c["modes"], "mode"), symbols=False
+        )
+        origin = ("channel", "from", "kind", "rate [Hz]")
+        channels = ReportTable("channels", "Where each channel comes from", origin, _channels(c), symbols=False)
+        without = c.get("without_aircraft") or {}
+        answer = "Answer" if self.passed else "Answer: not to be used as it is"
+        twice = "What the log says twice, and differently"
+        contradictions = [_contradiction(found) for found in c["contradictions"]]
+        sections = [
+            Section("answer", answer, [box([paragraph(c["verdict"])])], "Answer"),
+            Section("next", "Next", [bullets(c["next"])]) if c["next"] else None,
+            Section("contradictions", twice, [bullets(contradictions)]) if contradictions else None,
+            Section("", "", [derivatives if rows else None]),
+            Section("gap", "What the model lacks", [box([paragraph(c["gap"]["text"])])]) if c["gap"] else None,
+            Section("without", "Without an aircraft file", [bullets(without["lines"])]) if without else None,
+            Section("used", "Stretches", [stretches], "Stretches") if stretches.rows else None,
+            Section("", "", [t for t in (modes, channels) if t.rows]),
+            Section("notes", "Notes", [bullets(c["notes"])]) if c["notes"] else None,
+            Section("", "", [paragraph(Markup('The same for a program: <a href="answer.json">answer.json</a>.'))]),
+        ]
+        title = f"Analysis of {', '.join(f['name'] for f in c['flights'])}"
+        links = [(href, name) for name, href in self.pages.items()]
+        return Page(title, "", sections, links).write(Path(folder) / "index.html")
+
+
+def _spans(entries: Sequence[Mapping[str, Any]], key: str) -> tuple[tuple[str, ...], ...]:
+    return tuple((e["flight"], e[key], f"{e['from']:.2f}", f"{e['to']:.2f}") for e in entries)
+
+
+def _contradiction(found: Mapping[str, Any]) -> str:
+    moves = f" (moves {found['moves']})" if found["moves"] else ""
+    return f"{found['flight']}: {found['text']}{moves}"
 
 
 def _channels(content: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
     rows = []
     for flight in content["flights"]:
-        for name, about in flight["channels"].items():
-            rate = about.get("rate_hz")
-            kind = f"{about.get('kind', '')}{', a command' if about.get('held') else ''}"
+        for name, channel in flight["channels"].items():
+            rate = channel.get("rate_hz")
+            kind = f"{channel.get('kind', '')}{', a command' if channel.get('held') else ''}"
             rows.append(
-                (name, str(about.get("from", "")), kind, f"{rate:.3g}" if isinstance(rate, int | float) else "")
+                (name, str(channel.get("from", "")), kind, f"{rate:.3g}" if isinstance(rate, int | float) else "")
             )
     return tuple(rows)
 
 
-def recommended(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def recommendation_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """The recommendation on all flights together, else on the first."""
     if not estimate:
         return {}
-    found = estimate.get("recommended") or next((f.get("recommended") for f in estimate.get("flights", [])), None)
-    return found if isinstance(found, Mapping) else {}
+    recommendation = estimate.get("recommended") or next(
+        (f.get("recommended") for f in estimate.get("flights", [])), None
+    )
+    return recommendation if isinstance(recommendation, Mapping) else {}
 
 
-def parameters(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[str, Any]]:
+def parameters_of(estimate: Mapping[str, Any] | None) -> Mapping[str, Mapping[str, Any]]:
     """Of the method that is recommended, or the first: jointly where there is a joint estimate."""
     if not estimate:
         return {}
     methods: Mapping[str, Any] = estimate.get("joint") or next((f["methods"] for f in estimate.get("flights", [])), {})
-    method = recommended(estimate).get("method", "none")
+    method = recommendation_of(estimate).get("method", "none")
     first: Mapping[str, Any] = next(iter(methods.values()), {})
     return dict((methods.get(method) or first).get("parameters", {}))
 
 
-def verdict_of(estimate: Mapping[str, Any] | None, where: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
+def verdict_of(estimate: Mapping[str, Any] | None, place: str, contradictions: Sequence[Mapping[str, Any]]) -> str:
     """One sentence: what is recommended with its numbers, or why nothing is."""
     if not estimate:
-        return where
-    best = recommended(estimate)
-    method = best.get("method", "none")
+        return place
+    recommendation = recommendation_of(estimate)
+    method = recommendation.get("method", "none")
     model, aircraft = estimate.get("model", ""), estimate.get("aircraft", "")
     stopping = [c["text"] for c in contradictions if c.get("stops")]
     if method == "none":
-        why = str(best.get("why") or estimate.get("status", "")) or "; ".join(stopping)
-        return f"No derivatives of {aircraft} are recommended ({model} {where}): {why}"
-    told = [
-        f"{n} {' +- '.join(pair(p['estimate'], p['std_coloured']))}"
-        for n, p in parameters(estimate).items()
+        why = str(recommendation.get("why") or estimate.get("status", "")) or "; ".join(stopping)
+        return f"No derivatives of {aircraft} are recommended ({model} {place}): {why}"
+    values = [
+        f"{n} {' +- '.join(value_and_bound(p['estimate'], p['std_coloured']))}"
+        for n, p in parameters_of(estimate).items()
         if p.get("identifiable") and not n.endswith("_0")
     ]
-    more = f" and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-    text = f"Derivatives of {aircraft} by {method} ({model} {where}): {', '.join(told[:SHOWN])}{more}"
+    rest = f" and {len(values) - SHOWN} more" if len(values) > SHOWN else ""
+    text = f"Derivatives of {aircraft} by {method} ({model} {place}): {', '.join(values[:SHOWN])}{rest}"
     return f"{text}; but the log contradicts itself: {'; '.join(stopping)}" if stopping else text

@@ -7,8 +7,8 @@ from typing import Any
 
 from daq.contract.errors import UserError
 from daq.contract.outputs import write_json
-from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved
-from estimation.analysis.outcome import Analysis, recommended, verdict_of
+from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved_controls
+from estimation.analysis.outcome import Analysis, recommendation_of, verdict_of
 from estimation.analysis.stages import Stage, Stages
 from estimation.analysis.unknown_aircraft import without_aircraft
 from estimation.session.recipe import AIR, AIRSPEED, RECONSTRUCTION, Recipe, recipe
@@ -44,30 +44,42 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
     aircraft: as `--aircraft`; aircraft_key: of what its file says. tell: told what is being done, and the share of the whole.
     """
     tell("contradictions", 0.15)
-    seen = [{"flight": f.name, **c.to_json()} for f in given.flights for c in contradictions(f)]
+    contradicted = [{"flight": f.name, **c.to_json()} for f in given.flights for c in contradictions(f)]
     air = [_with_air(f, given.key, stages, tell) for f in (*given.flights, *given.holdout)]
     tell("stretches", 0.3)
-    chosen = [choose_stretches(f) for f, _ in air]
-    training, held = chosen[: len(given.flights)], chosen[len(given.flights) :]
-    found = recipe(training[0].flight)
-    about = {"air": [s.key for _, s in air], "by": [c.by for c in chosen], "aircraft": aircraft_key}
-    alone = aircraft is None and not any(f.provenance.aircraft for f in given.flights)
-    estimate = without = None
-    if alone:
+    stretches = [choose_stretches(f) for f, _ in air]
+    training, holdout = stretches[: len(given.flights)], stretches[len(given.flights) :]
+    recipe_of_log = recipe(training[0].flight)
+    key_content = {"air": [s.key for _, s in air], "by": [c.by for c in stretches], "aircraft": aircraft_key}
+    unknown_aircraft = aircraft is None and not any(f.provenance.aircraft for f in given.flights)
+    estimate = without_file = None
+    if unknown_aircraft:
         tell("what can be said without an aircraft file", 0.4)
         stage = stages.run(
             "without_aircraft",
-            about,
-            lambda: without_aircraft([c.flight for c in training], found, [s.content for _, s in air]),
+            key_content,
+            lambda: without_aircraft([c.flight for c in training], recipe_of_log, [s.content for _, s in air]),
         )
-        without = stage.content
+        without_file = stage.content
     else:
-        stage = _estimated(training, found, aircraft, about, stages, tell)
+        stage = _estimated(training, recipe_of_log, aircraft, key_content, stages, tell)
         estimate = stage.content or None
-    gap = None if alone else _gap(training, held, estimate, aircraft, {**about, "estimate": stage.key}, stages, tell)
-    repeated = [n for n, done in (("import", given.repeated), ("air", any(s.repeated for _, s in air))) if done]
-    repeated += [n for n, s in (("without aircraft" if alone else "estimate", stage), ("gap", gap)) if s and s.repeated]
-    content = _content(given, training, seen, found, estimate, gap, without)
+    gap = (
+        None
+        if unknown_aircraft
+        else _gap(training, holdout, estimate, aircraft, {**key_content, "estimate": stage.key}, stages, tell)
+    )
+    repeated = [
+        n
+        for n, repeated_stage in (("import", given.repeated), ("air", any(s.repeated for _, s in air)))
+        if repeated_stage
+    ]
+    repeated += [
+        n
+        for n, s in (("without aircraft" if unknown_aircraft else "estimate", stage), ("gap", gap))
+        if s and s.repeated
+    ]
+    content = _content(given, training, contradicted, recipe_of_log, estimate, gap, without_file)
     answer = Analysis(content, _pages(stages.folder, estimate, gap), tuple(repeated))
     write_json(answer.to_json(), stages.folder / "answer.json")
     answer.report(stages.folder)
@@ -86,70 +98,70 @@ def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Fli
         from estimation.answers.reconstruction import reconstruct
 
         tell(f"air data of {flight.name}", 0.2)
-        made = reconstruct(flight, path)
-        return {"said": list(made.lines()), **made.to_json()}
+        reconstruction = reconstruct(flight, path)
+        return {"said": list(reconstruction.lines()), **reconstruction.to_json()}
 
     try:
         stage = stages.run(f"air_{flight.name}", [key, "reconstructed"], work, path)
     except UserError as error:
-        why = str(error)
-        return flight, stages.run(f"air_{flight.name}", [key, why], lambda: {"said": [why]})
+        reason = str(error)
+        return flight, stages.run(f"air_{flight.name}", [key, reason], lambda: {"said": [reason]})
     return (replace(read_flight(path), name=flight.name), stage) if path.is_file() else (flight, stage)
 
 
 def _estimated(
     training: Sequence[ChosenStretches],
-    found: Recipe,
+    recipe_of_log: Recipe,
     aircraft: str | None,
-    about: Mapping[str, Any],
+    key_content: Mapping[str, Any],
     stages: Stages,
     tell: Tell,
 ) -> Stage:
     """The estimate of the richest model whose estimate is recommended; of the richest, where none is."""
     flights = [c.flight for c in training]
-    models = models_to_try(found, sorted({c for f in flights for c in moved(f)}))
+    models = models_to_try(recipe_of_log, sorted({c for f in flights for c in moved_controls(f)}))
 
     def work() -> dict[str, Any]:
         from estimation.answers.estimates import Estimates, estimate
 
         methods = METHODS_RECONSTRUCTED if any(f.reconstructed for f in flights) else METHODS_MEASURED
         first: Estimates | None = None
-        tried: list[str] = []
+        rejected: list[str] = []
         lacks = False
         for i, (model, structure) in enumerate((m, s) for m in models for s in STRUCTURES):
             if structure == "auto" and not lacks:
                 continue  # no term would help
             tell(f"estimate of {model}", 0.35 + 0.3 * i / (len(STRUCTURES) * len(models)))
             answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure=structure)
-            best = recommended(answer.to_json())
-            if best.get("method", "none") != "none":
-                return _kept(answer, stages.folder, tried)
-            lacks = bool(best.get("lacks"))
-            tried.append(f"{model}: {best.get('why', 'nothing recommended')}")
+            recommendation = recommendation_of(answer.to_json())
+            if recommendation.get("method", "none") != "none":
+                return _kept(answer, stages.folder, rejected)
+            lacks = bool(recommendation.get("lacks"))
+            rejected.append(f"{model}: {recommendation.get('why', 'nothing recommended')}")
             first = first or answer
-        return _kept(first, stages.folder, tried[1:]) if first is not None else {}
+        return _kept(first, stages.folder, rejected[1:]) if first is not None else {}
 
-    return stages.run("estimate", {**about, "models": models}, work)
+    return stages.run("estimate", {**key_content, "models": models}, work)
 
 
-def _kept(answer: Any, folder: Path, tried: Sequence[str]) -> dict[str, Any]:
+def _kept(answer: Any, folder: Path, rejected: Sequence[str]) -> dict[str, Any]:
     """The estimate as JSON, its page and its model as files."""
     answer.report(folder / "estimate")
     answer.save(folder / "model.toml")
-    return {**answer.to_json(), "tried": list(tried)}
+    return {**answer.to_json(), "tried": list(rejected)}
 
 
 def _gap(
     training: Sequence[ChosenStretches],
-    held: Sequence[ChosenStretches],
+    holdout: Sequence[ChosenStretches],
     estimate: Mapping[str, Any] | None,
     aircraft: str | None,
-    about: Mapping[str, Any],
+    key_content: Mapping[str, Any],
     stages: Stages,
     tell: Tell,
 ) -> Stage | None:
     """What the model lacks, where flights are enough and something is recommended that could lack it."""
-    if len(training) + len(held) < FEWEST_FOR_GAP or recommended(estimate).get("method", "none") == "none":
+    if len(training) + len(holdout) < FEWEST_FOR_GAP or recommendation_of(estimate).get("method", "none") == "none":
         return None
     model = str((estimate or {}).get("model", RICHEST[1]))
 
@@ -158,41 +170,47 @@ def _gap(
 
         tell("what the model lacks", 0.65)
         answer = gap(
-            model, [c.flight for c in training], [c.flight for c in held], aircraft=aircraft,
+            model, [c.flight for c in training], [c.flight for c in holdout], aircraft=aircraft,
             progress=lambda what, share: tell(what, 0.65 + 0.33 * share),
         )  # fmt: skip
         answer = answer.with_models(stages.folder / "gap" / "models")
         answer.report(stages.folder / "gap")
         return answer.to_json()
 
-    return stages.run("gap", {**about, "model": model}, work)
+    return stages.run("gap", {**key_content, "model": model}, work)
 
 
 def _pages(folder: Path, estimate: Mapping[str, Any] | None, gap: Stage | None) -> dict[str, str]:
-    wanted = [("Derivatives", "estimate", bool(estimate)), ("Gap", "gap", gap is not None)]
+    pages = [("Derivatives", "estimate", bool(estimate)), ("Gap", "gap", gap is not None)]
     return {
-        name: f"{room}/index.html" for name, room, there in wanted if there and (folder / room / "index.html").is_file()
+        name: f"{room}/index.html"
+        for name, room, exists in pages
+        if exists and (folder / room / "index.html").is_file()
     }
 
 
 def _content(
     given: Given,
     training: Sequence[ChosenStretches],
-    seen: Sequence[Mapping[str, Any]],
-    found: Recipe,
+    contradicted: Sequence[Mapping[str, Any]],
+    recipe_of_log: Recipe,
     estimate: Mapping[str, Any] | None,
     gap: Stage | None,
-    without: Mapping[str, Any] | None,
+    without_file: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    where = _where(training)
-    verdict = str(without["verdict"]) if without else verdict_of(estimate, _no_model(training, found), seen)
+    place = _where(training)
+    verdict = (
+        str(without_file["verdict"])
+        if without_file
+        else verdict_of(estimate, _no_model(training, recipe_of_log), contradicted)
+    )
     if estimate:
-        verdict = verdict_of(estimate, where, seen)
+        verdict = verdict_of(estimate, place, contradicted)
     return {
         "version": 1,
         "flights": [_about(f) for f in given.flights],
         "holdout": [_about(f) for f in given.holdout],
-        "contradictions": list(seen),
+        "contradictions": list(contradicted),
         "modes": [
             {"flight": f.name, "mode": m.name, "from": m.start, "to": m.stop}
             for f in given.flights
@@ -202,9 +220,9 @@ def _content(
         "model": estimate["model"] if estimate else None,
         "estimate": estimate,
         "gap": None if gap is None else gap.content,
-        **({"without_aircraft": without} if without else {}),
+        **({"without_aircraft": without_file} if without_file else {}),
         "verdict": verdict,
-        "next": _next(training, given, seen, found, estimate, gap, without)[:MOST_NEXT],
+        "next": _next(training, given, contradicted, recipe_of_log, estimate, gap, without_file)[:MOST_NEXT],
         "notes": list(
             dict.fromkeys([n for c in training for n in c.notes] + [n.text for f in given.flights for n in f.notes])
         ),
@@ -224,50 +242,54 @@ def _about(flight: Flight) -> dict[str, Any]:
 
 def _where(training: Sequence[ChosenStretches]) -> str:
     count = sum(len(c.flight.segments) for c in training)
-    by = ", ".join(dict.fromkeys(c.by if c.by.startswith("mode:") else c.by.partition(" ")[0] for c in training))
-    return f"over {count} stretch{'es' if count != 1 else ''} by {by}" if by != "all" else "over all that was flown"
+    criteria = ", ".join(dict.fromkeys(c.by if c.by.startswith("mode:") else c.by.partition(" ")[0] for c in training))
+    return (
+        f"over {count} stretch{'es' if count != 1 else ''} by {criteria}"
+        if criteria != "all"
+        else "over all that was flown"
+    )
 
 
-def _no_model(training: Sequence[ChosenStretches], found: Recipe) -> str:
+def _no_model(training: Sequence[ChosenStretches], recipe_of_log: Recipe) -> str:
     """Why no model can be estimated."""
-    able = [m.model for m in found.models if m.able]
+    able = [m.model for m in recipe_of_log.models if m.able]
     if able:
-        controls = sorted({c for t in training for c in moved(t.flight)})
-        said = f"only {', '.join(controls)} moved" if controls else "no surface moved"
-        return f"No derivatives: {said}, which is no input for {', '.join(able)}; fly doublets or 3-2-1-1s"
-    nearest = min(found.models, key=lambda m: (bool(m.slow), len(m.missing)))
-    why = nearest.slow or f"it lacks {', '.join(nearest.missing)}"
-    return f"No derivatives: the log is not enough for any model; nearest is {nearest.model}: {why}"
+        controls = sorted({c for t in training for c in moved_controls(t.flight)})
+        moved_text = f"only {', '.join(controls)} moved" if controls else "no surface moved"
+        return f"No derivatives: {moved_text}, which is no input for {', '.join(able)}; fly doublets or 3-2-1-1s"
+    nearest = min(recipe_of_log.models, key=lambda m: (bool(m.slow), len(m.missing)))
+    reason = nearest.slow or f"it lacks {', '.join(nearest.missing)}"
+    return f"No derivatives: the log is not enough for any model; nearest is {nearest.model}: {reason}"
 
 
 def _next(
     training: Sequence[ChosenStretches],
     given: Given,
-    seen: Sequence[Mapping[str, Any]],
-    found: Recipe,
+    contradicted: Sequence[Mapping[str, Any]],
+    recipe_of_log: Recipe,
     estimate: Mapping[str, Any] | None,
     gap: Stage | None,
-    without: Mapping[str, Any] | None,
+    without_file: Mapping[str, Any] | None,
 ) -> list[str]:
     """What a person can do, the most telling first."""
-    steps = [f"settle in {c['flight']}: {c['text']}" for c in seen if c.get("stops")]
-    steps += list(without["next"]) if without else []
-    if without and not any(m.able for m in found.models):
+    steps = [f"settle in {c['flight']}: {c['text']}" for c in contradicted if c.get("stops")]
+    steps += list(without_file["next"]) if without_file else []
+    if without_file and not any(m.able for m in recipe_of_log.models):
         steps.append(
-            f"channels: {found.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
+            f"channels: {recipe_of_log.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
         )
     steps += [c.hint for c in training if c.hint]
-    best = recommended(estimate)
-    lacks = ", ".join(str(term) for term in best.get("lacks", ()))
+    recommendation = recommendation_of(estimate)
+    lacks = ", ".join(str(term) for term in recommendation.get("lacks", ()))
     steps += (
         [f"settle what the model may lack ({lacks}): what is said of each stands on the page of the derivatives"]
         if lacks
         else []
     )
-    if estimate and best.get("method", "none") == "none":
+    if estimate and recommendation.get("method", "none") == "none":
         steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
-    if not estimate and not without:
-        steps += [f"{sensor} would make possible: {', '.join(models)}" for sensor, models in found.adds.items()]
+    if not estimate and not without_file:
+        steps += [f"{sensor} would make possible: {', '.join(models)}" for sensor, models in recipe_of_log.adds.items()]
         if not any(f.measured(c) for f in given.flights for c in ("delta_a", "delta_e", "delta_r")):
             steps.append(
                 "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"

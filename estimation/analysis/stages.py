@@ -40,9 +40,9 @@ class Stages:
     def run(self, name: str, made_of: object, work: Callable[[], Mapping[str, Any]], *files: Path) -> Stage:
         """The content of a stage: as kept where its key is the same and its files are there, else made by `work` and kept."""
         key = digest([self.software, name, made_of])
-        kept = self._kept(name)
-        if kept.get("key") == key and isinstance(kept.get("content"), Mapping) and all(f.is_file() for f in files):
-            return Stage(kept["content"], key, False)
+        stored = self._kept(name)
+        if stored.get("key") == key and isinstance(stored.get("content"), Mapping) and all(f.is_file() for f in files):
+            return Stage(stored["content"], key, False)
         content = work()
         self.path(name).parent.mkdir(parents=True, exist_ok=True)
         write_text(self.path(f"{name}.json"), json.dumps({"key": key, "content": content}, default=str))
@@ -50,7 +50,7 @@ class Stages:
 
     def _kept(self, name: str) -> Mapping[str, Any]:
         try:
-            found = json.loads(self.path(f"{name}.json").read_text(encoding="utf-8"))
+            stored = json.loads(self.path(f"{name}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return {}  # not done yet, or cut off: done anew
-        return found if isinstance(found, Mapping) else {}
+        return stored if isinstance(stored, Mapping) else {}

@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.analysis.choice import models_to_try, moved
+from estimation.analysis.choice import models_to_try, moved_controls
 from estimation.session.recipe import Recipe
 from groundstation.flight import Flight
 
@@ -26,18 +26,24 @@ NEEDS = (
 SEED = 3
 
 
-def without_aircraft(flights: Sequence[Flight], found: Recipe, air: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def without_aircraft(
+    flights: Sequence[Flight], recipe_of_log: Recipe, air: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     """`verdict`, `lines` and `next`, with the numbers behind them. flights: their stretches as segments; air: what
     the reconstruction of each has found."""
     lines: list[str] = []
     compatibility = _compatibility(flights, lines)
     wind = _wind(flights, air, lines)
-    models = [m for m in models_to_try(found, sorted({c for f in flights for c in moved(f)})) if m != "six-dof"]
+    models = [
+        m
+        for m in models_to_try(recipe_of_log, sorted({c for f in flights for c in moved_controls(f)}))
+        if m != "six-dof"
+    ]
     modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
-    said = ", ".join(
+    answers = ", ".join(
         [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "what the instruments say of each other"]
     )
-    verdict = f"No derivatives without an aircraft file; {said} can be told: {'; '.join(lines)}"
+    verdict = f"No derivatives without an aircraft file; {answers} can be told: {'; '.join(lines)}"
     return {
         "verdict": verdict, "lines": lines, "next": [f"for derivatives give {NEEDS}"],
         "compatibility": compatibility, "wind": wind, "modes": modes,
@@ -48,7 +54,7 @@ def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str
     """Instrument factors of each flight that are beyond three of their bounds."""
     from estimation.answers.checks import check
 
-    found = []
+    results = []
     for flight in flights:
         try:
             entry = check(flight).to_json()["flights"][0]
@@ -56,7 +62,7 @@ def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str
             lines.append(f"instruments of {flight.name}: {error}")
             continue
         factors = entry["factors"]
-        off = [
+        significant = [
             n
             for n, f in factors.items()
             if f.get("identifiable")
@@ -65,24 +71,24 @@ def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str
         ]
         lines.append(
             f"instruments of {flight.name}: "
-            + (f"off by more than three bounds: {', '.join(off)}" if off else "they agree")
+            + (f"off by more than three bounds: {', '.join(significant)}" if significant else "they agree")
         )
-        found.append({"flight": flight.name, "factors": factors})
-    return found
+        results.append({"flight": flight.name, "factors": factors})
+    return results
 
 
 def _wind(flights: Sequence[Flight], air: Sequence[Mapping[str, Any]], lines: list[str]) -> list[dict[str, Any]]:
     """Mean wind of each flight whose air data were reconstructed."""
-    found = []
-    for flight, made in zip(flights, air, strict=False):
-        if not isinstance(made.get("wind"), Mapping):
+    winds = []
+    for flight, reconstruction in zip(flights, air, strict=False):
+        if not isinstance(reconstruction.get("wind"), Mapping):
             continue
-        north, east = made["wind"]["ned"][:2]
+        north, east = reconstruction["wind"]["ned"][:2]
         speed, from_deg = math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
-        std = max(made["wind"]["std"][:2])
+        std = max(reconstruction["wind"]["std"][:2])
         lines.append(f"wind of {flight.name}: {speed:.1f} +- {std:.1f} m/s from {from_deg:.0f} deg")
-        found.append({"flight": flight.name, "speed": speed, "from_deg": from_deg, "std": std})
-    return found
+        winds.append({"flight": flight.name, "speed": speed, "from_deg": from_deg, "std": std})
+    return winds
 
 
 def _modes(flights: Sequence[Flight], model: str, lines: list[str]) -> list[dict[str, Any]]:
@@ -99,18 +105,18 @@ def _modes(flights: Sequence[Flight], model: str, lines: list[str]) -> list[dict
     judged = session.verdict or session.flights[0].verdict
     result = next(iter((session.joint or session.flights[0].results).values()), None)
     if result is None or judged is None or judged.recommended.method == "none":
-        why = judged.recommended.why if judged is not None else session.text
-        lines.append(f"natural motion: cannot tell: {why}")
+        reason = judged.recommended.why if judged is not None else session.text
+        lines.append(f"natural motion: cannot tell: {reason}")
         return []
-    found = []
+    modes = []
     for m in modes_with_spread(result, session.flights[0].flight, np.random.default_rng(SEED)):
         periodic = np.isfinite(m.mode.damping)
         text = f"{m.mode.name}: {m.mode.speed:.3g} +- {m.speed_spread:.2g} {'rad/s' if periodic else '1/s'}"
         lines.append(text + (f", damping ratio {m.mode.damping:.3g} +- {m.damping_spread:.2g}" if periodic else ""))
-        found.append(
+        modes.append(
             {
                 "mode": m.mode.name, "speed": m.mode.speed, "std": m.speed_spread,
                 "damping": m.mode.damping if periodic else None, "damping_std": m.damping_spread if periodic else None,
             }
         )  # fmt: skip
-    return found
+    return modes

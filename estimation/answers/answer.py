@@ -1,20 +1,152 @@
-"""What every public function gives: an answer that prints shortly, shows a table in a notebook, and gives JSON, figures,
-pages and files when asked."""
+"""What every public function gives: an answer that prints shortly, shows a table and figures in a notebook, and gives JSON,
+pages and files when asked.
+"""
 
+import html
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from daq.contract.durable import whole
 from daq.contract.errors import UserError
 from daq.contract.outputs import PICTURES, write_json
-from estimation.answers.notebook import Figures, table
 
 if TYPE_CHECKING:
     import pandas as pd
 
-HERE = Path(__file__).parent
+    from estimation.compatibility.reconstruction import ReconstructedFlight
+    from estimation.estimators.result import Result
+    from estimation.gap.answer.result import GapResult
+    from estimation.report.drawing.figures import Picture
+    from estimation.session.proof_of_match import ProofOfMatch
+    from estimation.watch.over_file import Watched
+
+LEADING = 12  # hypotheses of a gap that a plot shows: the page has them all
+
+
+def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A small HTML table; all text is escaped."""
+    heads = "".join(f"<th>{html.escape(h)}</th>" for h in head)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
+    heading = html.escape(title.strip("<>"))
+    return f"<div><p>{heading}</p><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+class Figures(Mapping[str, "Picture"]):
+    """The figures of a report page by name, each drawn when it is looked at; in a notebook they show themselves."""
+
+    def __init__(self, pictures: "Mapping[str, Callable[[], Picture | None]]") -> None:
+        self._drawn = dict(pictures)
+        self._pictures: dict[str, Picture] = {}
+
+    def __getitem__(self, name: str) -> "Picture":
+        if name not in self._pictures:
+            picture = self._drawn[name]()
+            assert picture is not None  # only figures that have something to show are listed
+            self._pictures[name] = picture
+        return self._pictures[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._drawn)
+
+    def __len__(self) -> int:
+        return len(self._drawn)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write each to folder/NAME.svg; gives the paths."""
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        return [p.save(Path(folder) / f"{name}.svg") for name, p in self.items()]
+
+    def __repr__(self) -> str:
+        return f"<Figures: {', '.join(self)}>"
+
+    def _repr_html_(self) -> str:
+        return "".join(p._repr_html_() for p in self.values())
+
+
+def plot_estimates(result: "Result", ax: Any) -> Any:
+    """Every derivative that could be told relative to its size, with the corrected bound."""
+    (ax,) = panels(ax, 1, (7.0, 3.2))
+    identifiable = {n: e for n, e in result.parameters.items() if e.identifiable and not n.endswith("_0")}
+    size = {n: abs(e.reference) if e.reference else abs(e.estimate) for n, e in identifiable.items()}
+    places = range(len(identifiable))
+    values = [e.estimate / size[n] for n, e in identifiable.items()]
+    ax.errorbar(places, values, [e.std_coloured / size[n] for n, e in identifiable.items()], fmt="o", capsize=3)
+    ax.set_xticks(list(places), list(identifiable), rotation=60)
+    ax.set_ylabel("estimate / belief")
+    return ax
+
+
+def plot_reconstructed(flight: "ReconstructedFlight", ax: Any) -> Any:
+    """Measured and reconstructed motion, one axes a channel; angles in degrees."""
+    units = {n: "m/s" if n == "V" else "rad" for n in flight.outputs}
+    return _histories(units, flight.time, flight.measured, {"reconstructed": flight.reconstructed}, ax)
+
+
+def plot_proof(proof: "ProofOfMatch", ax: Any) -> Any:
+    """Measured and predicted outputs, one axes a channel; angles in degrees."""
+    units = {s.name: s.unit for s in proof.result.model.outputs}
+    return _histories(units, proof.time, proof.measured, {"predicted": proof.predicted}, ax)
+
+
+def plot_scores(result: "GapResult", ax: Any) -> Any:
+    """The leading hypotheses with their scores, and the threshold that simulated nulls set."""
+    (ax,) = panels(ax, 1, (7.0, 3.2))
+    leading = sorted(result.scores, key=lambda n: -result.scores[n])[:LEADING]
+    named_effects = {s.effect for s in result.steps}
+    colours = ["C0" if n in named_effects else "0.6" for n in leading]
+    ax.barh(range(len(leading)), [result.scores[n] for n in leading], color=colours)
+    ax.set_yticks(range(len(leading)), leading)
+    ax.invert_yaxis()
+    ax.axvline(result.threshold, color="C3", linewidth=1.0)
+    ax.set_xlabel(f"score; line: threshold {result.threshold:.2f}")
+    return ax
+
+
+def plot_watched(watched: "Watched", ax: Any) -> Any:
+    """Score of the gap monitor over its threshold, where controls moved; lines where an alarm was told."""
+    from estimation.watch.answer import draw_history
+
+    (ax,) = panels(ax, 1, (7.0, 2.6))
+    draw_history(watched, ax)
+    return ax
+
+
+def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mapping[str, Any], ax: Any) -> Any:
+    """units: of each output, in the order of the columns of measured (N, outputs) and of each curve."""
+    from estimation.report.drawing.figures import broken_at_gaps
+    from estimation.report.names import face
+
+    axes = panels(ax, len(units))
+    for i, (panel, (name, si)) in enumerate(zip(axes, units.items(), strict=True)):
+        factor, unit = face(name, si)
+        panel.plot(time, factor * measured[:, i], ".", color="0.6", markersize=2.0, label="measured")
+        for label, values in curves.items():
+            panel.plot(time, broken_at_gaps(time, factor * values[:, i]), linewidth=1.0, label=label)
+        panel.set_ylabel(f"{name} [{unit}]" if unit else name)
+    axes[0].legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    axes[-1].set_xlabel("time [s]")
+    return axes
+
+
+def panels(ax: Any, count: int, size: tuple[float, float] | None = None) -> Any:
+    """(count,) axes one above the other: those given, or new ones. UserError where another number is given. size: [inches]."""
+    from daq.contract.errors import UserError
+
+    if ax is None:
+        from matplotlib import pyplot as plt
+
+        _, ax = plt.subplots(
+            count, 1, sharex=True, squeeze=False, figsize=size or (7.0, 1.1 * count + 0.6), layout="constrained"
+        )
+    axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+    if axes.size != count:
+        raise UserError(f"{axes.size} axes for {count} panels; give one for each, or none")
+    return axes
+
 
 Rows = tuple[Sequence[str], Iterable[Sequence[str]]]
 """Head and rows of a small table."""
@@ -58,21 +190,18 @@ class Answer(ABC):
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""
-        from estimation.report.markup.html import write_page
+        from markupsafe import Markup
+
+        from estimation.report.page import Page, Section
         from estimation.report.tables import ReportTable
 
         head, rows = self.rows()
-        shown = tuple(tuple(str(cell) for cell in row) for row in rows)
-        return write_page(
-            Path(folder) / "index.html",
-            "answer.html.j2",
-            templates=HERE,
-            title=self.headline(),
-            lead="",
-            lines=list(self.lines()),
-            figures=list(self.figures().values()),
-            table=ReportTable("answer", "Numbers", tuple(head), shown, symbols=False),
-        )
+        cells = tuple(tuple(str(cell) for cell in row) for row in rows)
+        table = ReportTable("answer", "Numbers", tuple(head), cells, symbols=False)
+        lines = Markup('<pre class="scroll">{}</pre>').format("".join(f"{line}\n" for line in self.lines()))
+        parts = [lines, *self.figures().values(), table if table.rows else None]
+        page = Page(self.headline(), "", [Section("summary", "Summary", parts, "Summary")])
+        return page.write(Path(folder) / "index.html")
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Ending of a file's name -> what writes it."""
@@ -80,18 +209,18 @@ class Answer(ABC):
 
     def save(self, path: str | Path) -> Path:
         """Write the file whose kind the ending of its name chooses; gives the path. UserError for an unknown ending."""
-        path, known = Path(path), self.writers()
-        if path.suffix.lower() not in known:
-            endings = ", ".join(n for n in known if n not in PICTURES or n == ".svg")
+        path, writers = Path(path), self.writers()
+        if path.suffix.lower() not in writers:
+            endings = ", ".join(n for n in writers if n not in PICTURES or n == ".svg")
             raise UserError(f"{path}: no known format of this answer; end the name in one of {endings}")
-        known[path.suffix.lower()](path)
+        writers[path.suffix.lower()](path)
         return path
 
     def __repr__(self) -> str:
         return f"<{self.headline()}>"
 
     def _repr_html_(self) -> str:
-        return table(self.headline(), *self.rows())
+        return html_table(self.headline(), *self.rows())
 
 
 def table_writers(answer: Any) -> dict[str, Callable[[Path], Any]]:
@@ -110,7 +239,7 @@ def picture_writers(write: Callable[[Path], Any]) -> dict[str, Callable[[Path], 
     return dict.fromkeys(PICTURES, write)
 
 
-def rounded(estimate: Any) -> tuple[str, str]:
+def rounded_texts(estimate: Any) -> tuple[str, str]:
     """Estimate and corrected bound to the second figure of the bound."""
     from estimation.report.tables import rounded as to_figures
 

@@ -6,17 +6,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows, picture_writers, rounded, table_writers
-from estimation.answers.notebook import Figures, plot_reconstructed
+from estimation.answers.answer import (
+    Answer,
+    Figures,
+    Rows,
+    picture_writers,
+    plot_reconstructed,
+    rounded_texts,
+    table_writers,
+)
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimation.compatibility.result import Compatibility, FactorEstimate
+    from estimation.compatibility.reconstruction import Compatibility, FactorEstimate
     from estimation.resolve import AnyAircraft, Flights
     from groundstation.flight import Flight
-    from groundstation.flight.quality.report import Finding
+    from groundstation.flight.findings import Finding
 
 
 @single_threaded
@@ -34,19 +41,19 @@ def check(
 
     joint: also one set of factors that several flights share. aircraft: whose derivatives predict what each flight can tell.
     """
-    from estimation.compatibility.left_out import left_out_findings, measurements
     from estimation.compatibility.reconstruction import compatibility
+    from estimation.compatibility.records import compared_measurements, left_out_findings
     from estimation.resolve import read_flights
     from groundstation.flight.quality.report import quality_report
 
     text = factors if isinstance(factors, str) or factors is None else ",".join(factors) or None
-    wanted, known = wanted_factors(text)
+    free_factors, fixed_factors = wanted_factors(text)
     tell = progress or (lambda *_: None)
     read = read_flights(flights, segments)
     quality = {
         f.name: (
             *quality_report(f),
-            *left_out_findings(measurements(f, keep_held=keep_held)[1]),
+            *left_out_findings(compared_measurements(f, keep_held=keep_held)[1]),
             *_excitation(f, aircraft),
         )
         for f in read
@@ -56,23 +63,23 @@ def check(
     for i, f in enumerate(read):
         if several:
             tell(f"checking {f.name}", i / len(read))
-        results[f.name] = compatibility(f, wanted, known=known, keep_held=keep_held)
+        results[f.name] = compatibility(f, free_factors, known=fixed_factors, keep_held=keep_held)
     shared = None
     if joint and several:
         tell("checking all together")
-        shared = compatibility(read, wanted, known=known, keep_held=keep_held)
+        shared = compatibility(read, free_factors, known=fixed_factors, keep_held=keep_held)
     return Check(results, quality, tuple(read), shared)
 
 
 def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ...]":
     """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
-    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.aircraft.library import aircraft_of
     from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
-    from groundstation.flight.quality.report import Finding
+    from groundstation.flight.findings import Finding
 
     if aircraft is None and not flight.provenance.aircraft:
-        why = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
-        return (Finding(CHECK, "ok", why),)
+        reason = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
+        return (Finding(CHECK, reason, "ok"),)
     return tuple(excitation_findings(predicted_bounds(flight, aircraft_of([flight], aircraft))))
 
 
@@ -86,22 +93,22 @@ def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]
     words = [n.strip() for n in text.strip().removeprefix("+").split(",") if n.strip()]
     if not words:
         raise EstimationError(f"--factors {text!r} names none; write names like K_beta,dbeta or leave the option out")
-    known: dict[str, float] = {}
+    fixed: dict[str, float] = {}
     for word in [w for w in words if "=" in w]:
         name, _, value = word.partition("=")
         try:
-            known[name.strip()] = float(value)
+            fixed[name.strip()] = float(value)
         except ValueError:
             raise EstimationError(f"--factors {word}: {value!r} is not a number; write it like x_imu=0.06") from None
-        if not math.isfinite(known[name.strip()]):
+        if not math.isfinite(fixed[name.strip()]):
             raise EstimationError(f"--factors {word}: not a finite number")
     names = tuple(w for w in words if "=" not in w)
     if text.strip().startswith("+") or not names:
         names = (*STANDARD_FACTORS, *names)
-    free = tuple(n for n in dict.fromkeys(names) if n not in known)
+    free = tuple(n for n in dict.fromkeys(names) if n not in fixed)
     if not free:
         raise EstimationError(f"--factors {text}: every factor is given a value, none is left to estimate")
-    return free, known
+    return free, fixed
 
 
 @dataclass(frozen=True, repr=False)
@@ -121,14 +128,14 @@ class Check(Answer):
     @property
     def passed(self) -> bool:
         """Whether no finding is a failure, and every reconstruction converged."""
-        from groundstation.flight.quality.report import worst
+        from groundstation.flight.findings import worst
 
         failed = any(worst(findings) == "fail" for findings in self.quality.values())
         return not failed and all(r.converged for _, r in self.named)
 
     def to_json(self) -> dict[str, Any]:
         """As `check --json` has it: one entry a flight, and the joint factors where there are any."""
-        from estimation.report.compatibility_tables import fit_of
+        from estimation.report.check_page import fit_of
         from groundstation.flight.contradictions import contradictions
 
         entries, contradicted = [], []
@@ -165,14 +172,13 @@ class Check(Answer):
 
     def corrected(self) -> "list[Flight]":
         """The flights with the instrument factors taken out."""
-        from estimation.compatibility.correct import corrected
+        from estimation.compatibility.correct import correct_flight
 
-        return [corrected(flight, self.results[flight.name]) for flight in self.flights]
+        return [correct_flight(flight, self.results[flight.name]) for flight in self.flights]
 
     def lines(self) -> Iterator[str]:
-        """Factors and findings, as `sideslip check` prints them."""
         from estimation.models.kinematic import STANDARD_FACTORS
-        from estimation.report.compatibility_tables import factor_lines, published_lines
+        from estimation.report.check_page import factor_lines, published_lines
         from estimation.report.published import is_of
 
         yield from factor_lines(self.named)
@@ -181,14 +187,13 @@ class Check(Answer):
             yield ""
             yield from published_lines()
         for name, findings in self.quality.items():
-            yield from ("", f"quality of {name}", *(f"  {f.verdict:<5}{f.check}: {f.text}" for f in findings))
+            yield from ("", f"quality of {name}", *(f"  {f.severity:<5}{f.kind}: {f.text}" for f in findings))
 
     def plot(self, ax: Any = None) -> Any:
         """Measured and reconstructed motion of the first flight, one axes a channel; gives the axes."""
         return plot_reconstructed(next(iter(self.results.values())).flights[0], ax)
 
     def figures(self) -> Figures:
-        """The figures of the page that `check --report` writes."""
         from functools import partial
 
         from estimation.report.check_page import motion_figure, motion_pairs
@@ -197,7 +202,6 @@ class Check(Answer):
         return Figures({f"figure7_{i + 1}": partial(motion_figure, pair, i) for i, pair in enumerate(pairs)})
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML report; gives its page."""
         from estimation.report.check_page import write_check_report
 
         quality = [self.quality[f.name] for f in self.flights]
@@ -205,21 +209,22 @@ class Check(Answer):
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the table of factors as .csv, measured and reconstructed motion as a picture."""
-        from estimation.report.compatibility_tables import write_figure
+        from estimation.report.check_page import write_figure
 
         motion = [self.results[f.name].flights[0] for f in self.flights]
         pictures = picture_writers(lambda path: write_figure(motion, path))
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Flights, and the worst verdict on them."""
-        verdicts = {v for findings in self.quality.values() for v in (f.verdict for f in findings)}
+        verdicts = {v for findings in self.quality.values() for v in (f.severity for f in findings)}
         verdict = next((v for v in ("fail", "warn", "ok") if v in verdicts), "ok")
         return f"Check of {', '.join(self.quality)}: {verdict}"
 
     def rows(self) -> Rows:
         """A row for each flight and factor."""
-        rows = [(flight, n, *rounded(f), f.unit) for flight, result in self.named for n, f in result.factors.items()]
+        rows = [
+            (flight, n, *rounded_texts(f), f.unit) for flight, result in self.named for n, f in result.factors.items()
+        ]
         return ("flight", "factor", "estimate", "corrected bound", "unit"), rows
 
 

@@ -60,9 +60,9 @@ def design(
     from estimation.errors import EstimationError
     from estimation.resolve import resolve
 
-    known = {} if estimate is None else _known(estimate)
-    wanted = aircraft or known.get("aircraft")
-    if not wanted:
+    from_estimate = {} if estimate is None else _known(estimate)
+    aircraft_name = aircraft or from_estimate.get("aircraft")
+    if not aircraft_name:
         raise EstimationError(
             "design: name the aircraft with --aircraft (a built-in one or an AIRCRAFT.toml), or --from an estimate"
         )
@@ -71,8 +71,8 @@ def design(
         raise EstimationError(
             f"--band {low:g},{high:g}: give two frequencies in Hz, like 0.1,1.5 (at most {HIGHEST_BAND_HZ:g})"
         )
-    problem = resolve([], known.get("model", model), wanted)
-    chosen, craft = problem.model, problem.aircraft
+    problem = resolve([], from_estimate.get("model", model), aircraft_name)
+    loaded, craft = problem.model, problem.aircraft
     task = DesignTask(
         kind=kind,
         duration=time,
@@ -81,19 +81,19 @@ def design(
         controls=comma_separated(controls),
         band=band,
         criterion=criterion,
-        values=known.get("values", values or {}),
-        noise=known.get("noise", noise or {}),
-        noise_of_residuals=bool(known),
+        values=from_estimate.get("values", values or {}),
+        noise=from_estimate.get("noise", noise or {}),
+        noise_of_residuals=bool(from_estimate),
         rate_hz=rate_hz,
         held=held,
         seed=seed,
     )
-    if apart := comma_separated(separate):
+    if effect_names := comma_separated(separate):
         if kind != "optimal":
             raise EstimationError("--separate designs an optimal input: leave --kind out")
-        chosen, sizes = with_effects(chosen, apart)
+        loaded, sizes = with_effects(loaded, effect_names)
         task = replace(task, separate=tuple(sizes), sizes=sizes)
-    return DesignAnswer(designed(chosen, craft, task, load_limits(Path(limits)) if limits else None))
+    return DesignAnswer(designed(loaded, craft, task, load_limits(Path(limits)) if limits else None))
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,22 +112,20 @@ class DesignAnswer(Answer):
         return self.design.manoeuvre()
 
     def to_json(self) -> dict[str, Any]:
-        """As `design --json` has it."""
         return self.design.to_json()
 
     def lines(self) -> list[str]:
-        """What `sideslip design` prints."""
         return _lines(self.design)
 
     def plot(self, ax: Any = None) -> Any:
         """Commands over time, one axes a control [deg]; gives the axes."""
-        from estimation.answers.notebook import panels
+        from estimation.answers.answer import panels
 
         time, commands = self.design.best.motion.time, self.design.best.commands
         axes = panels(ax, commands.shape[1])
-        for each, name, column in zip(axes, self.design.bench.controls, commands.T, strict=True):
-            each.plot(time, [math.degrees(v) for v in column])
-            each.set_ylabel(f"{name} [deg]")
+        for panel, name, column in zip(axes, self.design.bench.controls, commands.T, strict=True):
+            panel.plot(time, [math.degrees(v) for v in column])
+            panel.set_ylabel(f"{name} [deg]")
         axes[-1].set_xlabel("time [s]")
         return axes
 
@@ -142,7 +140,6 @@ class DesignAnswer(Answer):
         }
 
     def headline(self) -> str:
-        """Kind, duration and the gain over doublets."""
         return self.lines()[0]
 
     def rows(self) -> Rows:
@@ -151,39 +148,39 @@ class DesignAnswer(Answer):
         return ("parameter", "predicted std", "relative"), rows
 
 
-def _lines(found: "InputDesign") -> list[str]:
+def _lines(answer: "InputDesign") -> list[str]:
     """What a person reads on the terminal."""
-    task = found.task
-    out = [
-        f"{found.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(found.bench.controls)}: "
-        f"worst relative error {found.gain:.2f} times smaller than of doublets of equal length under the same limits"
+    task = answer.task
+    lines = [
+        f"{answer.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(answer.bench.controls)}: "
+        f"worst relative error {answer.gain:.2f} times smaller than of doublets of equal length under the same limits"
     ]
-    out += [f"note: {note}" for note in found.notes]
-    peaks = found.peak_factors()
-    out += ["", f"  {'control':<10}{'peak [deg]':>12}{'peak factor':>13}"]
-    for i, control in enumerate(found.bench.controls):
-        peak = math.degrees(abs(found.best.commands[:, i]).max())
-        out.append(f"  {control:<10}{peak:>12.2f}{peaks[control]:>13.3f}")
-    out += ["", f"  {'limit':<14}{'used':>10}{'allowed':>10}"]
-    for use in found.best.used:
+    lines += [f"note: {note}" for note in answer.notes]
+    peaks = answer.peak_factors()
+    lines += ["", f"  {'control':<10}{'peak [deg]':>12}{'peak factor':>13}"]
+    for i, control in enumerate(answer.bench.controls):
+        peak = math.degrees(abs(answer.best.commands[:, i]).max())
+        lines.append(f"  {control:<10}{peak:>12.2f}{peaks[control]:>13.3f}")
+    lines += ["", f"  {'limit':<14}{'used':>10}{'allowed':>10}"]
+    for use in answer.best.used:
         factor = 1.0 if use.name in ("load_factor", "V", "ax", "ay", "az") else math.degrees(1.0)
         unit = "" if factor == 1.0 else " deg"
-        out.append(f"  {use.name:<14}{factor * use.used:>10.2f}{factor * use.allowed:>10.2f}{unit}")
-    out += ["", f"  {'parameter':<12}{'size':>10}{'std':>10}{'relative':>10}{'doublets':>10}"]
-    plain, std = found.expected_of_doublets, found.expected
-    for name, relative in found.relative.items():
-        size = found.sizes[name]
-        mark = "  cannot be told" if name in found.untold else ""
-        doublets = 100 * plain[name] / abs(size)
-        out.append(f"  {name:<12}{size:>10.4g}{std[name]:>10.2g}{100 * relative:>9.1f}%{doublets:>9.1f}%{mark}")
-    return out
+        lines.append(f"  {use.name:<14}{factor * use.used:>10.2f}{factor * use.allowed:>10.2f}{unit}")
+    lines += ["", f"  {'parameter':<12}{'size':>10}{'std':>10}{'relative':>10}{'doublets':>10}"]
+    std_of_doublets, std = answer.expected_of_doublets, answer.expected
+    for name, relative in answer.relative.items():
+        size = answer.sizes[name]
+        mark = "  cannot be told" if name in answer.untold else ""
+        doublets = 100 * std_of_doublets[name] / abs(size)
+        lines.append(f"  {name:<12}{size:>10.4g}{std[name]:>10.2g}{100 * relative:>9.1f}%{doublets:>9.1f}%{mark}")
+    return lines
 
 
-def write_manoeuvre(found: "InputDesign", path: Path) -> None:
+def write_manoeuvre(answer: "InputDesign", path: Path) -> None:
     """The file that `fly --manoeuvre` and the sequencer on board read."""
     import tomli_w
 
-    write_text(tomli_w.dumps(found.manoeuvre().to_dict()), path)
+    write_text(tomli_w.dumps(answer.manoeuvre().to_dict()), path)
 
 
 def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[str, float]]:
@@ -209,8 +206,8 @@ def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[
         if form is None:
             raise EstimationError(f"--separate {name}: {effects[name].forms[0].obstacle(model)}")
         # a delay or a play of zero has no slope: such effects are looked at where they have their usual size
-        usual = {p.name: p.typical for p in form.parameters} if form.nonlinear else None
-        model = form.added_to(model, usual)
+        typical = {p.name: p.typical for p in form.parameters} if form.nonlinear else None
+        model = form.added_to(model, typical)
         sizes |= {p.name: p.typical for p in form.parameters}
     return model, sizes
 
@@ -227,9 +224,9 @@ def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
             else read_json(Path(estimate), "estimate", EstimationError)
         )
         methods = content["joint"] or content["flights"][0]["methods"]
-        found = next(m for m in methods.values() if m["parameters"])
-        values = {n: float(p["estimate"]) for n, p in found["parameters"].items() if p["estimate"] is not None}
-        noise = {n: math.sqrt(v) for n, v in found["R"].items() if v}
+        result = next(m for m in methods.values() if m["parameters"])
+        values = {n: float(p["estimate"]) for n, p in result["parameters"].items() if p["estimate"] is not None}
+        noise = {n: math.sqrt(v) for n, v in result["R"].items() if v}
         return {"model": content["model"], "aircraft": content["aircraft"], "values": values, "noise": noise}
     except OSError as error:
         raise EstimationError(f"{path}: cannot be read ({error.strerror}); name what estimate --json wrote") from error

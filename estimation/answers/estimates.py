@@ -1,22 +1,150 @@
-"""`estimate`: aerodynamic parameters of flights, with bounds."""
+"""`estimate`: aerodynamic parameters of flights, with bounds, and what a person reads of them."""
 
-from collections.abc import Callable, Iterator, Mapping
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.input_files import read_text
 from daq.contract.plain_words import comma_separated
-from estimation.answers.answer import Answer, Rows, picture_writers, rounded
-from estimation.answers.notebook import Figures, plot_estimates
+from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_estimates, rounded_texts
+from estimation.errors import EstimationError
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from estimation.estimators.result import Result
+    from estimation.estimators.result import Bootstrap, Result
     from estimation.models import Model
     from estimation.resolve import AnyAircraft, AnyModel, Flights, Names
     from estimation.session.session import EstimationSession
+    from estimation.session.verdict import Verdict
+
+
+def session_lines(session: "EstimationSession", *, brief: bool = False) -> Iterator[str]:
+    """The printed answer: a table for each flight and method, mean and scatter, joint."""
+    from estimation.report.conventions import conventions_lines
+
+    yield f"aircraft {session.aircraft.name}, model {session.model.name}"
+    yield from () if brief else conventions_lines(session)
+    for f in session.flights:
+        for method, result in f.results.items():
+            if brief:
+                yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
+                yield f"  {brief_numbers(result)}"
+                continue
+            yield ""
+            yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
+            yield from result_lines(result)
+        for method, reason in f.failures.items():
+            yield f"{f.flight.name}, {method}: {reason}"
+        for note in () if brief else f.notes:
+            yield f"  note: {note}"
+        yield from _verdict_lines(f.verdict, brief=brief)
+    if len(session.flights) > 1:
+        yield from _mean_lines(session)
+    for method, result in session.joint.items():
+        yield ""
+        yield f"joint over {len(session.flights)} flights, {method}: {result.text}"
+        yield from result_lines(result)
+    for method, reason in session.joint_failures.items():
+        yield f"joint over {len(session.flights)} flights, {method}: {reason}"
+    yield from _verdict_lines(session.verdict, brief=False)
+
+
+def _verdict_lines(verdict: "Verdict | None", *, brief: bool) -> Iterator[str]:
+    """Doubts, and which method to believe."""
+    if verdict is None:
+        return
+    for doubt in () if brief else verdict.doubts:
+        yield f"  doubt ({doubt.kind.value}): {doubt.text}"
+    yield f"  recommended: {verdict.recommended.text}"
+
+
+def brief_numbers(result: "Result") -> str:
+    """Every estimate that the data could tell with its corrected bound, both to the second figure of the bound, in one line."""
+    from estimation.report.tables import rounded
+
+    identifiable = [(n, rounded(e.estimate, e.std_coloured)) for n, e in result.parameters.items() if e.identifiable]
+    return "  ".join(f"{n} {value}" + (f" ({bound})" if bound else "") for n, (value, bound) in identifiable)
+
+
+def result_lines(result: "Result") -> Iterator[str]:
+    """Estimate, Cramer-Rao bound, corrected bound and prior belief, parameter by parameter; then the fit."""
+    yield f"  {'parameter':<12}{'estimate':>11}{'bound':>10}{'corrected':>11}{'before':>10}"
+    for name, e in result.parameters.items():
+        reference = "" if e.reference is None else f"{e.reference:10.4g} {e.reference_source}"
+        reason = "" if e.identifiable else f"  cannot tell: {e.why}"
+        yield f"  {name:<12}{e.estimate:11.4g}{e.std:10.2g}{e.std_coloured:11.2g}{reference}{reason}"
+    for flight in result.flights:
+        line = "  ".join(f"{n} {f.r2:.3f}" for n, f in flight.fit.items())
+        yield f"  fit r2{' ' + flight.name if len(result.flights) > 1 else ''}: {line}"
+    for first, second, rho in result.collinear[:4]:
+        yield f"  correlated: {first} and {second}, {rho:+.3f}"
+    for name, p in result.profile.items():
+        if p.values.size:
+            (low, high), (wide_low, wide_high) = p.interval, p.interval_coloured
+            yield f"  profile {name}: 95 % {low:.4g} .. {high:.4g}, corrected {wide_low:.4g} .. {wide_high:.4g}"
+        if p.text:
+            yield f"  profile {name}: {p.text}"
+    if result.bootstrap is not None:
+        yield from _bootstrap_lines(result.bootstrap)
+
+
+def _bootstrap_lines(b: "Bootstrap") -> Iterator[str]:
+    if b.text:
+        yield f"  bootstrap: {b.text}"
+        return
+    yield f"  bootstrap, {len(b.estimates)} replicates" + (f", {b.failed} more could not be fitted" if b.failed else "")
+    yield f"  {'parameter':<12}{'spread':>11}{'bias':>10}  95 % interval"
+    for name, s in b.parameters.items():
+        yield f"  {name:<12}{s.std:11.2g}{s.bias:10.1g}  {s.interval[0]:.4g} .. {s.interval[1]:.4g}"
+
+
+def _mean_lines(session: "EstimationSession") -> Iterator[str]:
+    for method, table in session.mean.items():
+        yield ""
+        yield f"mean over flights, {method}"
+        heading = f"{'truth':>11}" if session.truth else ""
+        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}{heading}"
+        for name, s in table.items():
+            true = f"{session.truth[name]:11.4g}" if name in session.truth else " " * len(heading)
+            scatter = f"{s.std:.2g}" if s.count > 1 else "-"  # of one flight there is none
+            yield f"  {name:<12}{s.mean:11.4g}{scatter:>10}{s.bound:11.2g}{s.count:9d}{true}  {s.text}".rstrip()
+
+
+def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
+    """Derivatives by name from a JSON file: {"Cl_p": ...}, {"derivatives": {...}}, a manifest of recordings, or a key of
+    sets of flights, where each flight is found by its name.
+
+    Raises EstimationError for a file that cannot be read, or that has no truth or different ones for these flights.
+    """
+    try:
+        data = json.loads(read_text(path, error=EstimationError))
+    except (ValueError, RecursionError):
+        raise EstimationError(f'{path}: not JSON; write derivatives by name, like {{"Cl_p": -0.495}}') from None
+    truths = [_of_flight(data, name) for name in flights]
+    truth = next((f for f in truths if f), None)
+    if truth is None:
+        raise EstimationError(f"{path}: no derivatives there for {', '.join(flights)}")
+    if any(f != truth for f in truths):
+        raise EstimationError(f"{path}: the truth of these flights is not one: give flights of one aircraft")
+    return truth
+
+
+def _of_flight(data: Any, flight: str) -> dict[str, float]:
+    """Numbers by derivative name, empty where the file tells nothing of this flight."""
+    if not isinstance(data, Mapping):
+        return {}
+    entry: Any = data
+    if isinstance(data.get("recordings"), list):
+        entry = next((r for r in data["recordings"] if isinstance(r, Mapping) and r.get("name") == flight), {})
+    elif "derivatives" not in data:
+        sets = [k for k, v in data.items() if isinstance(v, Mapping) and flight.startswith(k)]
+        entry = data[max(sets, key=len)] if sets else data
+    table = entry.get("derivatives", entry)
+    return {k: float(v) for k, v in table.items() if isinstance(v, int | float) and not isinstance(v, bool)}
 
 
 @single_threaded
@@ -54,7 +182,6 @@ def estimate(
     from estimation.resolve import resolve
     from estimation.session import runner
     from estimation.session.structured import StructureWish
-    from estimation.session.truth import read_truth
     from estimation.simulation.base_model import Free
 
     problem = resolve(
@@ -86,10 +213,10 @@ class Estimates(Answer):
     @property
     def model(self) -> "Model":
         """The model with the estimates as its values, and the ranges it was estimated from."""
-        from estimation.session.flown import flown
+        from estimation.session.proof_of_match import flown_ranges
 
-        used = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
-        return replace(self.best.fitted_model, flown=flown(self.best.model, used))
+        flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
+        return replace(self.best.fitted_model, flown=flown_ranges(self.best.model, flights))
 
     @property
     def passed(self) -> bool:
@@ -101,7 +228,6 @@ class Estimates(Answer):
         return self.best.parameters[parameter]
 
     def to_json(self) -> dict[str, Any]:
-        """As `estimate --json` has it."""
         return self.session.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -131,8 +257,6 @@ class Estimates(Answer):
 
     def lines(self, *, brief: bool = False) -> Iterator[str]:
         """What `sideslip estimate` prints; brief: a line for each flight."""
-        from estimation.answers.estimate_lines import session_lines
-
         yield from (f"simulation: {note}" for note in self.notes)
         yield from session_lines(self.session, brief=brief)
 
@@ -142,13 +266,13 @@ class Estimates(Answer):
 
     def figures(self) -> Figures:
         """The figures of the report: derivatives over flights, histories, residuals, proof of match, ellipses."""
-        from estimation.report.page import estimate_figures
+        from estimation.report.estimate_page import estimate_figures
 
         return Figures(estimate_figures(self.session))
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML report; gives its page."""
-        from estimation.report.page import write_estimate_report
+        from estimation.report.estimate_page import write_estimate_report
 
         return write_estimate_report(self.session, Path(folder))
 
@@ -176,13 +300,12 @@ class Estimates(Answer):
         }
 
     def headline(self) -> str:
-        """Model, methods and how it went."""
         return f"Estimates of {self.session.model.name} by {', '.join(self.session.methods)}: {self.session.text:.300}"
 
     def rows(self) -> Rows:
         """A row for each parameter of `best`."""
         rows = [
-            (n, *rounded(e), "" if e.reference is None else f"{e.reference:.4g}", e.why)
+            (n, *rounded_texts(e), "" if e.reference is None else f"{e.reference:.4g}", e.why)
             for n, e in self.best.parameters.items()
         ]
         return ("parameter", "estimate", "corrected bound", "before", ""), rows

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows, table_writers
-from estimation.answers.notebook import Figures, plot_scores
+from estimation.answers.answer import Answer, Figures, Rows, plot_scores, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -45,13 +44,13 @@ def gap(
     files = tuple(Path(f) for f in effects)
     catalogue(files)  # what is mistyped in them is said before a flight is read
     training = as_listed(flights)
-    given = [*training, *as_listed(holdout)]
-    problem = resolve(given, model, aircraft, simulation=simulation, free=Free.FACTORS)
-    known = catalogue(files, problem.model)
+    every_flight = [*training, *as_listed(holdout)]
+    problem = resolve(every_flight, model, aircraft, simulation=simulation, free=Free.FACTORS)
+    effect_list = catalogue(files, problem.model)
     first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
     options = Options(seed=seed, nulls=nulls)
-    result = run_gap(problem.model, first, rest, known, options, progress or (lambda what, share: None))
-    return GapAnswer(result, problem.flights, tuple(known), seed, problem.notes)
+    result = run_gap(problem.model, first, rest, effect_list, options, progress or (lambda what, share: None))
+    return GapAnswer(result, problem.flights, tuple(effect_list), seed, problem.notes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,21 +86,20 @@ class GapAnswer(Answer):
         return replace(self, result=with_models(self.result, self.flights, self.seed, Path(folder)))
 
     def to_json(self) -> dict[str, Any]:
-        """As `gap --json` has it."""
         return self.result.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each hypothesis of the catalogue, the highest score first; `named`: added to the model."""
         import pandas as pd
 
-        named = {s.effect: s for s in self.result.steps}
+        steps = {s.effect: s for s in self.result.steps}
         rows = [
             {
                 "effect": n,
                 "score": score,
-                "threshold": named[n].threshold if n in named else self.result.threshold,
-                "named": n in named,
-                "weight": named[n].confidence if n in named else float("nan"),
+                "threshold": steps[n].threshold if n in steps else self.result.threshold,
+                "named": n in steps,
+                "weight": steps[n].confidence if n in steps else float("nan"),
                 "minimum_detectable": self.result.minimum_detectable.get(n, float("nan")),
             }
             for n, score in sorted(self.result.scores.items(), key=lambda pair: -pair[1])
@@ -109,7 +107,6 @@ class GapAnswer(Answer):
         return pd.DataFrame(rows)
 
     def lines(self) -> list[str]:
-        """What `sideslip gap` prints."""
         return [*(f"simulation: {note}" for note in self.notes), *_lines(self.result)]
 
     def plot(self, ax: Any = None) -> Any:
@@ -126,20 +123,14 @@ class GapAnswer(Answer):
         """The model with what was found as .toml, everything as .json, the table as .csv."""
         from estimation.models import write_model
 
-        return {
-            **super().writers(),
-            ".toml": lambda path: write_model(self.model, path),
-            **table_writers(self),
-        }
+        return {**super().writers(), ".toml": lambda path: write_model(self.model, path), **table_writers(self)}
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
         from estimation.gap.pages.report import write_gap_report
 
         return write_gap_report(self.result, Path(folder), self.catalogue)
 
     def headline(self) -> str:
-        """The verdict and the effects."""
         return f"Gap: {self.verdict}{': ' if self.effects else ''}{', '.join(self.effects)}"
 
     def rows(self) -> Rows:
@@ -151,33 +142,35 @@ class GapAnswer(Answer):
         return ("effect", "", "score", "threshold", "closed"), rows
 
     def _repr_html_(self) -> str:
-        from estimation.answers.notebook import table
+        from estimation.answers.answer import html_table
 
-        return table(f"{self.headline()}. {self.result.text}", *self.rows())
+        return html_table(f"{self.headline()}. {self.result.text}", *self.rows())
 
 
 def _lines(result: "GapResult") -> list[str]:
     """What a person reads on the terminal."""
-    out = [f"verdict: {result.verdict.value}", result.text]
+    lines = [f"verdict: {result.verdict.value}", result.text]
     if result.steps:
-        out.append("")
-        out.append(
+        lines.append("")
+        lines.append(
             f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} "
             f"{'floor':>7s} {'closed':>7s} {'held out':>9s}"
         )
     for s in result.steps:
-        held = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
-        out.append(
+        holdout = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
+        lines.append(
             f"{s.effect:20s} {s.score:7.1f} {s.threshold:9.2f} {s.confidence:7.2f}  {s.gap.before:10.3f} {s.gap.after:7.3f} "
-            f"{s.gap.floor:7.3f} {s.gap.closed:7.0%} {held:>9s}"
+            f"{s.gap.floor:7.3f} {s.gap.closed:7.0%} {holdout:>9s}"
         )
-    before = result.model_before.parameters
-    believed = {p.name: p for p in before if p.reference_source.startswith("simulation")}
+    parameters = result.model_before.parameters
+    from_simulation = {p.name: p for p in parameters if p.reference_source.startswith("simulation")}
     for step in result.steps:
         for name, (value, _) in step.estimates.items():
-            if name in believed:
-                own = believed[name]
-                out.append(f"{name}: the {own.reference_source} has {own.reference:.4g}, the flights {value:.4g}")
+            if name in from_simulation:
+                parameter = from_simulation[name]
+                lines.append(
+                    f"{name}: the {parameter.reference_source} has {parameter.reference:.4g}, the flights {value:.4g}"
+                )
     if result.files[1]:
-        out.append(f"model: {result.files[0]} -> {result.files[1]}")
-    return out
+        lines.append(f"model: {result.files[0]} -> {result.files[1]}")
+    return lines

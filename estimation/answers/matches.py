@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.contract.plain_words import comma_separated
-from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
-from estimation.answers.notebook import Figures, plot_proof
+from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_proof, table_writers
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 from estimation.threads import single_threaded
 
@@ -35,12 +34,12 @@ def match(
     limit: Theil's coefficient above which a channel does not match.
     """
     from estimation.resolve import resolve
-    from estimation.session.proof_of_match import predict
+    from estimation.session.proof_of_match import predict_flight
     from estimation.simulation.base_model import Free
 
     problem = resolve(flights, model, aircraft, segments=segments, simulation=simulation, free=Free.NOTHING)
-    wanted = comma_separated(free)
-    proofs = tuple(predict(problem.model, flight, free=wanted) for flight in problem.flights)
+    free_names = comma_separated(free)
+    proofs = tuple(predict_flight(problem.model, flight, free=free_names) for flight in problem.flights)
     return Match(proofs, str(problem.model.name), limit, problem.flights, problem.notes)
 
 
@@ -60,7 +59,6 @@ class Match(Answer):
         return all(p.converged and all(f.theil <= self.limit for f in p.fit.values()) for p in self.proofs)
 
     def to_json(self) -> dict[str, Any]:
-        """As `match --json` has it."""
         return {"model": self.model, "limit": self.limit, "flights": [p.to_json() for p in self.proofs]}
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -75,7 +73,6 @@ class Match(Answer):
         return pd.DataFrame(rows)
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip match` prints."""
         yield from (f"simulation: {note}" for note in self.notes)
         yield f"limit: Theil's coefficient {self.limit:g} in every channel"
         for proof in self.proofs:
@@ -86,13 +83,12 @@ class Match(Answer):
         return plot_proof(self.proofs[0], ax)
 
     def figures(self) -> Figures:
-        """Figure 10 of the report pages."""
         from functools import partial
 
         from estimation.report.drawing.estimate_figures import proof_figure
 
-        drawn = partial(proof_figure, [(self.model, p) for p in self.proofs], "initial states", of_paper=False)
-        return Figures({"figure10": drawn})
+        figure = partial(proof_figure, [(self.model, p) for p in self.proofs], "initial states", of_paper=False)
+        return Figures({"figure10": figure})
 
     def write_histories(self, folder: Path) -> list[Path]:
         """Write each flight with what the model predicts beside it; gives the files."""
@@ -108,9 +104,8 @@ class Match(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Flights, and the worst match of any channel."""
-        worst = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
-        return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {worst:.3f}"
+        largest = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
+        return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {largest:.3f}"
 
     def rows(self) -> Rows:
         """A row for each flight and channel."""

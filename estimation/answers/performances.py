@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.contract.constants import RADIAN
-from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
-from estimation.answers.notebook import Figures, panels
+from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, table_writers
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -29,14 +28,14 @@ def performance(
     aircraft's mass or area is.
     """
     from estimation.performance.polar import fitted
-    from estimation.performance.samples import together, usable
+    from estimation.performance.samples import all_stretches, usable
     from estimation.resolve import read_flights, which_aircraft
 
     read = read_flights(flights, segments)
     craft = which_aircraft(read, aircraft, needed=True)
     craft.need(("m", "S"), "performance")
     used = tuple(usable(flight, craft, throttle_off=throttle_off) for flight in read)
-    return Performance(craft, used, fitted(together(used)))
+    return Performance(craft, used, fitted(all_stretches(used)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,19 +89,18 @@ class Performance(Answer):
         return curve(self.polar, self.aircraft)
 
     def to_json(self) -> dict[str, Any]:
-        """As `performance --json` has it."""
-        known = self.passed
+        polar_known = self.passed
         return {
-            "version": 1, "aircraft": self.aircraft.name, "status": self.status, "known": known,
+            "version": 1, "aircraft": self.aircraft.name, "status": self.status, "known": polar_known,
             "mass": self.aircraft.mass, "density": self.polar.density, "rms_CD": self.polar.rms,
             "flights": [{"name": f.name, "samples": f.samples, "used": f.used, "thrust": f.thrust} for f in self.flights],
             "lift": list(self.polar.lift),
             "polar": {n: _json(self.polar[n]) for n in ("CD_0", "CD_k", "alpha_offset")},
-            "best_glide": {n: _json(b) for n, b in self.best_glide.items()} if known else None,
-            "least_sink": {n: _json(b) for n, b in self.least_sink.items()} if known else None,
+            "best_glide": {n: _json(b) for n, b in self.best_glide.items()} if polar_known else None,
+            "least_sink": {n: _json(b) for n, b in self.least_sink.items()} if polar_known else None,
             "curve": [
                 {"V": p.V, "CL": p.CL, "drag": _json(p.drag), "sink": _json(p.sink), "power": _json(p.power)} for p in self.curve
-            ] if known else [],
+            ] if polar_known else [],
         }  # fmt: skip
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -116,7 +114,6 @@ class Performance(Answer):
         ])  # fmt: skip
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip performance` prints."""
         for f in self.flights:
             yield f"{f.name}: {f.used} of {f.samples} samples, {f.thrust}"
         yield f"{self.aircraft.name}, {self.aircraft.mass:g} kg, density {self.polar.density:.3f} kg/m3: {self.status}"
@@ -146,31 +143,29 @@ class Performance(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Polar, sink and power required over speed with 95 % bands; gives the three axes."""
-        from estimation.performance.drawing import draw_performance
+        from estimation.performance.polar import draw_performance
 
         axes = panels(ax, 3, (6.0, 7.5))
         draw_performance(self.flights, self.polar, self.curve if self.passed else (), axes)
         return axes
 
     def figures(self) -> Figures:
-        """The figure of the page."""
         from functools import partial
 
-        from estimation.performance.drawing import performance_picture
+        from estimation.performance.polar import performance_picture
 
         curve = self.curve if self.passed else ()
         return Figures({"performance": partial(performance_picture, self.flights, self.polar, curve)})
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the curve as .csv, the figure as a picture."""
-        from estimation.performance.drawing import write_performance
+        from estimation.performance.polar import write_performance
 
         curve = self.curve if self.passed else ()
         pictures = picture_writers(lambda path: write_performance(self.flights, self.polar, curve, path))
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Aircraft and the best glide."""
         return f"Performance of {self.aircraft.name}: {self.status}"
 
     def rows(self) -> Rows:

@@ -35,11 +35,11 @@ def reconstruct(
     assumed = Assumptions(trim_sideslip=math.radians(trim_sideslip), attitude=math.radians(attitude_error))
     (read,) = read_flights(flight)
     air = reconstruct_air(read, assumed)
-    made = with_air(read, air)
+    with_air_data = with_air(read, air)
     if output is not None:
-        write_flight(made, Path(output))
+        write_flight(with_air_data, Path(output))
     measured = tuple(n for n in ("alpha", "beta") if read.measured(n))
-    return Reconstruction(air, made, str(output or read.name), measured)
+    return Reconstruction(air, with_air_data, str(output or read.name), measured)
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,10 +69,9 @@ class Reconstruction(Answer):
         }
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip reconstruct` prints."""
-        from estimation.compatibility.air_data import sentence
+        from estimation.compatibility.air_data import air_data_sentence
 
-        yield f"{self.name}: {sentence(self.air)}"
+        yield f"{self.name}: {air_data_sentence(self.air)}"
         north, east = self.air.wind[:2]
         speed, from_deg = math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
         std = float(max(self.air.wind_std[:2]))
@@ -86,14 +85,14 @@ class Reconstruction(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """Air data over time, one axes a quantity; angles in degrees; gives the axes."""
-        from estimation.answers.notebook import panels
+        from estimation.answers.answer import panels
         from estimation.report.names import face
 
         axes = panels(ax, len(self.air.values))
-        for each, (name, values) in zip(axes, self.air.values.items(), strict=True):
+        for panel, (name, values) in zip(axes, self.air.values.items(), strict=True):
             factor, unit = face(name, "m/s" if name == "V" else "rad")
-            each.plot(self.flight.time, factor * values)
-            each.set_ylabel(f"{name} [{unit}]")
+            panel.plot(self.flight.time, factor * values)
+            panel.set_ylabel(f"{name} [{unit}]")
         axes[-1].set_xlabel("time [s]")
         return axes
 
@@ -105,7 +104,6 @@ class Reconstruction(Answer):
         return {**super().writers(), **flights}
 
     def headline(self) -> str:
-        """How sure the reconstruction is."""
         return next(self.lines())
 
     def rows(self) -> Rows:

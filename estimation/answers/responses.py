@@ -42,35 +42,35 @@ def frequency(
     kind, category: class of a piloted aircraft and category of the flight phase, for levels. aircraft: whose mass decides
     whether levels apply. Raises a UserError where the input did not move, a column is missing or the flights are too short.
     """
-    from estimation.frequency.answer import answer
+    from estimation.frequency.answer import frequency_answer
     from estimation.frequency.forms import form_for
     from estimation.frequency.handling import Craft
     from estimation.frequency.response import ResponseOptions
     from estimation.frequency.response import frequency_response as responded
     from estimation.resolve import read_flights
 
-    wanted = form or ("auto" if fit else None)
-    if wanted is not None:
-        form_for(input, output, wanted)  # what is mistyped is said before a flight is read
-    asked = Craft(kind, category)
-    beside = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
-    options = ResponseOptions(beside, band, points, tuple(windows))
+    form_name = form or ("auto" if fit else None)
+    if form_name is not None:
+        form_for(input, output, form_name)  # what is mistyped is said before a flight is read
+    craft_asked = Craft(kind, category)
+    other_inputs = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
+    options = ResponseOptions(other_inputs, band, points, tuple(windows))
     read = read_flights(flights, segments)
-    craft = _with_mass(asked, read, aircraft)
-    return Response(answer(responded(read, input, output, options), wanted, craft), tuple(read))
+    craft = _with_mass(craft_asked, read, aircraft)
+    return Response(frequency_answer(responded(read, input, output, options), form_name, craft), tuple(read))
 
 
-def _with_mass(asked: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
+def _with_mass(craft: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
     """What is asked for, with the mass of the aircraft where it is known."""
-    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.aircraft.library import aircraft_of
     from estimation.errors import AircraftError
 
     try:
-        return replace(asked, mass=aircraft_of(flights, aircraft).mass)
+        return replace(craft, mass=aircraft_of(flights, aircraft).mass)
     except AircraftError:
         if aircraft is not None:
             raise
-        return asked  # the response needs no aircraft
+        return craft  # the response needs no aircraft
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,14 +87,13 @@ class Response(Answer):
         kind: class I to IV of a piloted aircraft, for levels; category: of the flight phase; mass: kg, by default that of the
         aircraft where it is known.
         """
-        from estimation.frequency.answer import answer
+        from estimation.frequency.answer import frequency_answer
         from estimation.frequency.handling import Craft
 
         craft = Craft(kind, category, self.answer.craft.mass if mass is None else mass)
-        return replace(self, answer=answer(self.answer.response, form, craft))
+        return replace(self, answer=frequency_answer(self.answer.response, form, craft))
 
     def to_json(self) -> dict[str, Any]:
-        """As `frequency --json` has it."""
         return self.answer.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -115,9 +114,9 @@ class Response(Answer):
 
     def lines(self) -> Iterator[str]:
         """What `sideslip frequency` prints."""
-        from estimation.frequency.answer import lines
+        from estimation.frequency.answer import response_lines
 
-        return lines(self.answer)
+        return response_lines(self.answer)
 
     def plot(self, ax: Any = None) -> Any:
         """Magnitude [dB], phase [deg] and coherence over frequency; gives the three axes."""
@@ -132,7 +131,7 @@ class Response(Answer):
 
     def report(self, folder: str | Path) -> Path:
         """Write the HTML page; gives its path."""
-        from estimation.frequency.page import write_frequency_report
+        from estimation.frequency.answer import write_frequency_report
 
         return write_frequency_report(self.answer, self.flights, Path(folder))
 
@@ -144,7 +143,6 @@ class Response(Answer):
         return {**super().writers(), **table_writers(self), **pictures}
 
     def headline(self) -> str:
-        """Output, input, range of frequencies and the form of the fit."""
         r = self.answer.response
         fit = "" if self.answer.fit is None else f", fit {self.answer.fit.form.name}"
         return (

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows
-from estimation.answers.notebook import Figures, plot_watched
+from estimation.answers.answer import Answer, Figures, Rows, plot_watched
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -35,14 +34,14 @@ def watch(
     UserError for another model, a missing column, or less than ten seconds of manoeuvring.
     """
     from estimation.resolve import resolve
-    from estimation.watch import over_file
+    from estimation.watch import answer, over_file
 
     problem = resolve(flight, model, aircraft, segments=segments, needs_aircraft=True)
     (read,) = problem.flights
-    found = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
+    watched = over_file.watch(problem.model, read, problem.aircraft, seed=seed, hours=hours, rate=rate)
     craft = None if aircraft is None else str(getattr(aircraft, "name", aircraft))
     words = str(model) if isinstance(model, str | Path) else problem.model.name
-    return Watching(found, over_file.gap_command(Path(read.provenance.path or read.name), words, craft))
+    return Watching(watched, answer.gap_command(Path(read.provenance.path or read.name), words, craft))
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,12 +62,11 @@ class Watching(Answer):
         return not self.alarms
 
     def to_json(self) -> dict[str, Any]:
-        """As `watch --json` has it."""
         return {**self.result.to_json(), "next": self.command if self.alarms else None}
 
     def stretch(self) -> "Flight | None":
         """The part of the flight about its first alarm, for `gap`; None where there was no alarm."""
-        from estimation.watch.over_file import stretch
+        from estimation.watch.answer import stretch
 
         return stretch(self.result) if self.alarms else None
 
@@ -76,12 +74,11 @@ class Watching(Answer):
         """A row for each half second of manoeuvring: time [s], and the score in units of its threshold."""
         import pandas as pd
 
-        seen = self.result.history
-        return pd.DataFrame({"time": [w.time for w in seen], "score": [w.score for w in seen]})
+        history = self.result.history
+        return pd.DataFrame({"time": [w.time for w in history], "score": [w.score for w in history]})
 
     def lines(self) -> Iterator[str]:
-        """What `sideslip watch` prints."""
-        from estimation.watch.over_file import lines
+        from estimation.watch.answer import lines
 
         yield from lines(self.result)
         if self.alarms:
@@ -91,10 +88,10 @@ class Watching(Answer):
         """Write the stretch about the first alarm, where there is one; the answer whose next command reads that file."""
         from groundstation.flight import write_flight
 
-        about = self.stretch()
-        if about is None:
+        stretch = self.stretch()
+        if stretch is None:
             return self
-        write_flight(about, path)
+        write_flight(stretch, path)
         _, _, words = self.command.partition(" --model ")
         return replace(self, command=f"sideslip gap {path} --model {words}")
 
@@ -103,21 +100,18 @@ class Watching(Answer):
         return plot_watched(self.result, ax)
 
     def figures(self) -> Figures:
-        """The figure of the page."""
         from functools import partial
 
-        from estimation.watch.over_file import history_picture
+        from estimation.watch.answer import history_picture
 
         return Figures({"watch_history": partial(history_picture, self.result)})
 
     def report(self, folder: str | Path) -> Path:
-        """Write the HTML page; gives its path."""
-        from estimation.watch.over_file import write_watch_report
+        from estimation.watch.answer import write_watch_report
 
         return write_watch_report(self.result, Path(folder), self.command)
 
     def headline(self) -> str:
-        """Flight, model and the number of alarms."""
         alarms = f"{len(self.alarms)} alarm{'s' if len(self.alarms) > 1 else ''}" if self.alarms else "no alarm"
         return f"Watching of {self.result.flight.name} with {self.result.model}: {alarms}"
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.campaign import pooling
+from estimation.campaign.pooling import LEVEL
+from estimation.campaign.schema import usable_estimates
 from estimation.campaign.tasks import Row
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 FEWEST_TO_POOL = 2
 FEWEST_FOR_OUTLIERS = 5  # below, the median of the others says too little
@@ -41,23 +43,15 @@ class ParameterSeries:
     v: Array
 
     def part(self, keep: NDArray[np.bool_]) -> "ParameterSeries":
-        """Only some of the flights."""
-        chosen = [i for i, k in enumerate(keep) if k]
-        return ParameterSeries(
-            self.group,
-            self.label,
-            self.method,
-            self.parameter,
-            tuple(self.flights[i] for i in chosen),
-            tuple(self.dates[i] for i in chosen),
-            tuple(self.places[i] for i in chosen),
-            self.y[keep],
-            self.v[keep],
+        indices = [i for i, k in enumerate(keep) if k]
+        return replace(
+            self,
+            flights=tuple(self.flights[i] for i in indices),
+            dates=tuple(self.dates[i] for i in indices),
+            places=tuple(self.places[i] for i in indices),
+            y=self.y[keep],
+            v=self.v[keep],
         )
-
-
-_Found = tuple[str, str, tuple[str, str], float, float]
-"""Date, flight, (key, manoeuvre), estimate, variance."""
 
 
 def label_of(group: Mapping[str, str]) -> str:
@@ -65,46 +59,26 @@ def label_of(group: Mapping[str, str]) -> str:
     return ", ".join(f"{k}={v}" for k, v in group.items() if v) or "all flights"
 
 
+def label_in(row: Row, keys: Sequence[str]) -> str:
+    return label_of({key: row[key] or "" for key in keys})
+
+
 def series_of(results: "pa.Table", keys: Sequence[str]) -> list[ParameterSeries]:
     """Every usable estimate of every flight, by group, method and parameter."""
-    wanted = (
-        "kind",
-        "flight",
-        "method",
-        "parameter",
-        "estimate",
-        "std_coloured",
-        "identifiable",
-        "status",
-        "date",
-        "key",
-        "manoeuvre",
-    )
-    names = list(dict.fromkeys((*wanted, *keys)))
-    columns = {name: results[name].to_pylist() for name in names}
-    found: dict[tuple[Any, ...], list[_Found]] = {}
-    for i in range(results.num_rows):
-        std, value = columns["std_coloured"][i], columns["estimate"][i]
-        usable = (
-            columns["kind"][i] in ("estimate", "check") and columns["status"][i] == "ok" and columns["identifiable"][i]
+    places: dict[tuple[Any, ...], list[tuple[Any, ...]]] = {}
+    for row in usable_estimates(results, ("estimate", "check"), ("manoeuvre", *keys)):
+        place = (tuple(row[k] or "" for k in keys), row["method"], row["parameter"])
+        flight = (row["date"] or "", row["flight"], (row["key"], row["manoeuvre"] or ""))
+        places.setdefault(place, []).append((*flight, row["estimate"], row["std_coloured"] ** 2))
+    series = []
+    for (values, method, parameter), rows in sorted(places.items()):
+        group = dict(zip(keys, values, strict=True))
+        dates, flights, pieces, y, v = zip(*sorted(rows), strict=True)
+        label = label_of(group)
+        series.append(
+            ParameterSeries(group, label, method, parameter, flights, dates, pieces, np.array(y), np.array(v))
         )
-        if usable and value is not None and std:
-            group = tuple(columns[k][i] or "" for k in keys)
-            place = (group, columns["method"][i], columns["parameter"][i])
-            order = (
-                columns["date"][i] or "",
-                columns["flight"][i],
-                (columns["key"][i], columns["manoeuvre"][i] or ""),
-            )
-            found.setdefault(place, []).append((*order, value, std**2))
-    return [_series(place, rows, keys) for place, rows in sorted(found.items())]
-
-
-def _series(place: tuple[Any, ...], rows: list[_Found], keys: Sequence[str]) -> ParameterSeries:
-    rows = sorted(rows)
-    group = dict(zip(keys, place[0], strict=True))
-    dates, flights, places, y, v = zip(*rows, strict=True)
-    return ParameterSeries(group, label_of(group), place[1], place[2], flights, dates, places, np.array(y), np.array(v))
+    return series
 
 
 def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = MappingProxyType({})) -> list[Row]:
@@ -114,11 +88,11 @@ def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = Mappin
     """
     rows: list[Row] = []
     for s in series_of(results, keys):
-        far = outlying(s)
-        rows += outlier_rows(s, far)
-        kept = s.part(~(far > _limit(s)))
-        for side in _sides(kept, starts.get((s.label, s.method, s.parameter), ())):
-            rows += pooled_rows(side, apart=side is not kept)
+        distances = outlying(s)
+        rows += outlier_rows(s, distances)
+        inliers = s.part(~(distances > _limit(s)))
+        for side in _sides(inliers, starts.get((s.label, s.method, s.parameter), ())):
+            rows += pooled_rows(side, apart=side is not inliers)
     return rows
 
 
@@ -144,12 +118,12 @@ def outlying(s: ParameterSeries) -> Array:
         return np.zeros(s.y.size)
     if len(set(s.dates)) < 2 or s.y.size <= 2 * NEIGHBOURS:
         return pooling.outliers(s.y, s.v)
-    away = np.full(s.y.size, np.inf)
+    distances = np.full(s.y.size, np.inf)
     for i in range(s.y.size):
-        for near in (s.y[max(0, i - NEIGHBOURS) : i], s.y[i + 1 : i + 1 + NEIGHBOURS]):
-            if near.size >= FEWEST_BEFORE_A_STEP:
-                away[i] = min(away[i], abs(s.y[i] - float(np.median(near))))
-    z = away / np.sqrt(s.v)
+        for neighbours in (s.y[max(0, i - NEIGHBOURS) : i], s.y[i + 1 : i + 1 + NEIGHBOURS]):
+            if neighbours.size >= FEWEST_BEFORE_A_STEP:
+                distances[i] = min(distances[i], abs(s.y[i] - float(np.median(neighbours))))
+    z = distances / np.sqrt(s.v)
     widened: Array = z / max(1.0, pooling.ROBUST * float(np.median(z)))
     return widened
 
@@ -166,7 +140,7 @@ def outlier_rows(s: ParameterSeries, distance: Array) -> Iterator[Row]:
             f" beside it (limit {_limit(s):.1f}); left out of what is said of {s.label}"
         )
         yield {
-            **_about(s),
+            **_group_columns(s),
             "kind": "outlier",
             "flight": s.flights[i],
             "at": s.dates[i] or None,
@@ -188,7 +162,7 @@ def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
     if fit.p < 0.01:  # as the mean over flights of sideslip estimate says it
         text = f"scatter is {scatter / bound:.1f} times the bounds: these are too small, or the flights differ"
     yield {
-        **_about(s),
+        **_group_columns(s),
         "since": s.dates[0] if apart else None,
         "until": s.dates[-1] if apart else None,
         "kind": "pooled",
@@ -205,9 +179,24 @@ def pooled_rows(s: ParameterSeries, *, apart: bool = False) -> Iterator[Row]:
     }
 
 
-def _about(s: ParameterSeries) -> Row:
-    return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **_group(s.group)}
+def _group_columns(s: ParameterSeries) -> Row:
+    group = {key: value or None for key, value in s.group.items()}
+    return {"group": s.label, "method": s.method, "parameter": s.parameter, "flights": s.y.size, **group}
 
 
-def _group(group: Mapping[str, str]) -> Row:
-    return {key: value or None for key, value in group.items()}
+FIRST = ("difference", "step", "envelope", "outlying flight", "outlier")
+"""Kinds that say something, those about the aircraft before those about single flights."""
+
+
+def claims_of(groups: Sequence[Row]) -> list[Row]:
+    """Rows that say something that a person must read, the most important first. A flight that is off as a whole is told once,
+    not for each of its parameters again."""
+    outlying_flights = {(r["group"], r["method"], r["flight"]) for r in groups if r["kind"] == "outlying flight"}
+    claims = [
+        r
+        for r in groups
+        if r["kind"] in FIRST
+        and (r["kind"] != "difference" or r["probability"] <= LEVEL)
+        and (r["kind"] != "outlier" or (r["group"], r["method"], r["flight"]) not in outlying_flights)
+    ]
+    return sorted(claims, key=lambda r: FIRST.index(r["kind"]))

@@ -14,6 +14,7 @@ LIBRARIES = ("sideslip", "casadi", "numpy", "scipy")
 ROOT = Path(__file__).parents[2]
 DECIDING = (
     "estimation/aircraft",
+    "estimation/campaign/workers/subjects.py",
     "estimation/campaign/workers/work.py",
     "estimation/compatibility",
     "estimation/engine",

@@ -12,9 +12,9 @@ from daq.contract import limits
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 from daq.contract.plain_words import meant
-from estimation.campaign.errors import CampaignError
+from estimation.campaign.tasks import CampaignError
 from estimation.estimators.estimator import Extra
-from estimation.estimators.registry import check_extras, find
+from estimation.estimators.registry import check_extras, find_estimator
 
 GROUPABLE = ("aircraft", "configuration", "day", "manoeuvre")
 LONGEST_LIMIT = 1e6  # s, eleven days: the clocks that end work count no longer
@@ -58,7 +58,8 @@ class RecordConditions(_CampaignTable):
             return value.isoformat()
         if isinstance(value, str) and value:
             try:
-                return dt.datetime.fromisoformat(value).isoformat() if len(value) > 10 else _day(value)
+                kind = dt.datetime if len(value) > 10 else dt.date
+                return kind.fromisoformat(value).isoformat()
             except ValueError as error:
                 raise ValueError(f"{value!r} is no date; write it like 2026-03-01 or 2026-03-01T10:30:00") from error
         return value
@@ -66,7 +67,7 @@ class RecordConditions(_CampaignTable):
     @field_validator("segments")
     @classmethod
     def _stretches(cls, text: str) -> str:
-        from estimation.session.flights import spans_of
+        from estimation.prepare.stretches import spans_of
         from groundstation.flight.expression import parse_condition
         from groundstation.flight.stretches import is_times
 
@@ -77,7 +78,6 @@ class RecordConditions(_CampaignTable):
 
     @property
     def day(self) -> str:
-        """The date without its time."""
         return self.date[:10]
 
 
@@ -88,10 +88,6 @@ def _as_value_error() -> Iterator[None]:
         yield
     except UserError as error:
         raise ValueError(str(error)) from error
-
-
-def _day(text: str) -> str:
-    return dt.date.fromisoformat(text).isoformat()
 
 
 class FlightEntry(RecordConditions):
@@ -115,10 +111,10 @@ class SimulateEntry(RecordConditions):
     def _dotted(cls, changes: Mapping[str, Any]) -> Mapping[str, Any]:
         dotted: dict[str, Any] = {}
         for key, value in changes.items():
-            own = {f"{key}.{name}": v for name, v in value.items()} if isinstance(value, Mapping) else {key: value}
-            if twice := sorted(own.keys() & dotted.keys()):
-                raise ValueError(f"{twice[0]} is given twice; give it once")
-            dotted |= own
+            entries = {f"{key}.{name}": v for name, v in value.items()} if isinstance(value, Mapping) else {key: value}
+            if repeated_keys := sorted(entries.keys() & dotted.keys()):
+                raise ValueError(f"{repeated_keys[0]} is given twice; give it once")
+            dotted |= entries
         return dotted
 
     @model_validator(mode="after")
@@ -166,17 +162,17 @@ class CampaignPlan(_CampaignTable):
     def _known_methods(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
             with _as_value_error():
-                find(name)
+                find_estimator(name)
         return names
 
     @model_validator(mode="after")
     def _replicates_can_be_had(self) -> "CampaignPlan":
         if self.bootstrap:
-            from estimation.estimators.bootstrap import check_replicates
+            from estimation.estimators.refits import check_replicates
 
             with _as_value_error():
                 check_replicates(self.bootstrap)
-                check_extras((Extra.BOOTSTRAP,), [find(name) for name in self.methods])
+                check_extras((Extra.BOOTSTRAP,), [find_estimator(name) for name in self.methods])
         return self
 
 
@@ -198,9 +194,11 @@ def read_plan(path: Path, *, trust_code: bool = False) -> CampaignPlan:
 def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
     """What a plan names as `module:NAME`: a model or methods of somebody's own, which are Python and run."""
     methods = data.get("methods", ())
-    named = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
+    program_names = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
     return tuple(
-        dict.fromkeys(n[:80] for n in named if isinstance(n, str) and ":" in n and not n.endswith((".toml", ".xml")))
+        dict.fromkeys(
+            n[:80] for n in program_names if isinstance(n, str) and ":" in n and not n.endswith((".toml", ".xml"))
+        )
     )
 
 
@@ -215,11 +213,11 @@ def plan_from(data: Mapping[str, Any], where: str) -> CampaignPlan:
 def said_of(error: ValidationError) -> str:
     """The first complaint: which key, and what of it."""
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
+    key_path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"{where}: no such key{meant(str(first['loc'][-1]), _keys_beside(first['loc']))}"
-    said = first["msg"].removeprefix("Value error, ")
-    return f"{where}: {said}" if where else said
+        return f"{key_path}: no such key{meant(str(first['loc'][-1]), _keys_beside(first['loc']))}"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key_path}: {message}" if key_path else message
 
 
 def _keys_beside(where: tuple[int | str, ...]) -> Iterable[str]:

@@ -8,9 +8,8 @@ beyond the bounds, variance tau2 >= 0 by restricted maximum likelihood (Viechtba
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 LEVEL = 0.05
 """Two-sided, of every test and interval here."""
@@ -32,7 +31,6 @@ class Pooled:
 
     @property
     def std(self) -> Array:
-        """(terms,) standard errors."""
         deviation: Array = np.sqrt(np.diag(self.covariance))
         return deviation
 
@@ -56,11 +54,11 @@ def pool(y: Array, v: Array, X: Array | None = None) -> Pooled:
     X = np.ones((y.size, 1)) if X is None else X
     freedom = y.size - X.shape[1]
     tau2 = restricted_variance(y, v, X)
-    b, plain, residual = _weighted(y, v + tau2, X)
+    b, known_covariance, residual = _weighted(y, v + tau2, X)
     factor = max(1.0, float(np.sum(residual**2 / (v + tau2))) / freedom)
     _, _, fixed = _weighted(y, v, X)
     q = float(np.sum(fixed**2 / v))
-    return Pooled(b, factor * plain, tau2, q, float(chdtrc(freedom, q)), freedom)
+    return Pooled(b, factor * known_covariance, tau2, q, float(chdtrc(freedom, q)), freedom)
 
 
 def _weighted(y: Array, v: Array, X: Array) -> tuple[Array, Array, Array]:
@@ -92,17 +90,17 @@ def restricted_variance(y: Array, v: Array, X: Array) -> float:
 
     scale = float(np.mean(v)) + float(np.var(y))
     grid = np.concatenate([[0.0], scale * np.logspace(-8, 1, 37)])  # a fourth of a decade: the likelihood is smooth
-    best = int(np.argmax(restricted_likelihood(grid, y, v, X)))
-    if best == 0:
+    best_index = int(np.argmax(restricted_likelihood(grid, y, v, X)))
+    if best_index == 0:
         return 0.0
-    ends = float(grid[best - 1]), float(grid[min(best + 1, grid.size - 1)])
-    found = minimize_scalar(
+    ends = float(grid[best_index - 1]), float(grid[min(best_index + 1, grid.size - 1)])
+    refined = minimize_scalar(
         lambda t: -float(restricted_likelihood(np.array([t]), y, v, X)[0]),
         bounds=ends,
         method="bounded",
         options={"xatol": 1e-9 * scale},
     )
-    return float(found.x)
+    return float(refined.x)
 
 
 def outliers(y: Array, v: Array) -> Array:
@@ -144,7 +142,6 @@ def power(difference: float, std: float, freedom: int, tests: int = 1) -> float:
 
 
 def t_quantile(probability: float, freedom: int) -> float:
-    """Quantile of Student's distribution."""
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, probability))

@@ -26,17 +26,17 @@ FOUND = ("aircraft", "manoeuvre", "group")
 """Columns in which what the worker found goes before what the plan says."""
 
 
-def planned_rows(table: "pa.Table", about: Mapping[str, Row]) -> "tuple[pa.Table, pa.Table]":
-    """(rows of the plan with what it says of each flight, rows of other plans). about: key of today's work -> conditions."""
+def planned_rows(table: "pa.Table", conditions_by_key: Mapping[str, Row]) -> "tuple[pa.Table, pa.Table]":
+    """(rows of the plan with what it says of each flight, rows of other plans). conditions_by_key: by today's keys of work."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    mine = pc.is_in(table["key"], value_set=pa.array(list(about), pa.string()))
-    own = _with_conditions(table.filter(mine), about)
-    worked = pc.or_(
+    is_planned = pc.is_in(table["key"], value_set=pa.array(list(conditions_by_key), pa.string()))
+    planned = _with_conditions(table.filter(is_planned), conditions_by_key)
+    has_content = pc.or_(
         pc.is_valid(table["sha256"]), pc.is_valid(table["group"])
     )  # others are of bytes that could not be had
-    return ordered(own), table.filter(pc.and_(pc.invert(mine), worked))
+    return ordered(planned), table.filter(pc.and_(pc.invert(is_planned), has_content))
 
 
 def ordered(table: "pa.Table") -> "pa.Table":
@@ -44,14 +44,17 @@ def ordered(table: "pa.Table") -> "pa.Table":
     return table.sort_by([(name, "ascending") for name in ORDER])
 
 
-def _with_conditions(table: "pa.Table", about: Mapping[str, Row]) -> "pa.Table":
+def _with_conditions(table: "pa.Table", conditions_by_key: Mapping[str, Row]) -> "pa.Table":
     """Names and conditions are of today's plan, not of the day the flight was worked on."""
     import pyarrow as pa
 
     keys = table["key"].to_pylist()
     for name in ("flight", "source", "manoeuvre", "aircraft", "configuration", "date", "day", "mass", "cg", "group"):
-        pairs = list(zip([about[key].get(name) for key in keys], table[name].to_pylist(), strict=True))
-        values = [(kept if kept is not None else said) if name in FOUND else said for said, kept in pairs]
+        pairs = list(zip([conditions_by_key[key].get(name) for key in keys], table[name].to_pylist(), strict=True))
+        values = [
+            (worker_value if worker_value is not None else planned_value) if name in FOUND else planned_value
+            for planned_value, worker_value in pairs
+        ]
         field = table.schema.field(name)
         table = table.set_column(table.schema.get_field_index(name), field, pa.array(values, field.type))
     return table
@@ -84,7 +87,6 @@ def unreadable_rows(entries: Sequence[CampaignFlight]) -> "pa.Table":
 
 
 def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> None:
-    """A small table, in one step."""
     import pyarrow.parquet as pq
 
     make_directories(path.parent)
@@ -116,7 +118,9 @@ def manifest(plan: CampaignPlan, work: WorkList, store: Store, failures: Mapping
         for p in work.planned
     ]
     flights += [{"flight": e.name, "source": e.location, "failed": e.why} for e in work.unreadable]
-    flights += [{"flight": e.name, "source": e.location, "same_as": other.location} for e, other in work.duplicates]
+    flights += [
+        {"flight": e.name, "source": e.location, "same_as": same_flight.location} for e, same_flight in work.duplicates
+    ]
     return {
         "version": 1,
         "schema": VERSION,
@@ -133,6 +137,6 @@ def manifest(plan: CampaignPlan, work: WorkList, store: Store, failures: Mapping
 def write_manifest(data: Mapping[str, Any], folder: Path) -> bool:
     """`folder`/manifest.json; whether it says anything else than before."""
     path = folder / "manifest.json"
-    before = path.read_bytes() if path.is_file() else b""
+    old_bytes = path.read_bytes() if path.is_file() else b""
     write_json(data, path)
-    return path.read_bytes() != before
+    return path.read_bytes() != old_bytes

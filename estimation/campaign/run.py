@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
+from estimation.campaign.aerodynamics.differences import difference_rows, step_rows
 from estimation.campaign.aerodynamics.joint_tables import joint_model_rows, joint_rows, model_texts
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
@@ -21,7 +21,7 @@ from estimation.campaign.publish import (
     write_table,
     write_texts,
 )
-from estimation.campaign.schema import DATABASE, GROUPS
+from estimation.campaign.schema import DATABASE, GROUPS, usable_estimates
 from estimation.campaign.sources import CampaignFlight
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
@@ -35,7 +35,7 @@ LEAST_VARIANCE = 1e-300  # an estimate without a bound weighs nothing that can b
 
 
 class CampaignEngine(Protocol):
-    """Where work is done: `estimation.campaign.workers.serial` or `estimation.campaign.workers.cluster`."""
+    """Where work is done: `estimation.campaign.workers.in_process` or `estimation.campaign.workers.cluster`."""
 
     workers: int
     dashboard: str
@@ -66,12 +66,11 @@ class CampaignOutcome:
     unchanged: bool = False
 
     def to_json(self, wall_s: float) -> dict[str, Any]:
-        """As `campaign --json` has it."""
         return {
             "version": 1,
             "flights": self.flights,
             "done": self.done,
-            "failed": [{"flight": flight, "why": why} for flight, why in self.failed.items()],
+            "failed": [{"flight": flight, "why": reason} for flight, reason in self.failed.items()],
             "skipped_done": self.skipped,
             "fitted": self.fitted,
             "duplicates": [list(pair) for pair in self.duplicates],
@@ -100,15 +99,15 @@ class Campaign:
 
     def run(self, *, retry_failed: bool = False) -> CampaignOutcome:
         """Do what is left to do and publish. Whatever stops it, what was done is on disk."""
-        before = self._store.load()
+        stored_table = self._store.load()
         if retry_failed:
-            before = self._without_failures(before)
-        done = set(before["key"].to_pylist())
-        skipped = sum(all(k in done for k in p.work.pieces.values()) for p in self._work.planned)
+            stored_table = self._without_failures(stored_table)
+        stored_keys = set(stored_table["key"].to_pylist())
+        skipped = sum(all(k in stored_keys for k in p.work.pieces.values()) for p in self._work.planned)
         try:
-            self._do([p.work for p in self._work.planned], done, "flights")
+            self._do([p.work for p in self._work.planned], stored_keys, "flights")
             if self._plan.match or self._plan.joint or self._plan.envelope:
-                self._do_groups(done)
+                self._do_groups(stored_keys)
         finally:
             if self._engine is not None:
                 self._engine.close()
@@ -120,26 +119,26 @@ class Campaign:
         import pyarrow.compute as pc
 
         failed = set(table.filter(pc.equal(table["status"], "failed"))["key"].to_pylist())
-        kept = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(failed), pa.string()))))
-        self._store.replace_all(kept, kept.slice(0, 0))
-        return kept
+        successful = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(failed), pa.string()))))
+        self._store.replace_all(successful, successful.slice(0, 0))
+        return successful
 
     def _do(self, works: Iterable[Work], done: set[str], what: str) -> None:
-        left = list(left_to_do(works, done))
-        if not left:
+        open_works = list(left_to_do(works, done))
+        if not open_works:
             return
         if self._engine is None:
-            self._engine = self._make_engine(len(left))
+            self._engine = self._make_engine(len(open_works))
         self._workers = self._engine.workers
-        ended = 0
-        for finished in self._engine.run(iter(left)):
+        finished_count = 0
+        for finished in self._engine.run(iter(open_works)):
             if finished is None:
                 self._store.tick()
                 continue
             self._store.add([{**row, "attempts": finished.attempts} for row in finished.rows])
-            ended += 1
+            finished_count += 1
             self._fitted += 1
-            self._tell(f"{what}: {ended} of {len(left)}", ended / len(left))
+            self._tell(f"{what}: {finished_count} of {len(open_works)}", finished_count / len(open_works))
         self._store.flush()
 
     def _do_groups(self, done: set[str]) -> None:
@@ -148,33 +147,26 @@ class Campaign:
         works: list[Work] = []
         for group, members in members_of(results, self._work, self._plan).items():
             label = label_of(dict(group))
-            known: Row = {"group": label, **{k: v or None for k, v in group}}
+            group_columns: Row = {"group": label, **{k: v or None for k, v in group}}
             joint = joint_work(self._plan, label, members) if self._plan.joint else None
-            if joint is not None:
-                works.append(joint)
-                self._about |= dict.fromkeys(joint.pieces.values(), known)
-            whole = envelope_work(self._plan, label, members) if self._plan.envelope else None
-            if whole is not None:
-                works.append(whole)
-                self._about |= dict.fromkeys(whole.pieces.values(), known)
+            envelope = envelope_work(self._plan, label, members) if self._plan.envelope else None
+            for group_work in (joint, envelope):
+                if group_work is not None:
+                    works.append(group_work)
+                    self._about |= dict.fromkeys(group_work.pieces.values(), group_columns)
             for match in match_works(self._plan, label, members) if self._plan.match else ():
-                entry = self._work.by_key[self._flight_key(match)].entry
+                entry = next(p.entry for p in self._work.planned if p.work.subjects[0] is match.subjects[0])
                 works.append(match)
-                self._about |= {key: {**known, **conditions_of(entry)} for key in match.pieces.values()}
+                self._about |= {key: {**group_columns, **conditions_of(entry)} for key in match.pieces.values()}
         self._do(works, done, "groups")
-
-    def _flight_key(self, work: Work) -> str:
-        """Key of the flight's own first piece."""
-        sha256 = work.subjects[0]
-        return next(p.work.identity for p in self._work.planned if p.work.subjects[0] is sha256)
 
     def _publish(self, skipped: int) -> CampaignOutcome:
         import pyarrow as pa
 
         results, superseded = planned_rows(self._store.load(), self._about)
-        lost = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
-        if lost:
-            results = ordered(pa.concat_tables([results, unreadable_rows(lost)]))
+        unusable_entries = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
+        if unusable_entries:
+            results = ordered(pa.concat_tables([results, unreadable_rows(unusable_entries)]))
         self._store.replace_all(results, superseded)
         keys = self._plan.groups
         curves = envelopes(results, keys, self._plan.seed)
@@ -193,7 +185,7 @@ class Campaign:
         write_texts(model_texts(results), folder / "database", ".toml")
         write_texts(aerodynamics_files(database), folder / "database", ".xml")
         failures = failures_of(results)
-        planned = len(self._work.planned) + len(lost)
+        planned = len(self._work.planned) + len(unusable_entries)
         unchanged = not write_manifest(manifest(self._plan, self._work, self._store, failures), folder)
         return CampaignOutcome(
             len(self._work.planned) + len(self._work.unreadable) + len(self._work.duplicates),
@@ -201,7 +193,7 @@ class Campaign:
             failures,
             skipped,
             self._fitted,
-            [(e.location, other.location) for e, other in self._work.duplicates],
+            [(e.location, same_flight.location) for e, same_flight in self._work.duplicates],
             self._workers,
             results,
             groups,
@@ -229,28 +221,22 @@ def failures_of(results: "pa.Table") -> dict[str, str]:
             pc.and_(pc.not_equal(results["status"], OK), pc.is_valid(results["source"])),
         )
     )
-    said: dict[str, list[str]] = {}
-    for source, why in zip(runs["source"].to_pylist(), runs["why"].to_pylist(), strict=True):
-        said.setdefault(source, []).append(why)
-    return {source: "; ".join(dict.fromkeys(words)) for source, words in sorted(said.items())}
+    reasons_by_source: dict[str, list[str]] = {}
+    for source, reason in zip(runs["source"].to_pylist(), runs["why"].to_pylist(), strict=True):
+        reasons_by_source.setdefault(source, []).append(reason)
+    return {source: "; ".join(dict.fromkeys(words)) for source, words in sorted(reasons_by_source.items())}
 
 
 def members_of(
     results: "pa.Table", work: WorkList, plan: CampaignPlan
 ) -> dict[tuple[tuple[str, str], ...], list[Member]]:
-    """Flights with a usable estimate, by group."""
-    names = ("kind", "status", "identifiable", "key", "method", "parameter", "estimate", "std_coloured", *plan.groups)
-    columns = {name: results[name].to_pylist() for name in dict.fromkeys(names)}
     groups: dict[tuple[tuple[str, str], ...], dict[str, dict[str, dict[str, tuple[float, float]]]]] = {}
     by_key = work.by_key
-    for i in range(results.num_rows):
-        std, value = columns["std_coloured"][i], columns["estimate"][i]
-        told = columns["kind"][i] == "estimate" and columns["status"][i] == OK and columns["identifiable"][i]
-        if told and value is not None and std:
-            group = tuple((k, columns[k][i] or "") for k in plan.groups)
-            flight = by_key[columns["key"][i]].work.identity
-            methods = groups.setdefault(group, {}).setdefault(flight, {})
-            methods.setdefault(columns["method"][i], {})[columns["parameter"][i]] = (value, max(std**2, LEAST_VARIANCE))
+    for row in usable_estimates(results, ("estimate",), plan.groups):
+        group = tuple((k, row[k] or "") for k in plan.groups)
+        methods = groups.setdefault(group, {}).setdefault(by_key[row["key"]].work.identity, {})
+        variance = max(row["std_coloured"] ** 2, LEAST_VARIANCE)
+        methods.setdefault(row["method"], {})[row["parameter"]] = (row["estimate"], variance)
     return {
         g: [Member(by_key[key], methods) for key, methods in flights.items()] for g, flights in sorted(groups.items())
     }

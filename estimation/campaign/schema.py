@@ -14,125 +14,50 @@ if TYPE_CHECKING:
 VERSION = 1
 VERSION_KEY = "sideslip.campaign.schema"
 
-TEXT, NUMBER, WHOLE, TRUTH, NUMBERS = "string", "double", "int64", "bool", "list"
 
-IDENTITY = {
-    "kind": TEXT,
-    "flight": TEXT,
-    "manoeuvre": TEXT,
-    "method": TEXT,
-    "parameter": TEXT,
-}
-VALUES = {
-    "estimate": NUMBER,
-    "std": NUMBER,
-    "std_coloured": NUMBER,
-    "identifiable": TRUTH,
-    "reference": NUMBER,
-    "bootstrap_std": NUMBER,
-    "bootstrap_low": NUMBER,
-    "bootstrap_high": NUMBER,
-    "r2": NUMBER,
-    "theil": NUMBER,
-    "rms": NUMBER,
-    "whiteness": NUMBER,
-    "status": TEXT,
-    "why": TEXT,
-}
-MEASURED = {
-    "samples": WHOLE,
-    "duration": NUMBER,
-    "V": NUMBER,
-    "V_min": NUMBER,
-    "V_max": NUMBER,
-    "alpha": NUMBER,
-    "alpha_min": NUMBER,
-    "alpha_max": NUMBER,
-    "beta": NUMBER,
-    "beta_max": NUMBER,
-    "delta_e": NUMBER,
-    "altitude": NUMBER,
-    "rho": NUMBER,
-    "dynamic_pressure": NUMBER,
-}
-PLANNED = {"aircraft": TEXT, "configuration": TEXT, "date": TEXT, "day": TEXT, "mass": NUMBER, "cg": NUMBER}
-PROVENANCE = {
-    "model": TEXT,
-    "source": TEXT,
-    "sha256": TEXT,
-    "key": TEXT,
-    "group": TEXT,
-    "place": WHOLE,
-    "covariance": NUMBERS,
-    "iterations": WHOLE,
-    "cost": NUMBER,
-    "attempts": WHOLE,
-    "cpu": NUMBER,
-    "software": TEXT,
-    "code": TEXT,
-    "model_text": TEXT,
-    "flights": WHOLE,
-    "delta_a_max": NUMBER,
-    "delta_r_max": NUMBER,
-}
-RESULTS = {**IDENTITY, **VALUES, **MEASURED, **PLANNED, **PROVENANCE}
+def _columns(text: str) -> dict[str, str]:
+    """Name -> kind, of lines `kind: name name ...` in the order of the columns."""
+    lines = (line.partition(":") for line in text.strip().splitlines())
+    return {name: kind.strip() for kind, _, names in lines for name in names.split()}
 
-GROUPS = {
-    "kind": TEXT,
-    "group": TEXT,
-    "other": TEXT,
-    "method": TEXT,
-    "parameter": TEXT,
-    "aircraft": TEXT,
-    "configuration": TEXT,
-    "day": TEXT,
-    "manoeuvre": TEXT,
-    "flights": WHOLE,
-    "estimate": NUMBER,
-    "std": NUMBER,
-    "low": NUMBER,
-    "high": NUMBER,
-    "between": NUMBER,
-    "scatter": NUMBER,
-    "bound": NUMBER,
-    "ratio": NUMBER,
-    "probability": NUMBER,
-    "power": NUMBER,
-    "detectable": NUMBER,
-    "at": TEXT,
-    "flight": TEXT,
-    "text": TEXT,
-    "since": TEXT,
-    "until": TEXT,
-}
 
-DATABASE = {
-    "group": TEXT,
-    "method": TEXT,
-    "parameter": TEXT,
-    "aircraft": TEXT,
-    "configuration": TEXT,
-    "day": TEXT,
-    "manoeuvre": TEXT,
-    "flights": WHOLE,
-    "alpha": NUMBER,
-    "V": NUMBER,
-    "flown": TRUTH,
-    "estimate": NUMBER,
-    "std": NUMBER,
-    "low": NUMBER,
-    "high": NUMBER,
-    "between": NUMBER,
-    "formula": TEXT,
-    "kind": TEXT,
-    "along": TEXT,
-    "beta_max": NUMBER,
-    "delta_e": NUMBER,
-    "bootstrap_std": NUMBER,
-    "form": TEXT,
-    "since": TEXT,
-    "until": TEXT,
-}
+RESULTS = _columns("""
+    string: kind flight manoeuvre method parameter
+    double: estimate std std_coloured
+    bool: identifiable
+    double: reference bootstrap_std bootstrap_low bootstrap_high r2 theil rms whiteness
+    string: status why
+    int64: samples
+    double: duration V V_min V_max alpha alpha_min alpha_max beta beta_max delta_e altitude rho dynamic_pressure
+    string: aircraft configuration date day
+    double: mass cg
+    string: model source sha256 key group
+    int64: place
+    list: covariance
+    int64: iterations
+    double: cost
+    int64: attempts
+    double: cpu
+    string: software code model_text
+    int64: flights
+    double: delta_a_max delta_r_max
+""")
+GROUPS = _columns("""
+    string: kind group other method parameter aircraft configuration day manoeuvre
+    int64: flights
+    double: estimate std low high between scatter bound ratio probability power detectable
+    string: at flight text since until
+""")
+DATABASE = _columns("""
+    string: group method parameter aircraft configuration day manoeuvre
+    int64: flights
+    double: alpha V
+    bool: flown
+    double: estimate std low high between
+    string: formula kind along
+    double: beta_max delta_e bootstrap_std
+    string: form since until
+""")
 
 UNREPEATABLE = ("attempts", "cpu")
 """Columns that tell of the run and not of the flight: all others are the same whatever the number of workers."""
@@ -142,19 +67,24 @@ def arrow_schema(columns: dict[str, str]) -> "pa.Schema":
     """The columns as Arrow types, with the schema's version."""
     import pyarrow as pa
 
-    kinds = {
-        TEXT: pa.string(),
-        NUMBER: pa.float64(),
-        WHOLE: pa.int64(),
-        TRUTH: pa.bool_(),
-        NUMBERS: pa.list_(pa.float64()),
-    }
-    return pa.schema([(name, kinds[kind]) for name, kind in columns.items()], {VERSION_KEY: str(VERSION)})
+    fields = [(name, pa.list_(pa.float64()) if kind == "list" else kind) for name, kind in columns.items()]
+    return pa.schema(fields, {VERSION_KEY: str(VERSION)})
 
 
 def table_of(rows: Sequence[Mapping[str, Any]], columns: dict[str, str]) -> "pa.Table":
     """Rows as a table; text that holds what is no text (names of files need not be) with that shown by its number."""
     import pyarrow as pa
 
-    sound = [{name: printed(value) for name, value in row.items()} for row in rows]
-    return pa.Table.from_pylist(sound, arrow_schema(columns))
+    printable_rows = [{name: printed(value) for name, value in row.items()} for row in rows]
+    return pa.Table.from_pylist(printable_rows, arrow_schema(columns))
+
+
+def usable_estimates(results: "pa.Table", kinds: Sequence[str], columns: Sequence[str]) -> list[dict[str, Any]]:
+    """Rows of identifiable estimates with a bound from sound runs. kinds: of rows; columns: beside those that say so."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    is_sound = pc.and_(pc.is_in(results["kind"], pa.array(kinds, pa.string())), pc.equal(results["status"], "ok"))
+    names = dict.fromkeys(("flight", "method", "parameter", "date", "key", "estimate", "std_coloured", *columns))
+    rows = results.filter(pc.and_(is_sound, results["identifiable"])).select(list(names)).to_pylist()
+    return [row for row in rows if row["estimate"] is not None and row["std_coloured"]]

@@ -18,7 +18,6 @@ from daq.contract import limits
 from daq.contract.errors import UserError
 from daq.contract.input_files import matching, read_bytes
 from daq.contract.plain_words import visible
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import (
     FLIGHT_SUFFIXES,
@@ -28,7 +27,7 @@ from estimation.campaign.plan import (
     SimulateEntry,
     said_of,
 )
-from estimation.campaign.tasks import FlightMaker, FlightSource
+from estimation.campaign.tasks import CampaignError, FlightMaker, FlightSource
 
 CHUNK = 1 << 20  # bytes read at a time: a record of any size is looked at in little memory
 REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError, TypeError, AttributeError, LookupError, AssertionError)
@@ -57,14 +56,14 @@ def entries_of(
 
     Raises CampaignError for a pattern without a match, and for a table or scenario that cannot be used.
     """
-    entries = [e for text in plan.flights for e in _located(text, folder, RecordConditions(), send)]
+    entries = [e for text in plan.flights for e in _flights_at(text, folder, RecordConditions(), send)]
     simulated = sum(scenario.count for scenario in plan.simulate)
     if simulated > limits.FLIGHTS:
         raise CampaignError(
             f"the plan simulates {simulated} flights; at most {limits.FLIGHTS} are made, take several plans"
         )
     for row in (*plan.flight, *(_table(plan.table, folder) if plan.table else ())):
-        entries += _located(row.path, folder, RecordConditions(**row.model_dump(exclude={"path"})), send)
+        entries += _flights_at(row.path, folder, RecordConditions(**row.model_dump(exclude={"path"})), send)
     for number, scenario in enumerate(plan.simulate):
         entries += _simulated(scenario, number, folder, simulator)
         if len(entries) > limits.FLIGHTS:
@@ -83,34 +82,36 @@ def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise CampaignError(f"table {path}: cannot be read as CSV ({error}); correct the key 'table'") from error
     for number, row in enumerate(rows, start=2):
-        known = {k: v for k, v in row.items() if k in FlightEntry.model_fields and v}
+        flight_fields = {k: v for k, v in row.items() if k in FlightEntry.model_fields and v}
         try:
-            yield FlightEntry.model_validate(known)
+            yield FlightEntry.model_validate(flight_fields)
         except ValidationError as error:
             raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
 
 
-def _located(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:
+def _flights_at(text: str, folder: Path, conditions: RecordConditions, send: bool) -> Iterator[CampaignFlight]:
     if "://" in text:
         for url in _urls(text):
             yield _remote(url, conditions)
         return
     path = folder / text
-    for found in _paths(path, text):
-        yield _local(found, conditions, send)
+    for file_path in _paths(path, text):
+        yield _local(file_path, conditions, send)
 
 
 def _paths(path: Path, text: str) -> Sequence[Path]:
     """A file as it is named, all flights of a folder, or what a pattern matches."""
     if path.is_dir():
-        found = sorted(p for p in islice(path.iterdir(), limits.LOOKED_AT) if p.suffix.lower() in FLIGHT_SUFFIXES)
+        flight_files = sorted(
+            p for p in islice(path.iterdir(), limits.LOOKED_AT) if p.suffix.lower() in FLIGHT_SUFFIXES
+        )
     elif path.exists() or not glob.has_magic(text):
         return [path]
     else:
-        found = matching(path, CampaignError)
-    if not found:
+        flight_files = matching(path, CampaignError)
+    if not flight_files:
         raise CampaignError(f"{text}: no flight there; give files ending in {', '.join(FLIGHT_SUFFIXES)}")
-    return found
+    return flight_files
 
 
 def _local(path: Path, conditions: RecordConditions, send: bool) -> CampaignFlight:
@@ -138,12 +139,12 @@ def _urls(text: str) -> list[str]:
         return [text]
     try:
         files, path = _filesystem(text)
-        found = [files.unstrip_protocol(p) for p in sorted(files.glob(path))]
+        addresses = [files.unstrip_protocol(p) for p in sorted(files.glob(path))]
     except REMOTE_ERRORS as error:
         raise CampaignError(f"{text}: cannot be listed ({error}); check address and access") from error
-    if not found:
+    if not addresses:
         raise CampaignError(f"{text}: no flight there")
-    return found
+    return addresses
 
 
 def _filesystem(url: str) -> tuple[Any, str]:
@@ -153,9 +154,9 @@ def _filesystem(url: str) -> tuple[Any, str]:
         raise CampaignError("flights by URL need fsspec; pip install 'sideslip[campaign]'") from error
     protocol = url.partition("://")[0].lower()
     if "::" in url or protocol not in limits.PROTOCOLS:
-        known = ", ".join(sorted(limits.PROTOCOLS))
+        protocols = ", ".join(sorted(limits.PROTOCOLS))
         raise CampaignError(
-            f"{url[:200]}: flights are read by {known}, one at a time; copy it to where one of them leads"
+            f"{url[:200]}: flights are read by {protocols}, one at a time; copy it to where one of them leads"
         )
     files, path = url_to_fs(url)
     return files, str(path)
@@ -192,8 +193,8 @@ def _simulated(
     if simulator is None:
         raise CampaignError("the plan has [[simulate]], but no simulator was handed in; run it with sideslip campaign")
     conditions = RecordConditions(**{k: getattr(entry, k) for k in RecordConditions.model_fields})
-    where = folder / entry.scenario
-    scenario = str(where) if where.is_file() else entry.scenario
+    scenario_file = folder / entry.scenario
+    scenario = str(scenario_file) if scenario_file.is_file() else entry.scenario
     label = f"{Path(scenario).stem}{number}"
     for end in (0, 1):  # what lies between the ends of what varies can be flown if they can
         try:
@@ -201,18 +202,20 @@ def _simulated(
         except UserError as error:
             raise CampaignError(f"plan, simulate.{number}: {error}") from error
     for i in range(entry.count):
-        made = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
-        description: Mapping[str, Any] = {"scenario": made, "seed": int(key_of(entry.seed, i)[:8], 16)}
-        own = str(made.get("flight", {}).get("aircraft", ""))
+        described = simulator.describe(scenario, {**entry.set, **_drawn_values(entry, i)})
+        description: Mapping[str, Any] = {"scenario": described, "seed": int(key_of(entry.seed, i)[:8], 16)}
+        scenario_aircraft = str(described.get("flight", {}).get("aircraft", ""))
         source = FlightSource(
             f"{label}-{i:05d}", ".csv", key_of(description, simulator.digest), made=description, maker=simulator.fly
         )
         yield CampaignFlight(
-            source.location, conditions.model_copy(update={"aircraft": conditions.aircraft or own}), source
+            source.location,
+            conditions.model_copy(update={"aircraft": conditions.aircraft or scenario_aircraft}),
+            source,
         )
 
 
-def _drawn(entry: SimulateEntry, number: int) -> dict[str, float]:
+def _drawn_values(entry: SimulateEntry, number: int) -> dict[str, float]:
     """What varies, drawn for the flight of that number alone: another count changes none of the others."""
     rng = np.random.default_rng([entry.seed, number])
     return {key: float(rng.uniform(*ends)) for key, ends in sorted(entry.vary.items())}

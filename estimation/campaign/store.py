@@ -6,15 +6,14 @@ whole parts, and what was not in one yet is done again. A part holds all rows of
 
 import fcntl
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from daq.contract.durable import clear_leftovers, make_directories, open_log, whole
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
-from estimation.campaign.tasks import Row
+from estimation.campaign.tasks import CampaignError, Row
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -64,15 +63,15 @@ class Store:
         import pyarrow as pa
 
         tables = [arrow_schema(RESULTS).empty_table()]
-        seen: set[str] = set()
+        loaded_keys: set[str] = set()
         for name in (RESULTS_FOLDER, SUPERSEDED_FOLDER):
             for path in sorted((self.folder / name).glob("*.parquet")):
                 table = self._read(path)
                 if table is None:
                     continue
                 keys = table["key"].to_pylist()
-                fresh = [k not in seen for k in keys]
-                seen.update(keys)
+                fresh = [k not in loaded_keys for k in keys]
+                loaded_keys.update(keys)
                 tables.append(table if all(fresh) else table.filter(pa.array(fresh, pa.bool_())))
         return pa.concat_tables(tables)
 
@@ -89,10 +88,10 @@ class Store:
                 )
             return conformed(table)
         except (pa.ArrowException, OSError, ValueError):
-            aside = self.folder / DAMAGED_FOLDER / path.name
-            aside.parent.mkdir(exist_ok=True)
-            path.replace(aside)
-            self.damaged.append(aside)
+            damaged_path = self.folder / DAMAGED_FOLDER / path.name
+            damaged_path.parent.mkdir(exist_ok=True)
+            path.replace(damaged_path)
+            self.damaged.append(damaged_path)
             return None
 
     def add(self, rows: Iterable[Row]) -> None:
@@ -152,11 +151,3 @@ def write_part(table: "pa.Table", folder: Path, stem: str, content: Iterable[str
     except OSError as error:
         raise CampaignError(f"{path}: cannot be written ({error.strerror or error}); make room there") from error
     return path
-
-
-def rows_where(table: "pa.Table", column: str, values: Sequence[str]) -> "pa.Table":
-    """Rows whose text column is one of `values`."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    return table.filter(pc.is_in(table[column], pa.array(values, pa.string())))

@@ -1,8 +1,10 @@
-"""What is sent to a worker and what comes back: plain, picklable data."""
+"""What is sent to a worker and what comes back, as plain, picklable data; errors of a campaign."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+from estimation.errors import EstimationError
 
 Row = dict[str, Any]
 """One row of a result table, by the names of `estimation.campaign.schema`."""
@@ -93,3 +95,11 @@ class Finished:
     work: Work
     rows: list[Row]
     attempts: int = 1
+
+
+class CampaignError(EstimationError):
+    """A plan, an output folder or an engine that cannot be used."""
+
+
+class OverdueError(EstimationError):
+    """A piece of work that took longer than it may."""

@@ -7,15 +7,14 @@ from pathlib import Path
 
 from daq.contract.errors import UserError
 from estimation.aircraft import built_in_aircraft, load_aircraft, unknown_aircraft
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import CampaignFlight
-from estimation.campaign.tasks import Subject, Work
-from estimation.campaign.workers.work import CHECK, aircraft_from_text, model_of
+from estimation.campaign.tasks import CampaignError, Subject, Work
+from estimation.campaign.workers.subjects import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
-from estimation.estimators.registry import find
+from estimation.estimators.registry import find_estimator
 
 ENVELOPE_METHOD = "ml"
 """The method that a model over the envelope is fitted by: flights held out are judged by a likelihood."""
@@ -49,20 +48,20 @@ def work_list(plan: CampaignPlan, entries: Iterable[CampaignFlight], folder: Pat
     subjects = _Subjects(plan, folder)
     planned: list[Planned] = []
     unreadable: list[CampaignFlight] = []
-    twice: list[tuple[CampaignFlight, CampaignFlight]] = []
+    duplicates: list[tuple[CampaignFlight, CampaignFlight]] = []
     first: dict[str, CampaignFlight] = {}
     for entry in entries:
         if entry.source is None:
             subjects.aircraft_text(entry)  # a wrong name is refused whether or not the flight is there
             unreadable.append(entry)
             continue
-        work = _flight_work(plan, subjects.of(entry))
+        work = _flight_work(plan, subjects.subject_of(entry))
         if work.identity in first:
-            twice.append((entry, first[work.identity]))
+            duplicates.append((entry, first[work.identity]))
             continue
         first[work.identity] = entry
         planned.append(Planned(entry, work))
-    return WorkList(planned, unreadable, twice)
+    return WorkList(planned, unreadable, duplicates)
 
 
 class _Subjects:
@@ -74,7 +73,7 @@ class _Subjects:
         self._judged = False
         self._text = self._model_text()
 
-    def of(self, entry: CampaignFlight) -> Subject:
+    def subject_of(self, entry: CampaignFlight) -> Subject:
         """The flight with its model and aircraft."""
         if entry.source is None:
             raise ValueError(f"{entry.location} has no source")
@@ -96,8 +95,8 @@ class _Subjects:
         except UserError:  # this aircraft lacks something: its flights will say so, those of others can do without
             return
         for method in self._plan.methods:
-            if why := find(method).refuses(model):
-                raise CampaignError(f"plan, methods: {why}")
+            if problem := find_estimator(method).refuses(model):
+                raise CampaignError(f"plan, methods: {problem}")
 
     def _name_of(self, entry: CampaignFlight) -> str:
         return entry.conditions.aircraft or self._plan.aircraft
@@ -106,8 +105,8 @@ class _Subjects:
         """TOML of the aircraft that the plan names for a flight, empty for none; UserError where it cannot be had."""
         name = self._name_of(entry)
         if name and name not in self._aircraft:
-            where = name if name in built_in_aircraft() else str(self._folder / name)
-            self._aircraft[name] = load_aircraft(where).text
+            location = name if name in built_in_aircraft() else str(self._folder / name)
+            self._aircraft[name] = load_aircraft(location).text
         return self._aircraft[name] if name else ""
 
     def _model_text(self) -> str:
@@ -116,29 +115,30 @@ class _Subjects:
         from estimation.models.library import BUILDERS
         from estimation.models.load import asks_for_aircraft, model_text
 
-        which = self._plan.model
-        if which in BUILDERS:
+        model_name = self._plan.model
+        if model_name in BUILDERS:
             return ""
-        if which.endswith(".toml"):
-            return model_text(load_model(self._folder / which))
+        if model_name.endswith(".toml"):
+            return model_text(load_model(self._folder / model_name))
         craft = self._plan.aircraft
-        if asks_for_aircraft(which) and not craft:
-            raise CampaignError(f"model {which} takes constants of an aircraft: say of which with --aircraft")
+        if asks_for_aircraft(model_name) and not craft:
+            raise CampaignError(f"model {model_name} takes constants of an aircraft: say of which with --aircraft")
         if not craft:
-            return model_text(load_model(which))
-        where = craft if craft in built_in_aircraft() else str(self._folder / craft)
-        return model_text(load_model(which, load_aircraft(where)))
+            return model_text(load_model(model_name))
+        location = craft if craft in built_in_aircraft() else str(self._folder / craft)
+        return model_text(load_model(model_name, load_aircraft(location)))
 
 
 def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
     quality = plan.check != "none"
     data = [VERSION, subject.source.sha256, subject.segments, plan.each_segment, quality, dict(versions())]
+    model = [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
     pieces, seeds = {}, {}
     for method in dict.fromkeys(plan.methods):
-        able = find(method).supports
+        able = find_estimator(method).supports
         replicates = plan.bootstrap if Extra.BOOTSTRAP in able else 0
         seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in able else 0
-        pieces[method] = key_of("flight", data, _model_of(subject), method, replicates, seeds[method])
+        pieces[method] = key_of("flight", data, model, method, replicates, seeds[method])
     if plan.check == "full":
         pieces[CHECK] = key_of("check", data)
     return Work(
@@ -153,10 +153,6 @@ def _flight_work(plan: CampaignPlan, subject: Subject) -> Work:
         each_segment=plan.each_segment,
         limit_s=plan.time_limit,
     )
-
-
-def _model_of(subject: Subject) -> list[str | float | None]:
-    return [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
 
 
 def left_to_do(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
@@ -182,59 +178,37 @@ def joint_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Wor
     """All flights of a group in one fit by each method that found something in at least two of them."""
     pieces, seeds = {}, {}
     for method in plan.methods:
-        used = sorted(m.planned.work.pieces[method] for m in members if method in m.estimates)
-        if len(used) > 1:
-            pieces[method] = key_of("joint", used)
-            seeds[method] = seed_of(plan.seed, "joint", used)
+        flight_keys = sorted(m.planned.work.pieces[method] for m in members if method in m.estimates)
+        if len(flight_keys) > 1:
+            pieces[method] = key_of("joint", flight_keys)
+            seeds[method] = seed_of(plan.seed, "joint", flight_keys)
     if not pieces:
         return None
-    chosen = sorted(
-        (m for m in members if all(p in m.estimates for p in pieces)), key=lambda m: m.planned.work.identity
-    )
-    subjects = tuple(m.planned.work.subjects[0] for m in chosen)
-    limit = _together(plan, len(subjects))
-    return Work(
-        "joint",
-        f"joint fit of {label}",
-        pieces,
-        subjects,
-        versions(),
-        False,
-        plan.bootstrap,
-        seeds,
-        {},
-        plan.each_segment,
-        limit,
-        label,
-    )
+    joint_members = [m for m in members if all(p in m.estimates for p in pieces)]
+    work = _group_work(plan, "joint", f"joint fit of {label}", label, pieces, joint_members)
+    return replace(work, bootstrap=plan.bootstrap, seeds=seeds)
 
 
-def _together(plan: CampaignPlan, flights: int) -> float:
-    """Seconds for work on several flights: as long as for one after the other, as far as clocks count."""
-    return min(plan.time_limit * flights, LONGEST_CLOCK)
+def _group_work(
+    plan: CampaignPlan, kind: str, name: str, label: str, pieces: Mapping[str, str], members: Sequence[Member]
+) -> Work:
+    """Work on several flights, in an order that no plan changes; as long as for one after the other, as far as clocks count."""
+    ordered = sorted(members, key=lambda m: m.planned.work.identity)
+    subjects = tuple(m.planned.work.subjects[0] for m in ordered)
+    limit = min(plan.time_limit * len(subjects), LONGEST_CLOCK)
+    segments = plan.each_segment
+    return Work(kind, name, pieces, subjects, versions(), False, each_segment=segments, limit_s=limit, group=label)
 
 
 def envelope_work(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Work | None:
     """All flights of a group, those with a usable estimate, in one model over the envelope; None for too few of them."""
     from estimation.campaign.aerodynamics.joint import FEWEST
 
-    used = sorted(members, key=lambda m: m.planned.work.identity)
-    if len(used) < FEWEST:
+    if len(members) < FEWEST:
         return None
     code = digest_of_files(("estimation/campaign/aerodynamics",))
-    pieces = {ENVELOPE_METHOD: key_of("envelope", code, [m.planned.work.identity for m in used])}
-    subjects = tuple(m.planned.work.subjects[0] for m in used)
-    return Work(
-        "envelope",
-        f"model over the envelope of {label}",
-        pieces,
-        subjects,
-        versions(),
-        False,
-        each_segment=plan.each_segment,
-        limit_s=_together(plan, len(subjects)),
-        group=label,
-    )
+    pieces = {ENVELOPE_METHOD: key_of("envelope", code, sorted(m.planned.work.identity for m in members))}
+    return _group_work(plan, "envelope", f"model over the envelope of {label}", label, pieces, members)
 
 
 def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> Iterator[Work]:
@@ -243,7 +217,9 @@ def match_works(plan: CampaignPlan, label: str, members: Sequence[Member]) -> It
     sums = {method: _Sums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods}
     for member in ordered:
         values = {
-            method: sums[method].without(own) for method, own in member.estimates.items() if sums[method].flights > 1
+            method: sums[method].without(estimates)
+            for method, estimates in member.estimates.items()
+            if sums[method].flights > 1
         }
         if values:
             pieces = {m: key_of("match", member.planned.work.pieces[m], v) for m, v in values.items()}

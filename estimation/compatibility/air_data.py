@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.constants import RADIAN, SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
@@ -23,24 +22,15 @@ from estimation.compatibility.air_filter import (
     Assumptions,
     Noise,
     Smoothed,
-    likelihoods,
-    smooth,
+    gust_likelihoods,
+    smooth_states,
 )
-from estimation.compatibility.air_nodes import (
-    FIX,
-    INERTIAL,
-    AirStretch,
-    fresh_values,
-    measured_noise,
-    stretches_of,
-)
+from estimation.compatibility.air_nodes import FIX, INERTIAL, AirStretch, fresh_values, measured_noise, stretches_of
 from estimation.compatibility.records import attitude_errors
-from estimation.engine.derived import with_derived
 from estimation.errors import DataError
-from groundstation.flight import RECONSTRUCTED, Flight
-from groundstation.flight.notes import Note, NoteKind
-
-Array = NDArray[np.float64]
+from estimation.prepare.columns import with_derived
+from groundstation.flight import RECONSTRUCTED, Array, Flight
+from groundstation.flight.findings import Finding, FindingKind
 
 AIR = ("alpha", "beta", "V")
 
@@ -99,23 +89,23 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     noise = _noise(flight, airspeed, assumed)
     nodes = [s.nodes for s in stretches]
     wind = _first_wind(stretches)
-    gust = _expected_gust(likelihoods(nodes, noise, GUSTS, assumed, wind))
-    found = smooth(nodes, noise, gust, assumed, wind)
-    values, std = _air(flight, stretches, found, noise)
-    widened = max(1.0, *(v for kind, v in found.scatter.items() if kind != "sideslip"))
+    gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
+    smoothed = smooth_states(nodes, noise, gust, assumed, wind)
+    values, std = _air(flight, stretches, smoothed, noise)
+    widened = max(1.0, *(v for kind, v in smoothed.scatter.items() if kind != "sideslip"))
     if widened > WORTH_SAYING:
         notes.append(
             f"velocity fixes and airspeed disagree by {widened:.1f} times what their noise explains: all uncertainties are "
             "that much wider; check times of arrival, units and the IMU's mounting"
         )
-    states, covariance = found.states[:, WIND], found.covariances[:, WIND, WIND]
+    states, covariance = smoothed.states[:, WIND], smoothed.covariances[:, WIND, WIND]
     return AirData(
         values,
         {n: s * widened for n, s in std.items()},
         states.mean(axis=0),
         widened * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)),
         gust,
-        found.scatter,
+        smoothed.scatter,
         origin,
         tuple(notes),
     )
@@ -129,15 +119,15 @@ def airspeed_of(flight: Flight) -> tuple[Array, str]:
     if flight.measured("V"):
         return flight["V"], "V"
     dense = with_derived(flight, ["rho"])
-    rho, by = (
+    rho, source = (
         (dense["rho"], "rho")
         if dense.measured("rho")
         else (np.full(len(flight), SEA_LEVEL_DENSITY), "sea-level density")
     )
     if flight.measured("p_dynamic"):
-        return np.sqrt(2.0 * np.maximum(flight["p_dynamic"], 0.0) / rho), f"p_dynamic and {by}"
+        return np.sqrt(2.0 * np.maximum(flight["p_dynamic"], 0.0) / rho), f"p_dynamic and {source}"
     if flight.measured("V_cas"):
-        return flight["V_cas"] * np.sqrt(SEA_LEVEL_DENSITY / rho), f"V_cas and {by}"
+        return flight["V_cas"] * np.sqrt(SEA_LEVEL_DENSITY / rho), f"V_cas and {source}"
     raise DataError(
         f"{flight.name}: no airspeed (V, p_dynamic or V_cas); without a pitot wind and airspeed cannot be told apart here"
     )
@@ -165,20 +155,21 @@ def with_air(flight: Flight, air: AirData) -> Flight:
         "gust": air.gust,
         "from": [*INERTIAL, *FIX, air.airspeed],
     }
-    stated = detail.get("uncertainty")
-    detail["uncertainty"] = {**(stated if isinstance(stated, dict) else {}), **typical}
-    said = ", ".join(filled)
-    note = Note(
-        NoteKind.DERIVED, f"{said} reconstructed from velocity fixes, IMU and {air.airspeed}: {sentence(air, filled)}"
+    uncertainty = detail.get("uncertainty")
+    detail["uncertainty"] = {**(uncertainty if isinstance(uncertainty, dict) else {}), **typical}
+    names = ", ".join(filled)
+    note = Finding(
+        FindingKind.DERIVED,
+        f"{names} reconstructed from velocity fixes, IMU and {air.airspeed}: {air_data_sentence(air, filled)}",
     )
     share = 2.0 * typical["V"] / float(np.nanmedian(air.values["V"]))
     common = f"V off by its uncertainty moves every derivative by {share:.1%}, which the corrected bounds of an estimate count"
-    notes: list[Note | str] = [note, common, *([GUSTS_UNSEEN] if len(filled) > 1 else []), *air.notes]
+    notes: list[Finding | str] = [note, common, *([GUSTS_UNSEEN] if len(filled) > 1 else []), *air.notes]
     provenance = replace(flight.provenance, detail=detail)
     return replace(flight.with_columns(**columns).with_notes(*notes), provenance=provenance)
 
 
-def sentence(air: AirData, names: Sequence[str] = AIR) -> str:
+def air_data_sentence(air: AirData, names: Sequence[str] = AIR) -> str:
     """How sure the reconstruction is, for a person."""
     size = {"alpha": (RADIAN, "deg"), "beta": (RADIAN, "deg"), "V": (1.0, "m/s")}
     parts = [f"{n} +- {air.typical(n) * size[n][0]:.2g} {size[n][1]}" for n in names]
@@ -191,12 +182,12 @@ def _noise(flight: Flight, airspeed: Array, assumed: Assumptions) -> Noise:
     force = max(measured_noise(flight, c, rows) for c in ("ax", "ay", "az")) * np.sqrt(dt)
     speeds = fresh_values(flight, "V", airspeed)
     white = measured_noise(flight.with_columns(V=airspeed), "V", speeds)
-    every = float(np.median(np.diff(flight.time[speeds]))) if speeds.sum() > 1 else INTERVAL
+    interval = float(np.median(np.diff(flight.time[speeds]))) if speeds.sum() > 1 else INTERVAL
     slow = attitude_errors(flight)
     level = max(slow["phi"], slow["theta"], assumed.attitude)
     return Noise(
         float(np.hypot(force, LEAST_FORCE_NOISE)),
-        float(np.hypot(white / np.sqrt(max(1.0, INTERVAL / every)), LEAST_AIRSPEED_NOISE)),
+        float(np.hypot(white / np.sqrt(max(1.0, INTERVAL / interval)), LEAST_AIRSPEED_NOISE)),
         level,
         max(slow["psi"], assumed.attitude),
     )
@@ -226,7 +217,7 @@ def _expected_gust(likelihood: Mapping[float, float]) -> float:
 
 
 def _air(
-    flight: Flight, stretches: Sequence[AirStretch], found: Smoothed, noise: Noise
+    flight: Flight, stretches: Sequence[AirStretch], smoothed: Smoothed, noise: Noise
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """alpha, beta, V and their uncertainties (N,) from the smoothed states."""
     values = {n: np.full(len(flight), np.nan) for n in AIR}
@@ -241,11 +232,11 @@ def _air(
         def at(x: Array, middle: Array = middle, time: Array = time) -> Array:
             return np.column_stack([np.interp(time, middle, c) for c in x.T])
 
-        x = at(found.states[nodes])
+        x = at(smoothed.states[nodes])
         velocity = stretch.velocity + x[:, VELOCITY] - x[:, WIND] - x[:, GUST]
         axes = stretch.axes + np.cross(x[:, None, ATTITUDE], stretch.axes.transpose(0, 2, 1)).transpose(0, 2, 1)
         flow, slopes = _flow(velocity, axes)
-        P = at(found.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
+        P = at(smoothed.covariances[nodes].reshape(-1, STATES**2)).reshape(-1, STATES, STATES)
         fast = FAST_ATTITUDE * np.array([noise.level, noise.level, 0.0])
         for i, name in enumerate(AIR):
             values[name][stretch.rows] = flow[i]
@@ -268,12 +259,12 @@ def _flow(velocity: Array, axes: Array) -> tuple[tuple[Array, Array, Array], tup
     )
     slopes = []
     # a component is axis . velocity; turning the axes by e changes it by e . (axis x velocity)
-    turned = np.cross(axes.transpose(0, 2, 1), velocity[:, None, :])
+    lever = np.cross(axes.transpose(0, 2, 1), velocity[:, None, :])
     for body in by_body:
         row = np.zeros((len(u), STATES))
         ned = np.einsum("nij,nj->ni", axes, body)
         row[:, VELOCITY], row[:, WIND], row[:, GUST] = ned, -ned, -ned
-        row[:, ATTITUDE] = np.einsum("nj,nji->ni", body, turned)
+        row[:, ATTITUDE] = np.einsum("nj,nji->ni", body, lever)
         slopes.append(row)
     alpha, beta = np.arctan2(w, u), np.arcsin(np.clip(v / speed, -1.0, 1.0))
     return (alpha, beta, speed), (slopes[0], slopes[1], slopes[2])

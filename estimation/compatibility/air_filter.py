@@ -108,7 +108,7 @@ def skew(v: Array) -> Array:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def smooth(
+def smooth_states(
     stretches: Sequence[Nodes], noise: Noise, gust: float, assumed: Assumptions, first_wind: Array, passes: int = PASSES
 ) -> Smoothed:
     """Filter and smoother over all stretches of a flight, wind and instruments carried on from one to the next.
@@ -116,21 +116,21 @@ def smooth(
     gust: standard deviation of a gust component [m/s]; first_wind: (3,) guess about which airspeed is linearised first.
     """
     chain = _Chain(stretches, noise, gust, assumed, first_wind)
-    found = chain.run(chain.first_guess())
+    smoothed = chain.run(chain.first_guess())
     for _ in range(passes - 1):
-        found = chain.run(chain.still_air(found.states))
-    return found
+        smoothed = chain.run(chain.still_air(smoothed.states))
+    return smoothed
 
 
-def likelihoods(
+def gust_likelihoods(
     stretches: Sequence[Nodes], noise: Noise, gusts: Sequence[float], assumed: Assumptions, first_wind: Array
 ) -> dict[float, float]:
     """Log-likelihood of the innovations by level of the gusts [m/s]: forward only, all about the same air velocity."""
     middle = gusts[len(gusts) // 2]
     chain = _Chain(stretches, noise, middle, assumed, first_wind)
-    about = chain.still_air(chain.run(chain.first_guess()).states)
-    tried = {gust: _Chain(stretches, noise, gust, assumed, first_wind) for gust in gusts}
-    return {gust: chain.forward(about).tally.likelihood for gust, chain in tried.items()}
+    still_air = chain.still_air(chain.run(chain.first_guess()).states)
+    chains = {gust: _Chain(stretches, noise, gust, assumed, first_wind) for gust in gusts}
+    return {gust: chain.forward(still_air).tally.likelihood for gust, chain in chains.items()}
 
 
 @dataclass(frozen=True)
@@ -174,9 +174,9 @@ class _Chain:
         """(K, 3) the nominal velocity in the first guess of the wind."""
         return np.asarray(self._velocity - self._first_wind)
 
-    def run(self, about: Array) -> Smoothed:
-        """Once forward and once back, airspeed and sideslip linearised about the air velocity `about` (K, 3)."""
-        f = self.forward(about)
+    def run(self, still_air: Array) -> Smoothed:
+        """Once forward and once back, airspeed and sideslip linearised about the air velocity `still_air` (K, 3)."""
+        f = self.forward(still_air)
         states, covariances = _smoothed(self._phi, f)
         if not np.isfinite(states).all():
             raise DataError(
@@ -184,7 +184,7 @@ class _Chain:
             )
         return Smoothed(states, covariances, f.tally.likelihood, f.tally.scatter())
 
-    def forward(self, about: Array) -> _Forward:
+    def forward(self, still_air: Array) -> _Forward:
         """The filter."""
         x, P = self._start()
         count = len(self._velocity)
@@ -195,7 +195,7 @@ class _Chain:
             if k:
                 x, P = self._phi[k] @ x, self._phi[k] @ P @ self._phi[k].T + self._q[k]
             before_x[k], before_P[k] = x, P
-            for kind, residual, row, variance in self._seen(k, about[k]):
+            for kind, residual, row, variance in self._seen(k, still_air[k]):
                 x, P = _updated(x, P, residual, row, variance, kind, tally)
             P = 0.5 * (P + P.T)  # rounding makes it lopsided, and a lopsided one grows
             after_x[k], after_P[k] = x, P
@@ -219,9 +219,9 @@ class _Chain:
         phi, q = [], []
         last = stretches[0].time[0]
         for stretch in stretches:
-            for k, now in enumerate(stretch.time):
-                dt = float(now - last)
-                last = now
+            for k, time in enumerate(stretch.time):
+                dt = float(time - last)
+                last = time
                 step = self._decay(dt)
                 if k == 0:  # a velocity integrated anew
                     step[0][VELOCITY] = 0.0
@@ -247,34 +247,34 @@ class _Chain:
         q[WIND, WIND] = np.diag([1.0, 1.0, 0.01]) * a.wind_drift**2 * dt
         return phi, q
 
-    def _seen(self, k: int, about: Array) -> list[tuple[str, float, Array, float]]:
+    def _seen(self, k: int, still_air: Array) -> list[tuple[str, float, Array, float]]:
         """Measurements at a node: kind, what is left of it when the state is zero, its row, its variance."""
         a = self._assumed
-        seen: list[tuple[str, float, Array, float]] = []
+        measurements: list[tuple[str, float, Array, float]] = []
         if self._fixes[k]:
             for axis in range(3):
                 row = np.zeros(STATES)
                 row[axis] = 1.0
                 row[AGE] = -self._acceleration[k, axis]
                 sigma = a.fix[axis // 2]
-                seen.append(("velocity", float(self._fix[k, axis]), row, sigma**2))
-        speed = float(np.linalg.norm(about))
-        along = about / speed
+                measurements.append(("velocity", float(self._fix[k, axis]), row, sigma**2))
+        speed = float(np.linalg.norm(still_air))
+        direction = still_air / speed
         if np.isfinite(self._airspeed[k]):
             row = np.zeros(STATES)
-            row[VELOCITY], row[WIND], row[GUST], row[SCALE] = along, -along, -along, speed
+            row[VELOCITY], row[WIND], row[GUST], row[SCALE] = direction, -direction, -direction, speed
             # |v| about `about`: along . v; the part of the nominal velocity does not depend on the state
-            expected = float(along @ self._mean_velocity[k])
-            seen.append(("airspeed", float(self._airspeed[k]) - expected, row, self._noise.airspeed**2))
+            nominal = float(direction @ self._mean_velocity[k])
+            measurements.append(("airspeed", float(self._airspeed[k]) - nominal, row, self._noise.airspeed**2))
         row = np.zeros(STATES)
         right = self._axes[k, :, 1]
         row[VELOCITY], row[WIND], row[GUST] = right / speed, -right / speed, -right / speed
-        row[ATTITUDE] = np.cross(right, about) / speed
+        row[ATTITUDE] = np.cross(right, still_air) / speed
         row[TRIM] = -1.0
         # white noise that averages out as slowly as sideslip that lasts manoeuvre_s does
         variance = a.manoeuvre_sideslip**2 * 2 * a.manoeuvre_s / INTERVAL
-        seen.append(("sideslip", -float(right @ self._velocity[k]) / speed, row, variance))
-        return seen
+        measurements.append(("sideslip", -float(right @ self._velocity[k]) / speed, row, variance))
+        return measurements
 
 
 class _Tally:

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import savgol_filter
 
+from estimation.compatibility.reconstruction import Compatibility
 from estimation.compatibility.records import with_rate_derivatives
-from estimation.compatibility.result import Compatibility
 from groundstation.flight import Flight
 
 
-def corrected(flight: Flight, result: Compatibility) -> Flight:
+def correct_flight(flight: Flight, result: Compatibility) -> Flight:
     """Biases and scales removed, late channels moved back, accelerations and flow angles moved to the centre of gravity.
 
     Factors held at a value given are applied as those that were estimated; of the latter only the identifiable ones. Those
     left alone, for that reason or because a channel they need is not measured, are named in a note.
     """
     value = {**result.known, **{n: f.estimate for n, f in result.factors.items() if f.identifiable}}
-    left = [n for n, f in result.factors.items() if not f.identifiable]
+    unidentifiable = [n for n, f in result.factors.items() if not f.identifiable]
     columns = {c: flight[c].copy() for c in flight.columns}
     for name in ("ax", "ay", "az", "p", "q", "r"):
         columns[name] = columns[name] - value.get(f"d{name}", 0.0)
@@ -30,17 +30,21 @@ def corrected(flight: Flight, result: Compatibility) -> Flight:
     for name in ("alpha", "beta", "V", "phi", "theta", "psi"):
         if f"tau_{name}" in value and name in columns:
             columns[name] = _earlier(flight, columns[name], value[f"tau_{name}"])
-    arm, vane = (np.array([value.get(f"{axis}_{what}", 0.0) for axis in "xyz"]) for what in ("imu", "vane"))
+    arm, vane = (np.array([value.get(f"{axis}_{place}", 0.0) for axis in "xyz"]) for place in ("imu", "vane"))
     if arm.any():
         _move(flight, columns, arm)
     if vane.any() and not _move_vanes(flight, columns, vane):
-        left += [n for n in value if n.endswith("_vane")]
+        unidentifiable += [n for n in value if n.endswith("_vane")]
         value = {n: v for n, v in value.items() if not n.endswith("_vane")}
     note = f"instrument factors removed: {', '.join(f'{n} {v:+.4g}' for n, v in value.items())}"
-    told = [f"not removed because this data cannot tell or use them: {', '.join(left)}"] if left else []
+    warnings = (
+        [f"not removed because this data cannot tell or use them: {', '.join(unidentifiable)}"]
+        if unidentifiable
+        else []
+    )
     detail = {**flight.provenance.detail, "compatibility": {n: float(v) for n, v in value.items()}}
-    moved = flight.with_columns(**columns).with_notes(note, *told)
-    return replace(moved, provenance=replace(flight.provenance, detail=detail))
+    result_flight = flight.with_columns(**columns).with_notes(note, *warnings)
+    return replace(result_flight, provenance=replace(flight.provenance, detail=detail))
 
 
 def _earlier(flight: Flight, values: np.ndarray, delay: float) -> np.ndarray:
@@ -48,10 +52,10 @@ def _earlier(flight: Flight, values: np.ndarray, delay: float) -> np.ndarray:
     result = np.full_like(values, np.nan)
     for part in flight.segments:
         time = flight.time[part]
-        known = np.isfinite(values[part])
-        if known.sum() >= 2:
-            moved = np.interp(time + delay, time[known], values[part][known], left=np.nan, right=np.nan)
-            result[part] = np.where(known, moved, np.nan)
+        measured = np.isfinite(values[part])
+        if measured.sum() >= 2:
+            shifted = np.interp(time + delay, time[measured], values[part][measured], left=np.nan, right=np.nan)
+            result[part] = np.where(measured, shifted, np.nan)
     return result
 
 
@@ -84,16 +88,16 @@ def _move_vanes(flight: Flight, columns: dict[str, np.ndarray], arm: np.ndarray)
     """
     if "V" not in columns or not flight.measured("V"):
         return False
-    nothing = np.zeros(len(flight))
-    alpha, beta = (columns.get(n, nothing) if flight.measured(n) else nothing for n in ("alpha", "beta"))
+    zeros = np.zeros(len(flight))
+    alpha, beta = (columns.get(n, zeros) if flight.measured(n) else zeros for n in ("alpha", "beta"))
     d = np.column_stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
     turn = np.cross(_smooth_rates(flight, columns), arm)
-    along = np.sum(d * turn, axis=1)
+    projection = np.sum(d * turn, axis=1)
     with np.errstate(invalid="ignore"):
-        speed = along + np.sqrt(along**2 - np.sum(turn**2, axis=1) + columns["V"] ** 2)
+        speed = projection + np.sqrt(projection**2 - np.sum(turn**2, axis=1) + columns["V"] ** 2)
         u, v, w = (speed[:, None] * d - turn).T
-    moved = {"alpha": np.arctan2(w, u), "beta": np.arctan2(v, np.hypot(u, w))}
-    for name, values in moved.items():
+    angles = {"alpha": np.arctan2(w, u), "beta": np.arctan2(v, np.hypot(u, w))}
+    for name, values in angles.items():
         if flight.measured(name):
             columns[name] = np.where(np.isfinite(columns[name]), values, np.nan)
     return True

@@ -15,19 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.engine.data import FlightData, prepare
-from estimation.engine.prepared import PIECES, cut
 from estimation.engine.simulate import simulate_with_sensitivities
 from estimation.errors import DataError
-from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.uncertainty import STILL, TIED, estimates, input_movement
+from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.uncertainty import STILL, TIED, input_movement, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
-from groundstation.flight import Flight, MissingColumnError
+from estimation.prepare.flight_data import PIECES, FlightData, cut_into_pieces
+from estimation.prepare.pipeline import prepare
+from groundstation.flight import Array, Flight, MissingColumnError
+from groundstation.flight.findings import Finding
 from groundstation.flight.quality.noise import noise
-from groundstation.flight.quality.report import SENSOR_NOISE, Finding
-
-Array = NDArray[np.float64]
+from groundstation.flight.quality.report import SENSOR_NOISE
 
 CHECK = "excitation of derivatives"
 USUAL_WIDENING = 2.0
@@ -88,17 +87,17 @@ def predicted_bounds(flight: Flight, aircraft: Aircraft) -> tuple[Prediction, ..
 
 def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...]:
     """One finding of what can be told per model, and one warning per reason why something cannot."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for prediction in predictions:
         if prediction.why:
             # the quality report has its own warning for missing and unmoved controls
-            found.append(Finding(CHECK, "ok", f"{prediction.model}: not judged: {prediction.why}"))
+            findings.append(Finding(CHECK, f"{prediction.model}: not judged: {prediction.why}", "ok"))
             continue
-        told = [b for b in prediction.bounds if b.can_tell]
-        if told:
-            words = ", ".join(f"{b.name} {_size(b)}" for b in told)
-            found.append(
-                Finding(CHECK, "ok", f"{prediction.model}: can tell (bound predicted from the prior model): {words}")
+        identifiable = [b for b in prediction.bounds if b.can_tell]
+        if identifiable:
+            words = ", ".join(f"{b.name} {_size(b)}" for b in identifiable)
+            findings.append(
+                Finding(CHECK, f"{prediction.model}: can tell (bound predicted from the prior model): {words}", "ok")
             )
         groups: dict[tuple[str, str], list[str]] = {}
         for b in prediction.bounds:
@@ -106,8 +105,8 @@ def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...
                 groups.setdefault((b.reason, b.manoeuvre), []).append(f"{b.name} ({_size(b)})")
         for (reason, manoeuvre), names in groups.items():
             text = f"{prediction.model}: cannot tell {', '.join(names)}: {reason}; would tell it: {manoeuvre}"
-            found.append(Finding(CHECK, "warn", text))
-    return tuple(found)
+            findings.append(Finding(CHECK, text, "warn"))
+    return tuple(findings)
 
 
 def _size(bound: PredictedBound) -> str:
@@ -122,19 +121,19 @@ def _prediction(model: Model, flight: Flight, aircraft: str) -> Prediction:
     except (MissingColumnError, DataError) as error:
         return Prediction(model.name, (), str(error))
     if model.name == "longitudinal":
-        moved, level = input_movement(model, [data])[ELEVATOR]
-        if moved <= max(STILL * level, 1e-12):
-            why = f"{ELEVATOR} moved only {math.degrees(moved):.2g} deg rms; would tell it: {_ELEVATOR}"
-            return Prediction(model.name, (), why)
-    found = _covariance(model, data, _output_noise(model, flight))
-    if found is None:
-        why = f"motion by the derivatives believed of {aircraft} leaves the measured one within a second; is it this aircraft?"
-        return Prediction(model.name, (), f"{why} Name another by --aircraft")
-    covariance, undetermined = found
+        rms, level = input_movement(model, [data])[ELEVATOR]
+        if rms <= max(STILL * level, 1e-12):
+            reason = f"{ELEVATOR} moved only {math.degrees(rms):.2g} deg rms; would tell it: {_ELEVATOR}"
+            return Prediction(model.name, (), reason)
+    bound = _covariance(model, data, _output_noise(model, flight))
+    if bound is None:
+        reason = f"motion by the derivatives believed of {aircraft} leaves the measured one within a second; is it this aircraft?"
+        return Prediction(model.name, (), f"{reason} Name another by --aircraft")
+    covariance, undetermined = bound
     names = model.free_names
     prior = np.array([model.parameter(n).start for n in names])
     widened = covariance * USUAL_WIDENING**2
-    judged, _ = estimates(model, names, prior, covariance, widened, undetermined, [data])
+    judged, _ = judge_estimates(model, names, prior, covariance, widened, undetermined, [data])
     bounds = []
     for name, value in zip(names, prior.tolist(), strict=True):
         e = judged[name]
@@ -154,17 +153,17 @@ def _output_noise(model: Model, flight: Flight) -> Array:
 
     A filtered channel (attitude) or a coarse one shows less from sample to sample than the error it carries.
     """
-    own = {**SENSOR_NOISE, **_stated_noise(flight)}
+    sensor_noise = {**SENSOR_NOISE, **_stated_noise(flight)}
     levels = []
     for signal in model.outputs:
         measured = noise(flight[signal.source]) if flight.measured(signal.source) else None
-        levels.append(max(measured or 0.0, own[signal.source]))
+        levels.append(max(measured or 0.0, sensor_noise[signal.source]))
     return np.array(levels)
 
 
 def _stated_noise(flight: Flight) -> dict[str, float]:
-    stated = flight.provenance.detail.get("sensor_noise", {})
-    return {str(k): float(v) for k, v in stated.items()} if isinstance(stated, dict) else {}
+    noise_table = flight.provenance.detail.get("sensor_noise", {})
+    return {str(k): float(v) for k, v in noise_table.items()} if isinstance(noise_table, dict) else {}
 
 
 def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, NDArray[np.bool_]] | None:
@@ -172,14 +171,14 @@ def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, ND
 
     None where the prior motion does not stay in the flight: it is another aircraft's.
     """
-    near = _staying_near(model, data, sigma)
-    if near is None:
+    simulated = _staying_near(model, data, sigma)
+    if simulated is None:
         return None
-    data, by_parameter, by_state = near
+    data, by_parameter, by_state = simulated
     n, nx = by_parameter.shape[2], by_state.shape[2]
     information = np.zeros((n, n))
     for s in data.segments:
-        rows = slice(s.first, s.first + len(s))
+        rows = s.rows
         J = np.concatenate([by_parameter[rows], by_state[rows]], axis=2) / sigma[None, :, None]
         J = J[np.isfinite(s.z) & np.isfinite(J).all(axis=2)]
         H = J.T @ J
@@ -196,24 +195,24 @@ def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightD
     Sensitivities along a motion that has run away promise bounds no flight could give.
     """
     for seconds in (None, *PIECES):
-        tried = data if seconds is None else cut(data, seconds)
-        y, by_parameter, by_state = simulate_with_sensitivities(model, tried)
-        if _near(y, tried, sigma):
-            return tried, by_parameter, by_state
+        candidate = data if seconds is None else cut_into_pieces(data, seconds)
+        y, by_parameter, by_state = simulate_with_sensitivities(model, candidate)
+        if _near(y, candidate, sigma):
+            return candidate, by_parameter, by_state
     return None
 
 
 def _near(y: Array, data: FlightData, sigma: Array) -> bool:
     for s in data.segments:
-        motion = y[s.first : s.first + len(s)]
+        motion = y[s.rows]
         if not np.isfinite(motion).all():
             return False
-        for made, measured, level in zip(motion.T, s.z.T, sigma.tolist(), strict=True):
-            seen = measured[np.isfinite(measured)]
-            if not seen.size:
+        for modelled, measured, level in zip(motion.T, s.z.T, sigma.tolist(), strict=True):
+            finite = measured[np.isfinite(measured)]
+            if not finite.size:
                 continue
-            middle = float(np.median(seen))
-            reach = max(float(np.abs(seen - middle).max()), 3.0 * level)
-            if float(np.abs(made - middle).max()) > WANDERED * reach:
+            middle = float(np.median(finite))
+            reach = max(float(np.abs(finite - middle).max()), 3.0 * level)
+            if float(np.abs(modelled - middle).max()) > WANDERED * reach:
                 return False
     return True

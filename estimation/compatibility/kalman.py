@@ -1,10 +1,14 @@
-"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step.
+"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step; its motion without the filter.
 
 Flight-path reconstruction drives its motion with measured accelerations and rates. Their noise integrates to a random
 walk, so output error would call everything the walk explains a bias, with bounds tens of times too small. Here the
 noise of each input sample is process noise of known size, and the likelihood is that of the innovations (Maine and
 Iliff 1981; Jategaonkar, Flight Vehicle System Identification, ch. 5). Normalised innovations are white with variance
 one when model and noise levels are right: that is what the bounds rest on and what is tested.
+
+`integrated` is what a person sees in the figure, as in Figure 7 of the paper: the motion that accelerations and rates make,
+without looking at what it is compared with. Only the start of each piece is fitted: noise of the inertial sensors integrates to a
+drift of metres a second within a minute or so, so a long record is shown in pieces.
 """
 
 from dataclasses import dataclass
@@ -14,8 +18,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.chain import Chain
-from estimation.engine.trace import trace
+from estimation.engine.compiled import CHUNK, Chain
+from estimation.engine.trace import Traced, rk4, trace
 from estimation.models.base import Model
 from estimation.models.parts import ModelStructure
 
@@ -67,61 +71,60 @@ class Run:
 
 
 class KalmanFilter:
-    """Filter of one model. Parameters are given as the vector of all model parameters."""
+    """Filter of one model. Parameters are given as the vector of all model parameters. delayed: as of `delayed_outputs`."""
 
-    def __init__(self, model: Model, delayed: tuple[tuple[int, int], ...] = ()) -> None:
-        """delayed: pairs (output index, parameter index of its delay)."""
+    def __init__(self, model: Model) -> None:
         self.model = model
-        self.delayed = delayed
+        self.delayed = delayed_outputs(model)
         self._constants = np.array([model.constants[n] for n in model.structure.constants_kept])
-        self._chain = _chain(model)
+        self._chain = _filter_chain(model.structure, self.delayed)
 
     def run(self, record: FilterRecord, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:
         """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
         model, count = self.model, len(record.time)
         nx, ny = len(model.states), len(model.outputs)
         z, fractions = self._at_their_instants(record, p)
-        known = np.isfinite(z)
+        measured = np.isfinite(z)
         u_next = np.vstack([record.u[1:], record.u[-1:]])
-        rows = np.hstack([record.u, u_next, np.where(known, z, 0.0), known.astype(float)])
+        rows = np.hstack([record.u, u_next, np.where(measured, z, 0.0), measured.astype(float)])
         levels = (noise.inputs**2, noise.outputs**2, noise.drift**2)
         fixed = np.concatenate([p, self._constants, *levels, [record.step], fractions])
         state = np.concatenate([x0, np.diag(spread**2).ravel()])
-        out = self._in_rows_of_the_record(self._chain.run(state, rows, fixed), record, p)
-        known = self._usable(record)
-        normalised, log_s = out[:, :ny], out[:, ny : 2 * ny]
-        finite = len(out) == count and bool(np.all(np.isfinite(out)))
-        log_variance = float(np.sum(log_s[known[: len(out)]])) if finite else np.inf
-        return Run(normalised, known, log_variance, out[:, 2 * ny : 2 * ny + nx], out[:, 2 * ny + nx :])
+        rows_out = self._in_rows_of_the_record(self._chain.run(state, rows, fixed), record, p)
+        measured = self._usable(record)
+        normalised, log_s = rows_out[:, :ny], rows_out[:, ny : 2 * ny]
+        finite = len(rows_out) == count and bool(np.all(np.isfinite(rows_out)))
+        log_variance = float(np.sum(log_s[measured[: len(rows_out)]])) if finite else np.inf
+        return Run(normalised, measured, log_variance, rows_out[:, 2 * ny : 2 * ny + nx], rows_out[:, 2 * ny + nx :])
 
     def _usable(self, record: FilterRecord) -> NDArray[np.bool_]:
         """(N, ny) which samples count: of a channel that may be late none within LONGEST_DELAY of the ends, so that the
         same samples count whatever the delay."""
-        known = np.isfinite(record.z)
+        usable = np.isfinite(record.z)
         edge = int(np.ceil(LONGEST_DELAY / record.step))
         for output, _ in self.delayed:
-            known[:edge, output] = known[len(known) - edge :, output] = False
-        return known
+            usable[:edge, output] = usable[len(usable) - edge :, output] = False
+        return usable
 
     def _at_their_instants(self, record: FilterRecord, p: Array) -> tuple[Array, Array]:
         """(N, ny) outputs, those that are late moved to the last sample before what they show; and how far into the
         sample interval after it that lies, as a fraction."""
         z, fractions = np.where(self._usable(record), record.z, np.nan), []
         for output, parameter in self.delayed:
-            late = float(p[parameter]) / record.step
-            rows = int(np.ceil(late))
+            delay = float(p[parameter]) / record.step
+            rows = int(np.ceil(delay))
             z[:, output] = _moved(z[:, output], -rows, np.nan)
-            fractions.append(rows - late)
+            fractions.append(rows - delay)
         return z, np.array(fractions)
 
-    def _in_rows_of_the_record(self, out: Array, record: FilterRecord, p: Array) -> Array:
+    def _in_rows_of_the_record(self, rows_out: Array, record: FilterRecord, p: Array) -> Array:
         """What the filter shows of a late channel, back in the rows in which it was measured."""
         ny = len(self.model.outputs)
         for output, parameter in self.delayed:
             rows = int(np.ceil(float(p[parameter]) / record.step))
-            for column in (output, ny + output, out.shape[1] - ny + output):
-                out[:, column] = _moved(out[:, column], rows, 0.0)
-        return out
+            for column in (output, ny + output, rows_out.shape[1] - ny + output):
+                rows_out[:, column] = _moved(rows_out[:, column], rows, 0.0)
+        return rows_out
 
 
 def _moved(values: Array, rows: int, empty: float) -> Array:
@@ -134,12 +137,8 @@ def _moved(values: Array, rows: int, empty: float) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _chain_of(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> Chain:
-    return Chain(_build(structure, delayed))
-
-
-def _chain(model: Model) -> Chain:
-    return _chain_of(model.structure, delayed_outputs(model))
+def _filter_chain(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> Chain:
+    return Chain(_filter_step(structure, delayed))
 
 
 def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
@@ -149,21 +148,13 @@ def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
     )
 
 
-def rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca.SX) -> ca.SX:
-    k1 = f(x, u[0], p)
-    k2 = f(x + h / 2 * k1, u[1], p)
-    k3 = f(x + h / 2 * k2, u[1], p)
-    k4 = f(x + h * k3, u[2], p)
-    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
+def _filter_step(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
     traced = trace(structure)
     nx, nu, np_, ny = traced.sizes
     x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
     u0, u1 = ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
-    z, known = ca.SX.sym("z", ny), ca.SX.sym("known", ny)
+    z, measured = ca.SX.sym("z", ny), ca.SX.sym("known", ny)
     p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
     q, r, drift = ca.SX.sym("q", nu), ca.SX.sym("r", ny), ca.SX.sym("drift", nx)
 
@@ -171,18 +162,21 @@ def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> c
     xs, d = ca.SX.sym("xs", nx), ca.SX.sym("d", nu)
     zero = ca.DM.zeros(nu)
 
-    lagging = {out: i for i, (out, _) in enumerate(delayed)}
+    def moved_on(state: ca.SX, inputs: tuple[ca.SX, ca.SX, ca.SX], step: ca.SX) -> ca.SX:
+        return rk4(lambda states, u: (traced.rates(*states, u, p),), (state,), inputs, step)[0]
+
+    lagging = {output: i for i, (output, _) in enumerate(delayed)}
     y_now = traced.outputs(x, u0, p)
     predicted, on_the_way = [], []
     for j in range(ny):
         if j in lagging:
             part = fraction[lagging[j]]
             u_end = u0 + part * (u1 - u0)
-            later = rk4(traced.rates, x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), p, part * h)
-            shown = traced.outputs(later, u_end, p)[j]
+            delayed_state = moved_on(x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), part * h)
+            delayed_output = traced.outputs(delayed_state, u_end, p)[j]
             # noise of the inputs within that part of the interval: the state does not hold it yet
-            by_noise = ca.substitute(ca.jacobian(shown, d), d, zero)
-            predicted.append(ca.substitute(shown, d, zero))
+            by_noise = ca.substitute(ca.jacobian(delayed_output, d), d, zero)
+            predicted.append(ca.substitute(delayed_output, d, zero))
             on_the_way.append(ca.mtimes(ca.mtimes(by_noise, ca.diag(q)), by_noise.T))
         else:
             predicted.append(y_now[j])
@@ -195,22 +189,100 @@ def _build(structure: ModelStructure, delayed: tuple[tuple[int, int], ...]) -> c
         row = H[j, :]
         innovation = z[j] - y[j] - ca.mtimes(row, xf - x)
         s = ca.mtimes(ca.mtimes(row, Pf), row.T) + r[j] + on_the_way[j]
-        gain = known[j] * ca.mtimes(Pf, row.T) / s
+        gain = measured[j] * ca.mtimes(Pf, row.T) / s
         xf = xf + gain * innovation
         Pf = Pf - ca.mtimes(gain, ca.mtimes(row, Pf))
-        normalised.append(known[j] * innovation / ca.sqrt(s))
+        normalised.append(measured[j] * innovation / ca.sqrt(s))
         logs.append(ca.log(s))
     Pf = (Pf + Pf.T) / 2
 
-    advanced = rk4(traced.rates, xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), p, h)
+    advanced = moved_on(xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), h)
     F, G = (ca.substitute(ca.jacobian(advanced, v), d, zero) for v in (xs, d))
     move = ca.Function("move", [xs, u0, u1, p, h], [ca.substitute(advanced, d, zero), F, G])
-    ahead, Fk, Gk = move(xf, u0, u1, p, h)
+    next_state, Fk, Gk = move(xf, u0, u1, p, h)
     Pn = ca.mtimes(ca.mtimes(Fk, Pf), Fk.T) + ca.mtimes(ca.mtimes(Gk, ca.diag(q)), Gk.T) + ca.diag(drift) * h
 
-    carried = ca.vertcat(x, ca.reshape(P, nx * nx, 1))
-    data = ca.vertcat(u0, u1, z, known)
+    state_in = ca.vertcat(x, ca.reshape(P, nx * nx, 1))
+    data = ca.vertcat(u0, u1, z, measured)
     fixed = ca.vertcat(p, q, r, drift, h, fraction)
-    after = ca.vertcat(ahead, ca.reshape(Pn, nx * nx, 1))
-    shown = ca.vertcat(*normalised, *logs, xf, y)
-    return ca.Function("kalman", [carried, data, fixed], ca.cse([after, shown]))
+    state_out = ca.vertcat(next_state, ca.reshape(Pn, nx * nx, 1))
+    delayed_output = ca.vertcat(*normalised, *logs, xf, y)
+    return ca.Function("kalman", [state_in, data, fixed], ca.cse([state_out, delayed_output]))
+
+
+PIECE_S = 30.0
+MOTION = ("u", "v", "w", "phi", "theta", "psi")
+_ROUNDS = 4
+_STEP = 1e-4  # of each state, for differences: m/s or rad
+
+
+def integrated_motion(model: Model, record: FilterRecord, p: Array, states: Array, spread: Array) -> Array:
+    """(N, ny) outputs of a record integrated from its inputs.
+
+    p: (n,) parameters. states: (N, nx) of the filter, for the starts. spread: (ny,) by which each output is expected to
+    differ: weights of the fit of the starts.
+    """
+    count = len(record.time)
+    pieces = max(1, int(np.ceil(count * record.step / PIECE_S)))
+    edges = np.linspace(0, count, pieces + 1).astype(int)
+    outputs = [
+        _piece(model, record, slice(a, b), p, states[a], spread) for a, b in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    return np.vstack(outputs)
+
+
+def _piece(model: Model, record: FilterRecord, rows: slice, p: Array, start: Array, spread: Array) -> Array:
+    z = record.z[rows]
+    measured = np.isfinite(z)
+    x0 = start.copy()
+    motion_states = [i for i, s in enumerate(model.state_names) if s in MOTION]
+    x0[[i for i in range(x0.size) if i not in motion_states]] = 0.0  # errors of the attitude filter are no motion
+    y = _motion(model, record, rows, p, x0)
+    for _ in range(_ROUNDS):
+        slopes = []
+        for i in motion_states:
+            perturbed = x0.copy()
+            perturbed[i] += _STEP
+            slopes.append(((_motion(model, record, rows, p, perturbed) - y) / _STEP / spread)[measured])
+        residual = ((z - y) / spread)[measured]
+        change, *_ = np.linalg.lstsq(np.column_stack(slopes), residual, rcond=1e-8)
+        trial = x0.copy()
+        trial[motion_states] += change
+        trial_outputs = _motion(model, record, rows, p, trial)
+        if not np.isfinite(trial_outputs).all() or np.sum(((z - trial_outputs) / spread)[measured] ** 2) > np.sum(
+            residual**2
+        ):
+            break
+        x0, y = trial, trial_outputs
+    return y
+
+
+def _motion(model: Model, record: FilterRecord, rows: slice, p: Array, x0: Array) -> Array:
+    step = _stepper(trace(model.structure))
+    u = record.u[rows]
+    table = np.hstack([u, np.vstack([u[1:], u[-1:]])]).T
+    count = table.shape[1]
+    table = np.hstack([table, np.repeat(table[:, -1:], -count % CHUNK, axis=1)])
+    constants = np.array([model.constants[n] for n in model.structure.constants_kept])
+    fixed = np.tile(np.concatenate([p, constants, [record.step]])[:, None], (1, CHUNK))
+    state, outs = x0, []
+    for first in range(0, table.shape[1], CHUNK):
+        states, block = step(state, table[:, first : first + CHUNK], fixed)
+        outs.append(np.asarray(block))
+        state = np.asarray(states)[:, -1]
+    y = np.hstack(outs).T[:count]
+    for name, delay in model.output_delays.items():
+        j = model.output_names.index(name)
+        delay_s = float(p[model.parameter_names.index(delay)])
+        y[:, j] = np.interp(record.time[rows] - delay_s, record.time[rows], y[:, j])
+    return np.asarray(y)
+
+
+@lru_cache(maxsize=16)
+def _stepper(traced: Traced) -> ca.Function:
+    nx, nu, np_, _ = traced.sizes
+    x, u0, u1 = ca.SX.sym("x", nx), ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
+    p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
+    (next_state,) = rk4(lambda states, u: (traced.rates(*states, u, p),), (x,), (u0, (u0 + u1) / 2, u1), h)
+    single = ca.Function("integrate", [x, ca.vertcat(u0, u1), ca.vertcat(p, h)], [next_state, traced.outputs(x, u0, p)])
+    return single.mapaccum(CHUNK)

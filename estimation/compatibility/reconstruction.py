@@ -1,29 +1,74 @@
 """Maximum-likelihood estimation of instrument factors from the innovations of the kinematic filter.
 
 One flight or several with shared factors. Noise of the inputs is read off the flight itself; that of the outputs, and
-the turbulence that moves the air under the aircraft, are estimated with the factors (relaxation). Gauss-Newton with
-step halving on the innovations; bounds from their information, and corrected for whatever colour is left in them.
+the turbulence that moves the air under the aircraft, are estimated with the factors (relaxation between Gauss-Newton steps on the
+innovations); bounds from their information, and corrected for whatever colour is left in them.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.compatibility.bounds import USEFUL, autocorrelation, coloured, normal, refuse_singular
-from estimation.compatibility.integrate import integrated
-from estimation.compatibility.kalman import Run
-from estimation.compatibility.left_out import measurements
-from estimation.compatibility.problem import CompatibilityProblem
-from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, shows_motion
-from estimation.compatibility.result import Compatibility, FactorEstimate, ReconstructedFlight
+from estimation.compatibility.kalman import Run, integrated_motion
+from estimation.compatibility.problem import (
+    USEFUL,
+    CompatibilityProblem,
+    information_and_gradient,
+    lag_window_covariance,
+    lagged_products,
+    refuse_singular,
+)
+from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, compared_measurements, shows_motion
 from estimation.errors import DataError
+from estimation.estimators.gauss_newton import halve_until
 from estimation.models.base import Model
 from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
-from groundstation.flight import Flight, MissingColumnError
+from groundstation.flight import Array, Flight, MissingColumnError
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class FactorEstimate:
+    """One instrument factor. std: bound from the information of the innovations; std_coloured: corrected for the colour
+    left in them. Where the channel it belongs to is not measured, all three are NaN and `why` says so."""
+
+    name: str
+    unit: str
+    estimate: float
+    std: float
+    std_coloured: float
+    identifiable: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class ReconstructedFlight:
+    """measured: (N, ny), NaN where not measured or left out; reconstructed: (N, ny) motion integrated from accelerations
+    and rates with the factors, NaN outside the records; noise: of each output; whiteness: lag-one autocorrelation of the
+    normalised innovations per output."""
+
+    name: str
+    time: Array
+    measured: Array
+    reconstructed: Array
+    outputs: tuple[str, ...]
+    noise: Mapping[str, float]
+    whiteness: Mapping[str, float]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Compatibility:
+    """Factors of one flight, or shared by several."""
+
+    factors: Mapping[str, FactorEstimate]
+    correlation: Array
+    flights: tuple[ReconstructedFlight, ...]
+    converged: bool
+    text: str
+    iterations: int
+    turbulence: float  # m/s per root second
+    known: Mapping[str, float] = field(default_factory=dict)  # factors held at values given
 
 
 def compatibility(
@@ -41,30 +86,30 @@ def compatibility(
     Raises ModelError for an unknown factor, MissingColumnError or DataError for flights that cannot be used, and
     DataError naming them when factors cannot be told from each other at all.
     """
-    given = [flights] if isinstance(flights, Flight) else list(flights)
-    many = [measurements(f, keep_held=keep_held)[0] for f in given]
-    asked = compatibility_model(factors, tuple(MEASUREMENTS), known)
-    absent = _absent(asked, many)
-    filtered = any(max(attitude_errors(f).values()) > 0 for f in many)
-    present = tuple(f for f in asked.parameter_names if f not in absent)
+    flight_list = [flights] if isinstance(flights, Flight) else list(flights)
+    conditioned = [compared_measurements(f, keep_held=keep_held)[0] for f in flight_list]
+    full_model = compatibility_model(factors, tuple(MEASUREMENTS), known)
+    absent = _absent(full_model, conditioned)
+    filtered = any(max(attitude_errors(f).values()) > 0 for f in conditioned)
+    present = tuple(f for f in full_model.parameter_names if f not in absent)
     model = compatibility_model(present, tuple(MEASUREMENTS), known, filtered_attitude=filtered)
-    problem = CompatibilityProblem(model, many)
-    p, runs, converged, used = _estimate(problem, iterations)
+    problem = CompatibilityProblem(model, conditioned)
+    p, runs, converged, count = _estimate(problem, iterations)
     slopes = problem.slopes(p, _steps(model))
-    described = _describe(problem, many, absent, asked, p, runs, slopes, converged, used)
+    described = _describe(problem, conditioned, absent, full_model, p, runs, slopes, converged, count)
     return replace(described, known=dict(known or {}))
 
 
-def _absent(asked: Model, flights: Sequence[Flight]) -> dict[str, str]:
+def _absent(full_model: Model, flights: Sequence[Flight]) -> dict[str, str]:
     """Factor -> why it cannot be looked for. Raises MissingColumnError when nothing is left to look for."""
     absent: dict[str, str] = {}
     columns: list[str] = []
-    for name in asked.parameter_names:
+    for name in full_model.parameter_names:
         channels = FACTORS[name].channels
         if channels and not any(shows_motion(f, c) for f in flights for c in channels):
             absent[name] = f"{' and '.join(channels)} not measured, or stuck at one value"
             columns += channels
-    if absent and len(absent) == len(asked.parameters):
+    if absent and len(absent) == len(full_model.parameters):
         names = ", ".join(f.name for f in flights)
         raise MissingColumnError(names, list(dict.fromkeys(columns)), f"the factors {', '.join(absent)}")
     return absent
@@ -83,17 +128,17 @@ def _estimate(problem: CompatibilityProblem, iterations: int) -> tuple[Array, li
         raise DataError(
             f"{problem.names}: the motion integrated from accelerations and rates runs away at once; check their units and signs"
         )
-    for used in range(1, iterations + 1):
-        information, gradient = normal(runs, problem.slopes(p, _steps(problem.model)))
+    for iteration in range(1, iterations + 1):
+        information, gradient = information_and_gradient(runs, problem.slopes(p, _steps(problem.model)))
         refuse_singular(problem.model, information, problem.names)
         change: Array = np.asarray(-np.linalg.solve(information, gradient), float)
-        p, runs, moved = _step(problem, p, change, runs)
-        if used in (1, 3):
+        p, runs, change_made = _step(problem, p, change, runs)
+        if iteration in (1, 3):
             problem.settle_turbulence(p, known=True)
         runs = problem.relax(p, 2)
         bound = np.sqrt(np.diag(np.linalg.inv(information)))
-        if np.all(np.abs(moved) < 0.02 * bound) and used > 3:
-            return p, runs, bool(np.isfinite(problem.cost(runs))), used
+        if np.all(np.abs(change_made) < 0.02 * bound) and iteration > 3:
+            return p, runs, bool(np.isfinite(problem.cost(runs))), iteration
     return p, runs, False, iterations
 
 
@@ -101,58 +146,59 @@ def _step(
     problem: CompatibilityProblem, p: Array, change: Array, runs: list[list[Run]]
 ) -> tuple[Array, list[list[Run]], Array]:
     """The largest of the step, its half, quarter, ... that lowers the cost."""
-    before = problem.cost(runs)
-    for scale in 0.5 ** np.arange(8):
-        trial = problem.runs(p + scale * change)
-        if problem.cost(trial) <= before + 1e-9 * abs(before):
-            return p + scale * change, trial, scale * change
-    return p, runs, np.zeros_like(p)
+    cost = problem.cost(runs)
+    limit = cost + 1e-9 * abs(cost)
+    lowered = halve_until(lambda part: problem.runs(p + part * change), lambda trial: problem.cost(trial) <= limit, 8)
+    if lowered is None:
+        return p, runs, np.zeros_like(p)
+    fraction, trial = lowered
+    return p + fraction * change, trial, fraction * change
 
 
 def _describe(
     problem: CompatibilityProblem,
     flights: Sequence[Flight],
     absent: Mapping[str, str],
-    asked: Model,
+    full_model: Model,
     p: Array,
     runs: list[list[Run]],
     slopes: list[list[Array]],
     converged: bool,
-    used: int,
+    iterations: int,
 ) -> Compatibility:
-    information, _ = normal(runs, slopes)
-    plain = np.asarray(np.linalg.inv(information), float)
-    full = coloured(runs, slopes, information, problem.records[0][0].step)
-    told = _factors(problem.model, p, plain, full)
-    nothing = float("nan")
+    information, _ = information_and_gradient(runs, slopes)
+    cramer_rao = np.asarray(np.linalg.inv(information), float)
+    full = lag_window_covariance(runs, slopes, information, problem.records[0][0].step)
+    estimated = _factors(problem.model, p, cramer_rao, full)
+    nan = float("nan")
     factors = {
-        q.name: told.get(q.name) or FactorEstimate(q.name, q.unit, nothing, nothing, nothing, False, absent[q.name])
-        for q in asked.parameters
+        q.name: estimated.get(q.name) or FactorEstimate(q.name, q.unit, nan, nan, nan, False, absent[q.name])
+        for q in full_model.parameters
     }
     reconstructed = tuple(_reconstructed(problem, i, flight, p, runs[i]) for i, flight in enumerate(flights))
     unsure = [f.name for f in factors.values() if not f.identifiable]
-    text = "converged" if converged else f"not converged after {used} iterations: take the numbers as indications"
+    text = "converged" if converged else f"not converged after {iterations} iterations: take the numbers as indications"
     if unsure:
         text += f"; this data cannot tell {', '.join(unsure)}"
     spread = np.sqrt(np.diag(full))
     correlation = full / spread[:, None] / spread[None, :]
-    return Compatibility(factors, correlation, reconstructed, converged, text, used, problem.turbulence)
+    return Compatibility(factors, correlation, reconstructed, converged, text, iterations, problem.turbulence)
 
 
-def _factors(model: Model, p: Array, plain: Array, full: Array) -> dict[str, FactorEstimate]:
+def _factors(model: Model, p: Array, cramer_rao: Array, full: Array) -> dict[str, FactorEstimate]:
     """Estimates with both bounds, and whether they are of use. plain, full: (n, n) covariances."""
-    std, wider = np.sqrt(np.diag(plain)), np.sqrt(np.diag(full))
+    std, wider = np.sqrt(np.diag(cramer_rao)), np.sqrt(np.diag(full))
     correlation = full / wider[:, None] / wider[None, :]
     factors = {}
     for k, q in enumerate(model.parameters):
         wide = bool(wider[k] > USEFUL[q.unit])
-        why = ""
+        reason = ""
         if wide:
-            why = f"bound {wider[k]:.2g} {q.unit} is wider than {USEFUL[q.unit]:g}: this flight cannot tell"
+            reason = f"bound {wider[k]:.2g} {q.unit} is wider than {USEFUL[q.unit]:g}: this flight cannot tell"
             partner = int(np.argmax(np.abs(correlation[k]) - 2.0 * (np.arange(p.size) == k)))
             if abs(correlation[k, partner]) > 0.9 and partner != k:
-                why += f" it from {model.parameter_names[partner]} (correlation {correlation[k, partner]:+.2f})"
-        factors[q.name] = FactorEstimate(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, why)
+                reason += f" it from {model.parameter_names[partner]} (correlation {correlation[k, partner]:+.2f})"
+        factors[q.name] = FactorEstimate(q.name, q.unit, float(p[k]), float(std[k]), float(wider[k]), not wide, reason)
     return factors
 
 
@@ -166,10 +212,10 @@ def _reconstructed(
     for record, run in zip(problem.records[index], runs, strict=True):
         rows = slice(record.first, record.first + len(record.time))
         measured[rows] = record.z
-        motion[rows] = integrated(problem.model, record, p, run.states, spread)
+        motion[rows] = integrated_motion(problem.model, record, p, run.states, spread)
     whiteness = {}
     for j, name in enumerate(names):
-        gamma = autocorrelation([r.normalised[:, j] for r in runs], 2)
+        gamma = lagged_products([r.normalised[:, j] for r in runs], 2)
         whiteness[name] = float(gamma[1] / gamma[0]) if gamma[0] > 0 else 0.0
     noise = dict(zip(names, problem.outputs[index].tolist(), strict=True))
     return ReconstructedFlight(

@@ -1,6 +1,7 @@
-"""The stretches of a flight that can be reconstructed, and what is left out of it, said in words."""
+"""What of a flight a data-compatibility check compares, the stretches of it that can be reconstructed, and what is left out."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,12 @@ from daq.contract.channels import COLUMN_BY_NAME
 from estimation.compatibility.kalman import FilterRecord
 from estimation.errors import DataError
 from estimation.models.base import Model
-from estimation.models.kinematic import ATTITUDE
-from estimation.signals.preprocess import noise_level
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from estimation.models.kinematic import ATTITUDE, MEASUREMENTS
+from estimation.prepare.conditioned import ConditionedFlight, condition_columns, repair_columns
+from estimation.signals.denoise import noise_level
+from groundstation.flight import Array, Flight
+from groundstation.flight.arrays import true_runs
+from groundstation.flight.findings import Finding, FindingKind
 
 SHORTEST = 40  # samples
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
@@ -53,34 +55,34 @@ def records_of(model: Model, flight: Flight) -> tuple[list[FilterRecord], list[s
         if o not in compared
     ]
     u = np.column_stack([flight[c] for c in model.input_names])
-    nothing = np.full(len(flight), np.nan)
-    z = np.column_stack([_output(flight, o) if o in compared else nothing for o in model.output_names])
-    whole = np.all(np.isfinite(u), axis=1)
-    usable = whole & _flying(flight, notes)
+    nan = np.full(len(flight), np.nan)
+    z = np.column_stack([_output(flight, o) if o in compared else nan for o in model.output_names])
+    complete = np.all(np.isfinite(u), axis=1)
+    usable = complete & _flying(flight, notes)
     jumps = attitude_jumps(flight)
-    found = []
-    for part in flight.segments:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
-        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
-            inside = [j for j in sorted(jumps) if a < j < b]
-            for first, last in zip([a, *inside], [*inside, b], strict=True):
-                if first in jumps:
-                    notes.append(
-                        f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
-                        "do not: the attitude filter was set anew; split there"
-                    )
-                begin = _begin(model, flight, z, slice(first, last), notes)
-                if last - begin >= SHORTEST:
-                    found.append(FilterRecord(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
-                else:
-                    notes.append(
-                        f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch"
-                    )
-    if not found:
+    records = []
+    for first, last in unbroken_stretches(flight, usable, jumps):
+        if first in jumps:
+            notes.append(
+                f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
+                "do not: the attitude filter was set anew; split there"
+            )
+        begin = _begin(model, flight, z, slice(first, last), notes)
+        if last - begin >= SHORTEST:
+            records.append(FilterRecord(begin, flight.time[begin:last], u[begin:last], z[begin:last]))
+        else:
+            notes.append(f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch")
+    if not records:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(COLUMNS)} all measured"
         )
-    return found, notes
+    return records, notes
+
+
+def unbroken_stretches(flight: Flight, usable: NDArray[np.bool_], jumps: Collection[int]) -> Iterator[tuple[int, int]]:
+    """[first, last) of each run of usable samples (N,), cut at the rows at which the attitude jumps."""
+    for a, b in true_runs(usable, flight.segments):
+        yield from pairwise([a, *(j for j in sorted(jumps) if a < j < b), b])
 
 
 def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
@@ -94,11 +96,11 @@ def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
     for name in (*COLUMNS, "V", "alpha", "beta", *ATTITUDE):
         if flight.measured(name):
             low, high = COLUMN_BY_NAME[name].plausible
-            known = _known(flight[name])
-            beyond = float(np.mean((known < low) | (known > high)))
-            if beyond > WRONG_UNIT:
+            finite = _known(flight[name])
+            share = float(np.mean((finite < low) | (finite > high)))
+            if share > WRONG_UNIT:
                 raise DataError(
-                    f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {beyond:.0%} of "
+                    f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {share:.0%} of "
                     "the samples; in another unit? 'sideslip import --map' converts it"
                 )
 
@@ -109,8 +111,8 @@ def shows_motion(flight: Flight, column: str) -> bool:
 
 
 def _constant(values: Array) -> bool:
-    known = _known(values)
-    return known.size > 1 and float(np.ptp(known)) == 0.0
+    finite = _known(values)
+    return finite.size > 1 and float(np.ptp(finite)) == 0.0
 
 
 def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
@@ -134,14 +136,14 @@ def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]
     first = []
     for name in ATTITUDE:
         if name in model.output_names:
-            known = np.flatnonzero(np.isfinite(z[part, model.output_names.index(name)]))
-            if known.size and known[0] <= 0.5 * (part.stop - part.start):
-                first.append(int(known[0]))
-    late = max(first, default=0)
-    if late:
-        from_, to = flight.time[part.start], flight.time[part.start + late]
-        notes.append(f"t = {from_:.2f} to {to:.2f} s left out: attitude not measured there yet (filter starting up)")
-    return part.start + late
+            rows = np.flatnonzero(np.isfinite(z[part, model.output_names.index(name)]))
+            if rows.size and rows[0] <= 0.5 * (part.stop - part.start):
+                first.append(int(rows[0]))
+    delay = max(first, default=0)
+    if delay:
+        start, stop = flight.time[part.start], flight.time[part.start + delay]
+        notes.append(f"t = {start:.2f} to {stop:.2f} s left out: attitude not measured there yet (filter starting up)")
+    return part.start + delay
 
 
 def attitude_jumps(flight: Flight) -> dict[int, str]:
@@ -151,36 +153,39 @@ def attitude_jumps(flight: Flight) -> dict[int, str]:
     """
     if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta")):
         return {}
-    phi, theta = flight["phi"], flight["theta"]
-    p, q, r = (flight[c] for c in "pqr")
-    turn = q * np.sin(phi) + r * np.cos(phi)
-    rates = {"phi": p + np.tan(theta) * turn, "theta": q * np.cos(phi) - r * np.sin(phi), "psi": turn / np.cos(theta)}
-    found: dict[int, list[str]] = {}
+    rates = attitude_rates(*(flight[c] for c in ("p", "q", "r", "phi", "theta")))
+    jumps: dict[int, list[str]] = {}
     for name, rate in rates.items():
         if not flight.measured(name):
             continue
         for part in flight.segments:
-            for row, size in _steps(flight.time[part], flight[name][part], rate[part]):
-                found.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
-    return {row: f"attitude jumps ({', '.join(words)})" for row, words in found.items()}
+            for row, size in _lasting_steps(flight.time[part], flight[name][part], rate[part]):
+                jumps.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
+    return {row: f"attitude jumps ({', '.join(words)})" for row, words in jumps.items()}
 
 
-def _steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
+def attitude_rates(p: Array, q: Array, r: Array, phi: Array, theta: Array) -> dict[str, Array]:
+    """Rates of phi, theta, psi [rad/s] that body rates make."""
+    turn = q * np.sin(phi) + r * np.cos(phi)
+    return {"phi": p + np.tan(theta) * turn, "theta": q * np.cos(phi) - r * np.sin(phi), "psi": turn / np.cos(theta)}
+
+
+def _lasting_steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
     """(row, size) of lasting steps between neighbouring measured samples."""
-    known = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
-    if known.size < 8:
+    rows = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
+    if rows.size < 8:
         return []
-    t, mean = time[known], 0.5 * (rate[known][1:] + rate[known][:-1])
-    beyond = np.diff(np.unwrap(angle[known])) - mean * np.diff(t)
-    beyond = (beyond + np.pi) % (2 * np.pi) - np.pi
-    beyond[np.diff(known) > 1] = 0.0  # across missing values nothing can be said
-    limit = max(JUMP, 8.0 * noise_level(np.unwrap(angle[known])))
+    t, mean = time[rows], 0.5 * (rate[rows][1:] + rate[rows][:-1])
+    excess = np.diff(np.unwrap(angle[rows])) - mean * np.diff(t)
+    excess = (excess + np.pi) % (2 * np.pi) - np.pi
+    excess[np.diff(rows) > 1] = 0.0  # across missing values nothing can be said
+    limit = max(JUMP, 8.0 * noise_level(np.unwrap(angle[rows])))
     steps = []
-    for k in np.flatnonzero(np.abs(beyond) > limit):
-        around = beyond[max(k - 2, 0) : k + 3]
+    for k in np.flatnonzero(np.abs(excess) > limit):
+        around = excess[max(k - 2, 0) : k + 3]
         lasting = float(around.sum())
-        if abs(lasting) > limit and abs(beyond[k]) == np.abs(around).max():
-            steps.append((int(known[k + 1]), float(beyond[k])))
+        if abs(lasting) > limit and abs(excess[k]) == np.abs(around).max():
+            steps.append((int(rows[k + 1]), float(excess[k])))
     return steps
 
 
@@ -190,23 +195,23 @@ def attitude_errors(flight: Flight) -> dict[str, float]:
     Less noise from sample to sample than the gyro gathers within one sample interval: only a filter that integrates that
     very gyro does so. Its error is slow, whatever the neighbouring samples agree on.
     """
-    stated = flight.provenance.detail.get("uncertainty", {})
+    uncertainty = flight.provenance.detail.get("uncertainty", {})
     errors = {}
     for angle, rate in zip(ATTITUDE, "pqr", strict=True):
         errors[angle] = 0.0
         if flight.measured(angle) and flight.measured(rate):
-            own = noise_level(_known(_output(flight, angle)))
+            attitude_noise = noise_level(_known(_output(flight, angle)))
             gathered = noise_level(_known(flight[rate])) * flight.sample_interval
-            if own < gathered:
-                errors[angle] = float(stated.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
+            if attitude_noise < gathered:
+                errors[angle] = float(uncertainty.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
     return errors
 
 
-def with_rate_derivatives(flight: Flight, wanted: Sequence[str]) -> Flight:
+def with_rate_derivatives(flight: Flight, columns_wanted: Sequence[str]) -> Flight:
     """The flight with p_dot, q_dot, r_dot where they are wanted and not measured: local parabolas through 5 samples."""
     columns = {}
     for rate in "pqr":
-        if f"{rate}_dot" in wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
+        if f"{rate}_dot" in columns_wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
             derivative = np.full(len(flight), np.nan)
             for part in flight.segments:
                 if part.stop - part.start >= SHORTEST:
@@ -223,7 +228,47 @@ def _output(flight: Flight, name: str) -> Array:
     values = flight[name]
     if name != "psi":
         return values
-    known = np.isfinite(values)
+    finite = np.isfinite(values)
     unwrapped = values.copy()
-    unwrapped[known] = np.unwrap(values[known])
+    unwrapped[finite] = np.unwrap(values[finite])
     return unwrapped
+
+
+CHECK = "left out"
+
+
+def compared_measurements(flight: Flight, *, keep_held: bool = False) -> tuple[Flight, tuple[Finding, ...]]:
+    """The flight as a check compares it, and what was left out of it.
+
+    Outputs are NaN where they only repeat themselves; inputs, which are integrated, run on straight lines there.
+    Raises DataError where time is in another unit.
+    """
+    inputs = repair_columns(flight, COLUMNS, keep_held=keep_held)
+    outputs = condition_columns(inputs.flight, MEASUREMENTS, keep_held=keep_held)
+    notes = [*inputs.notes, *outputs.notes]
+    columns = {}
+    for name in MEASUREMENTS:
+        if not shows_motion(outputs.flight, name):
+            notes.append(_not_compared(flight, name))
+            continue
+        columns[name], left_out = _compared(outputs, name)
+        notes += left_out
+    return outputs.flight.with_columns(**columns), tuple(notes)
+
+
+def _compared(conditioned: ConditionedFlight, name: str) -> tuple[Array, list[Finding]]:
+    values, conditioned_notes = conditioned.as_output(name)
+    return values, [
+        n for n in conditioned_notes if n.kind is not FindingKind.NOT_MEASURED
+    ]  # gaps of a channel are the quality report's
+
+
+def _not_compared(flight: Flight, name: str) -> Finding:
+    if flight.measured(name):
+        return Finding(FindingKind.STUCK, f"{name} is constant: not compared", columns=(name,))
+    return Finding(FindingKind.NOT_MEASURED, f"{name} not measured: not compared", columns=(name,))
+
+
+def left_out_findings(notes: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """One entry of the quality report for each thing left out."""
+    return tuple(Finding(CHECK, n.text, "ok" if n.kind is FindingKind.NOT_MEASURED else "warn") for n in notes)

@@ -11,9 +11,8 @@ import numpy as np
 from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
 from daq.contract.plain_words import meant
 from estimation.aircraft import Aircraft
-from estimation.design.condition import Condition, trimmed
-from estimation.design.limits import Limits, usual_limits
-from estimation.design.measured_inputs import DRAWS, expected
+from estimation.design.limits import Condition, Limits, trimmed, usual_limits
+from estimation.design.measured_inputs import DRAWS, expected_errors
 from estimation.design.optimal import (
     Criterion,
     Designed,
@@ -26,7 +25,7 @@ from estimation.design.optimal import (
     optimal,
     worst_of,
 )
-from estimation.design.predict import INTEGRATION_STEP, DesignSetting, told, with_values
+from estimation.design.predict import INTEGRATION_STEP, DesignSetting, estimated_names, with_values
 from estimation.design.shapes import PATTERNS, chirp, pattern, relative_peak_factor
 from estimation.errors import EstimationError
 from estimation.models.base import Model
@@ -96,22 +95,21 @@ class InputDesign:
 
     def _expected(self, designed: Designed) -> dict[str, float]:
         task = self.task
-        return expected(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
+        return expected_errors(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
 
     @property
     def relative(self) -> dict[str, float]:
         """Predicted standard deviation over size of each derivative that has one."""
-        return relative(self.expected, self.sizes)
+        return relative_errors(self.expected, self.sizes)
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Derivatives that this input will not tell."""
         return tuple(n for n, r in self.relative.items() if r > UNTOLD)
 
     @property
     def gain(self) -> float:
         """Worst relative prediction of the doublets over that of this input."""
-        return max(relative(self.expected_of_doublets, self.sizes).values()) / max(self.relative.values())
+        return max(relative_errors(self.expected_of_doublets, self.sizes).values()) / max(self.relative.values())
 
     def manoeuvre(self) -> Manoeuvre:
         """As the file that is flown."""
@@ -145,7 +143,11 @@ class InputDesign:
             "time": self.best.motion.time.tolist(),
             "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.bench.controls)},
             "predicted": {
-                n: {"std": _told(s), "std_outputs": _told(bounds[n]), "relative": _told(self.relative.get(n))}
+                n: {
+                    "std": _finite_or_none(s),
+                    "std_outputs": _finite_or_none(bounds[n]),
+                    "relative": _finite_or_none(self.relative.get(n)),
+                }
                 for n, s in self.expected.items()
             },
             "peak_factor": self.peak_factors(),
@@ -162,18 +164,18 @@ class InputDesign:
         return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.bench.controls)}
 
 
-def _told(value: float | None) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def relative(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
+def relative_errors(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
     """Standard deviation over size, for the parameters that have a size."""
     return {n: std[n] / abs(size) for n, size in sizes.items() if n in std and size != 0.0}
 
 
 def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str, float]:
     """Cramer-Rao bound over size, what the search goes by."""
-    return relative(designed.information.std, sizes)
+    return relative_errors(designed.information.std, sizes)
 
 
 def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | None = None) -> InputDesign:
@@ -182,23 +184,23 @@ def design(model: Model, aircraft: Aircraft, task: DesignTask, limits: Limits | 
         raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{meant(task.kind, KINDS)}")
     if not 2.0 <= task.duration <= 600.0:
         raise EstimationError(f"--time {task.duration:g}: give from 2 to 600 s")
-    allowed = limits or usual_limits()
-    used = with_values(model, task.values)
-    condition = trimmed(used, aircraft, task.speed, task.density)
-    bench = _bench(used, condition, task)
-    sizes = _sizes(used, task)
+    limits_allowed = limits or usual_limits()
+    valued_model = with_values(model, task.values)
+    condition = trimmed(valued_model, aircraft, task.speed, task.density)
+    bench = _bench(valued_model, condition, task)
+    sizes = _sizes(valued_model, task)
     rng = np.random.default_rng([task.seed, 20])
-    doublets = pattern_set(bench, allowed, "doublet", task.duration, sizes)
+    doublets = pattern_set(bench, limits_allowed, "doublet", task.duration, sizes)
     _refuse_untold(bench, doublets, task)
     if task.kind == "doublet":
-        best = doublets
+        chosen_design = doublets
     elif task.kind in PATTERNS:
-        best = pattern_set(bench, allowed, task.kind, task.duration, sizes)
+        chosen_design = pattern_set(bench, limits_allowed, task.kind, task.duration, sizes)
     elif task.kind == "chirp":
-        best = chirp_set(bench, allowed, task.duration, task.band)
+        chosen_design = chirp_set(bench, limits_allowed, task.duration, task.band)
     else:
-        best = _sines(bench, allowed, task, sizes, rng, doublets)
-    return InputDesign(task, bench, allowed, best, doublets, sizes, aircraft.name, condition.notes)
+        chosen_design = _sines(bench, limits_allowed, task, sizes, rng, doublets)
+    return InputDesign(task, bench, limits_allowed, chosen_design, doublets, sizes, aircraft.name, condition.notes)
 
 
 def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSetting:
@@ -211,10 +213,10 @@ def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSettin
 
 def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
-    sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in told(model.parameters)}
+    sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in estimated_names(model.parameters)}
     sizes |= {n: s for n, s in task.sizes.items() if n in model.parameter_names}
-    wanted = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
-    unknown = [n for n in wanted if n not in sizes]
+    requested_names = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
+    unknown = [n for n in requested_names if n not in sizes]
     if unknown:
         raise EstimationError(
             f"{unknown[0]!r} is no parameter with a size of model {model.name}; it has {', '.join(sizes)}"

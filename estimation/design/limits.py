@@ -1,17 +1,4 @@
-"""What a designed manoeuvre may do: amplitude and rate of each control, and the motion it may cause.
-
-A file for `--limits`, angles in degrees because people write it:
-
-    [controls.delta_a]
-    amplitude_deg = 6.0      # either side of trim
-    rate_deg_s = 200.0
-
-    [response]               # either side of trim, or [least, most]
-    beta_deg = 12.0
-    phi_deg = 35.0
-    load_factor = [0.3, 2.2]
-    airspeed = [12.0, 22.0]  # m/s
-"""
+"""Where a manoeuvre begins, straight and level, and what it may do: amplitude and rate of controls, the motion it causes."""
 
 import math
 from collections.abc import Mapping
@@ -19,10 +6,73 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError, field_validator
 
+from daq.contract.constants import GRAVITY
 from daq.contract.input_files import read_toml
+from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
+from estimation.models.base import Model
+
+USUAL_ALPHA = 0.08
+"""Angle of attack [rad] where lift and pitching moment of the aircraft are not known: that of a small aircraft at cruise."""
+
+TRIM_ROUNDS = 8
+"""Of the fixed point of lift and thrust: thrust's share of lift is some hundredths, so each round gains two digits."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Values by name of states, inputs and outputs in trimmed flight; SI and radians. notes: what was assumed."""
+
+    values: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    def trim_value(self, name: str) -> float:
+        """Trim value of a signal; 0 for what rests."""
+        return self.values.get(name, 0.0)
+
+
+def trimmed(model: Model, aircraft: Aircraft, speed: float, density: float) -> Condition:
+    """Level flight: CL q S + T sin(alpha) = m g, Cm = 0 for alpha and delta_e (linear), T cos(alpha) = drag.
+
+    speed: true airspeed [m/s]; density [kg/m3]; thrust acts along x.
+    """
+    values = {**{n: p.value for n, p in aircraft.derivatives.items()}, **model.starts()}
+    base = {"V": speed, "rho": density, "g": GRAVITY}
+    derivatives = ("CL_alpha", "Cm_alpha", "Cm_de")
+    if any(values.get(n, 0.0) == 0.0 for n in derivatives):
+        note = (
+            f"lift and pitching moment are not known: alpha and theta are taken as {math.degrees(USUAL_ALPHA):.1f} deg"
+        )
+        return Condition({**base, "alpha": USUAL_ALPHA, "theta": USUAL_ALPHA}, (note,))
+    pressure = 0.5 * density * speed**2 * aircraft.area
+    matrix = [[values["CL_alpha"], values.get("CL_de", 0.0)], [values["Cm_alpha"], values["Cm_de"]]]
+    alpha = elevator = thrust = 0.0
+    for _ in range(TRIM_ROUNDS):
+        lift = (aircraft.mass * GRAVITY - thrust * math.sin(alpha)) / pressure
+        right = [lift - values.get("CL_0", 0.0), -values.get("Cm_0", 0.0)]
+        alpha, elevator = np.linalg.solve(matrix, right).tolist()
+        thrust = pressure * (values.get("CD_0", 0.0) + values.get("CD_k", 0.0) * lift**2) / math.cos(alpha)
+    trim_values = {"alpha": alpha, "theta": alpha, "delta_e": elevator, "thrust": thrust}
+    acceleration_values = {"az": -GRAVITY * math.cos(alpha), "ax": GRAVITY * math.sin(alpha)}
+    return Condition({**base, **trim_values, **acceleration_values})
+
+
+# What a designed manoeuvre may do: amplitude and rate of each control, and the motion it may cause.
+#
+# A file for `--limits`, angles in degrees because people write it:
+#
+#     [controls.delta_a]
+#     amplitude_deg = 6.0      # either side of trim
+#     rate_deg_s = 200.0
+#
+#     [response]               # either side of trim, or [least, most]
+#     beta_deg = 12.0
+#     phi_deg = 35.0
+#     load_factor = [0.3, 2.2]
+#     airspeed = [12.0, 22.0]  # m/s
 
 Range = tuple[float, float]
 USUAL_AMPLITUDE = {"delta_a": math.radians(6.0), "delta_r": math.radians(3.5), "delta_e": math.radians(3.0)}
@@ -51,10 +101,10 @@ class LimitsFile(BaseModel):
     @field_validator("response")
     @classmethod
     def _ranges_in_order(cls, value: dict[str, float | Range]) -> dict[str, float | Range]:
-        for name, allowed in value.items():
-            least, most = allowed if isinstance(allowed, tuple) else (-allowed, allowed)
-            if not (math.isfinite(least) and math.isfinite(most) and least < most):
-                raise ValueError(f"{name} = {allowed}: write a positive number, or [least, most]")
+        for name, range_allowed in value.items():
+            lowest, highest = range_allowed if isinstance(range_allowed, tuple) else (-range_allowed, range_allowed)
+            if not (math.isfinite(lowest) and math.isfinite(highest) and lowest < highest):
+                raise ValueError(f"{name} = {range_allowed}: write a positive number, or [least, most]")
         return value
 
 
@@ -89,15 +139,15 @@ def load_limits(path: Path) -> Limits:
         return _limits(LimitsFile.model_validate(read_toml(path, "file of limits", EstimationError)))
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise EstimationError(f"{path}: {where}: {first['msg']}; see docs/design.md") from error
+        key_path = ".".join(str(part) for part in first["loc"])
+        raise EstimationError(f"{path}: {key_path}: {first['msg']}; see docs/design.md") from error
 
 
 def _limits(file: LimitsFile) -> Limits:
     return Limits(
         {name: math.radians(c.amplitude_deg) for name, c in file.controls.items()},
         {name: math.radians(c.rate_deg_s) for name, c in file.controls.items()},
-        dict(_response(name, allowed) for name, allowed in file.response.items()),
+        dict(_response(name, range_allowed) for name, range_allowed in file.response.items()),
     )
 
 

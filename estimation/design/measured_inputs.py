@@ -16,17 +16,14 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.design.predict import NOISE, DesignSetting, PredictedMotion, output_noise, sampled
-from estimation.engine.data import FlightData
-from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Signal
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.pipeline import prepare_all
+from groundstation.flight import Array, Flight
 
 DRAWS = 50
 """Flights with noisy inputs: the standard deviation that they add is known to 10 %."""
@@ -42,7 +39,7 @@ SURFACE_NOISE = math.radians(0.07)
 """Of a potentiometer read with 12 bits, 1 sigma [rad]."""
 
 
-def expected(
+def expected_errors(
     bench: DesignSetting, motion: PredictedMotion, bounds: Mapping[str, float], seed: int, draws: int = DRAWS
 ) -> dict[str, float]:
     """Standard deviation that estimates from this motion will have with all sensors noisy, by parameter.
@@ -53,41 +50,42 @@ def expected(
     rng = np.random.default_rng([seed, 21])
     simulator = Simulator.build(bench.model)
     values = {**bench.model.starts(), **bench.values}
-    x0 = np.array([bench.condition.of(s.name) for s in bench.model.states])
+    x0 = np.array([bench.condition.trim_value(s.name) for s in bench.model.states])
     run = simulator.run(_flight(bench, motion, None).segments[0], values, x0, sensitivities=True)
     if run.dy is None or not run.finite:
         raise EstimationError(
             f"model {bench.model.name} leaves all bounds in this manoeuvre; make it smaller or shorter"
         )
     count = draws if len(run.y) <= USUAL_SAMPLES else max(LEAST_DRAWS, draws * USUAL_SAMPLES // len(run.y))
-    shown = [simulator.run(_flight(bench, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)]
-    finite = [d for d in shown if np.isfinite(d).all()]
+    output_errors = [simulator.run(_flight(bench, motion, rng).segments[0], values, x0).y - run.y for _ in range(count)]
+    finite = [d for d in output_errors if np.isfinite(d).all()]
     if not finite:
         raise EstimationError(
             f"model {bench.model.name} leaves all bounds where its inputs are as noisy as measured ones"
         )
-    within = np.mean([d.T @ d / len(d) for d in finite], axis=0)
-    std = _scatter(run.dy, _own(bench, run.y, np.diag(within)), within, finite)
+    error_covariance = np.mean([d.T @ d / len(d) for d in finite], axis=0)
+    std = _scatter(run.dy, _sensor_noise(bench, run.y, np.diag(error_covariance)), error_covariance, finite)
     return {n: float(std[i]) if math.isfinite(bounds[n]) else math.inf for i, n in enumerate(simulator.free)}
 
 
-def _own(bench: DesignSetting, y: Array, shown: Array) -> Array:
+def _sensor_noise(bench: DesignSetting, y: Array, shown: Array) -> Array:
     """(ny, ny) noise of the sensors themselves. shown (ny,): variance that noisy inputs add."""
     variance = np.array([output_noise(bench, s, y[:, i]) ** 2 for i, s in enumerate(bench.model.outputs)])
     return np.diag(np.maximum(variance - shown, LEAST_OWN * variance) if bench.noise_of_residuals else variance)
 
 
-def _scatter(sensitivities: Array, own: Array, within: Array, shown: list[Array]) -> Array:
-    """Standard deviation of each unknown. sensitivities (N, ny, n); own, within (ny, ny): R, D_0; shown: (N, ny) draws of d."""
-    weight = np.linalg.inv(own + within)
+def _scatter(sensitivities: Array, sensor_noise: Array, error_covariance: Array, output_errors: list[Array]) -> Array:
+    """Standard deviation of each unknown. sensitivities (N, ny, n); sensor_noise, error_covariance (ny, ny): R, D_0;
+    output_errors: (N, ny) draws of d."""
+    weight = np.linalg.inv(sensor_noise + error_covariance)
     weighted = np.einsum("tyn,yz->tzn", sensitivities, weight)
     scale = np.sqrt(np.maximum(np.einsum("tyn,tyn->n", weighted, sensitivities), 1e-300))
     weighted = weighted / scale
     inverse = np.linalg.pinv(np.einsum("tyn,tym->nm", weighted, sensitivities / scale), rcond=1e-12, hermitian=True)
-    middle = np.einsum("tyn,yz,tzm->nm", weighted, own, weighted)
-    for d in shown:
+    middle = np.einsum("tyn,yz,tzm->nm", weighted, sensor_noise, weighted)
+    for d in output_errors:
         slope = np.einsum("tyn,ty->n", weighted, d)
-        middle += np.outer(slope, slope) / len(shown)
+        middle += np.outer(slope, slope) / len(output_errors)
     return np.sqrt(np.diag(inverse @ middle @ inverse)) / scale
 
 
@@ -97,13 +95,15 @@ def _flight(bench: DesignSetting, motion: PredictedMotion, rng: np.random.Genera
     columns = {}
     for signal in (*bench.model.inputs, *bench.model.states, *bench.model.outputs):
         values = motion.surfaces.get(signal.name, motion.signals.get(signal.name))
-        columns[signal.source] = np.full(keep.size, bench.condition.of(signal.name)) if values is None else values[keep]
+        columns[signal.source] = (
+            np.full(keep.size, bench.condition.trim_value(signal.name)) if values is None else values[keep]
+        )
     if rng is not None:
         for signal in bench.model.inputs:
             columns[signal.source] = columns[signal.source] + input_noise(bench, signal) * rng.standard_normal(
                 keep.size
             )
-    return prepared(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
+    return prepare_all(bench.model, Flight.build("predicted", motion.time[keep], columns))[0]
 
 
 def input_noise(bench: DesignSetting, signal: Signal) -> float:

@@ -28,8 +28,8 @@ from estimation.design.predict import (
 )
 from estimation.design.shapes import STARTS, Multisine, deal, flat, from_zero, low_peak_multisine, total
 from estimation.errors import EstimationError
+from groundstation.flight import Array
 
-Array = NDArray[np.float64]
 Criterion = Callable[[Array], tuple[float, Array]]
 """Covariance of the relative errors (n, n) -> value to make small, and its derivative with respect to the covariance."""
 
@@ -63,19 +63,19 @@ def measure(
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     if not motion.reached:
         raise EstimationError(f"{kind}: the model leaves all bounds in this manoeuvre; make it smaller or shorter")
-    used = tuple(limits_used(bench, limits, commands, motion))
-    return Designed(kind, commands, motion, information(bench, motion), used, tuple(waves))
+    limit_use = tuple(limits_used(bench, limits, commands, motion))
+    return Designed(kind, commands, motion, information(bench, motion), limit_use, tuple(waves))
 
 
 def fitted_size(bench: DesignSetting, limits: Limits, commands: Array) -> float:
     """Largest factor, at most 1e3, at which commands keep inside every limit; by halving, because motion is not linear."""
 
     def inside(factor: float) -> bool:
-        return _inside(bench, limits, factor * commands)
+        return _within_limits(bench, limits, factor * commands)
 
     peaks = np.abs(commands).max(axis=0)
-    allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
-    high = min(1e3, float(np.min(allowed / np.maximum(peaks, 1e-12))))
+    amplitudes_allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
+    high = min(1e3, float(np.min(amplitudes_allowed / np.maximum(peaks, 1e-12))))
     if inside(high):
         return high
     low = 0.0
@@ -92,8 +92,8 @@ def each_fitted(bench: DesignSetting, limits: Limits, commands: Array) -> Array:
         low, high = 1.0, limits.amplitude_of(bench.controls[i]) / _peak(factors[i] * commands[:, i])
         for _ in range(SIZES if high > 1.0 + 1e-6 else 0):
             middle = 0.5 * (low + high)
-            tried = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
-            low, high = (middle, high) if _inside(bench, limits, tried * commands) else (low, middle)
+            trial_factors = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
+            low, high = (middle, high) if _within_limits(bench, limits, trial_factors * commands) else (low, middle)
         factors[i] *= low
     return factors
 
@@ -102,7 +102,7 @@ def _peak(values: Array) -> float:
     return max(float(np.abs(values).max()), 1e-12)
 
 
-def _inside(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
+def _within_limits(bench: DesignSetting, limits: Limits, commands: Array) -> bool:
     motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
     # a rounding above 1 where a control stands at its own limit
     return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
@@ -131,28 +131,28 @@ def look_at_harmonics(bench: DesignSetting, limits: Limits, period: float, band:
             commands = np.zeros((time.size, len(bench.controls)))
             commands[:, control] = PROBE * np.sin(2.0 * math.pi * k * time / period)
             motion = fly(bench, commands, period)
-            told = information(bench, motion)
-            names = told.names
+            harmonic_information = information(bench, motion)
+            names = harmonic_information.names
             controls.append(control)
-            matrices.append(told.matrix / (0.5 * PROBE**2))
+            matrices.append(harmonic_information.matrix / (0.5 * PROBE**2))
             power.append([u.share**2 / (0.5 * PROBE**2) for u in limits_used(bench, limits, commands, motion)])
     return Harmonics(np.array(controls), np.array(matrices), np.array(power), names)
 
 
-def allocate(found: Harmonics, scale: Array, criterion: Criterion) -> Array:
+def allocate(harmonics: Harmonics, scale: Array, criterion: Criterion) -> Array:
     """(K,) power of each harmonic at which the criterion of the relative covariance is least, no limited signal above 1."""
-    weights = 1.0 / found.power.sum(axis=1)
-    weights /= float((weights @ found.power).max())
-    multipliers = np.full(found.power.shape[1], 1.0 / found.power.shape[1])
-    relative = found.information * scale[None, :, None] * scale[None, None, :]
+    weights = 1.0 / harmonics.power.sum(axis=1)
+    weights /= float((weights @ harmonics.power).max())
+    multipliers = np.full(harmonics.power.shape[1], 1.0 / harmonics.power.shape[1])
+    relative = harmonics.information * scale[None, :, None] * scale[None, None, :]
     last = math.inf
     for _ in range(ROUNDS):
-        whole = np.tensordot(weights, relative, axes=1)
-        covariance = np.linalg.pinv(whole, rcond=1e-12, hermitian=True)
+        total_information = np.tensordot(weights, relative, axes=1)
+        covariance = np.linalg.pinv(total_information, rcond=1e-12, hermitian=True)
         value, slope = criterion(covariance)
         gain = np.einsum("ij,kji->k", covariance @ slope @ covariance, relative)
-        weights = weights * np.sqrt(np.maximum(gain, 0.0) / (found.power @ multipliers))
-        share = weights @ found.power
+        weights = weights * np.sqrt(np.maximum(gain, 0.0) / (harmonics.power @ multipliers))
+        share = weights @ harmonics.power
         weights /= float(share.max())
         multipliers = multipliers * np.sqrt(share / share.max())
         multipliers /= multipliers.sum()
@@ -188,7 +188,6 @@ def worst_of(chosen: NDArray[np.bool_]) -> Criterion:
 
 
 def one_of(index: int) -> Criterion:
-    """The bound of one parameter."""
 
     def criterion(covariance: Array) -> tuple[float, Array]:
         slope = np.zeros_like(covariance)
@@ -210,9 +209,9 @@ def multisine(
 
     weights: control -> (K,) power of its harmonics; None: flat, each control to its own amplitude's share.
     """
-    dealt = deal(len(bench.controls), period, band)
+    harmonics_by_control = deal(len(bench.controls), period, band)
     waves = []
-    for i, (control, harmonics) in enumerate(zip(bench.controls, dealt, strict=True)):
+    for i, (control, harmonics) in enumerate(zip(bench.controls, harmonics_by_control, strict=True)):
         power = flat(harmonics.size) if weights is None else weights[i]
         keep = power >= LEAST_SHARE * power.max()
         wave = low_peak_multisine(
@@ -222,14 +221,14 @@ def multisine(
         size = limits.amplitude_of(control) / peak if weights is None else math.sqrt(float(power.sum()))
         waves.append(wave.scaled(size))
     time = np.arange(0.0, period + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
-    waves = calm(bench, limits, waves, time)
+    waves = calmest_shifts(bench, limits, waves, time)
     commands = total(waves, time)
     factors = each_fitted(bench, limits, commands)
     waves = [w.scaled(f) for w, f in zip(waves, factors.tolist(), strict=True)]
     return measure(bench, limits, "multisine", factors * commands, waves)
 
 
-def calm(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
+def calmest_shifts(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
     """The waves, each but the first shifted to the zero crossing at which the motion keeps furthest from its limits."""
 
     def pressed(tried: Sequence[Multisine]) -> float:
@@ -239,13 +238,13 @@ def calm(bench: DesignSetting, limits: Limits, waves: Sequence[Multisine], time:
             return math.inf
         return max(u.share for u in limits_used(bench, limits, commands, motion) if u.name not in bench.controls)
 
-    chosen = list(waves)
-    if not limits.response or pressed(chosen) <= 1.0:
-        return chosen
-    for i in range(len(chosen)):
-        variants = [v for shifted in from_zero(chosen[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
-        chosen[i] = min(variants, key=lambda v: pressed([*chosen[:i], v, *chosen[i + 1 :]]))
-    return chosen
+    chosen_waves = list(waves)
+    if not limits.response or pressed(chosen_waves) <= 1.0:
+        return chosen_waves
+    for i in range(len(chosen_waves)):
+        variants = [v for shifted in from_zero(chosen_waves[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
+        chosen_waves[i] = min(variants, key=lambda v: pressed([*chosen_waves[:i], v, *chosen_waves[i + 1 :]]))
+    return chosen_waves
 
 
 def optimal(
@@ -263,9 +262,9 @@ def optimal(
     scale: parameter -> size that its error is measured by (parameters without one enter as they are, constants).
     criterion: told the names, gives what to make small. judge: of what was flown.
     """
-    found = look_at_harmonics(bench, limits, period, band)
-    sizes = np.array([abs(scale.get(n, 0.0)) for n in found.names])
-    weights = allocate(found, np.where(sizes > 0.0, sizes, 1.0), criterion(found.names))
-    shares = {i: weights[found.control == i] for i in range(len(bench.controls))}
+    harmonics = look_at_harmonics(bench, limits, period, band)
+    sizes = np.array([abs(scale.get(n, 0.0)) for n in harmonics.names])
+    weights = allocate(harmonics, np.where(sizes > 0.0, sizes, 1.0), criterion(harmonics.names))
+    shares = {i: weights[harmonics.control == i] for i in range(len(bench.controls))}
     candidates = (multisine(bench, limits, period, band, rng), multisine(bench, limits, period, band, rng, shares))
     return replace(min(candidates, key=judge), kind="optimal")

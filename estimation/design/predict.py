@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.constants import GRAVITY
-from estimation.design.condition import Condition
-from estimation.design.limits import Limits
-from estimation.engine.data import Segment
+from estimation.design.limits import Condition, Limits
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
 from estimation.models.base import Model, Parameter, Signal
-
-Array = NDArray[np.float64]
+from estimation.prepare.flight_data import Segment
+from groundstation.flight import Array
 
 SERVO_LAG = 0.04
 """Time constant of a servo [s]: a hobby servo reaches a step in about 0.1 s."""
@@ -55,11 +53,12 @@ class DesignSetting:
     noise_of_residuals: bool = False
 
     def __post_init__(self) -> None:
-        known = [s.name for s in self.model.inputs if s.control]
-        wrong = [c for c in self.controls if c not in known]
-        if wrong or not self.controls:
+        controls = [s.name for s in self.model.inputs if s.control]
+        unknown_controls = [c for c in self.controls if c not in controls]
+        if unknown_controls or not self.controls:
             raise EstimationError(
-                f"model {self.model.name} has the controls {', '.join(known) or 'none'}, not {', '.join(wrong) or 'none'}"
+                f"model {self.model.name} has the controls {', '.join(controls) or 'none'},"
+                f" not {', '.join(unknown_controls) or 'none'}"
             )
 
 
@@ -97,17 +96,17 @@ class DesignInformation:
     def std(self) -> dict[str, float]:
         """Cramer-Rao bound of each parameter; inf where the input tells nothing of it."""
         scale = np.sqrt(np.diag(self.matrix))
-        seen = scale > 0.0
+        informed = scale > 0.0
         bound = np.full(len(self.names), np.inf)
-        if seen.any():
-            normal = self.matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
+        if informed.any():
+            normal = self.matrix[np.ix_(informed, informed)] / np.outer(scale[informed], scale[informed])
             values, vectors = np.linalg.eigh(normal)
             # Directions of less than 1e-12 of the largest are rounding: what lies along them is not told.
             inverse = np.where(values > 1e-12 * values.max(), 1.0 / np.maximum(values, 1e-300), np.inf)
             spread = np.where(vectors**2 > 1e-9, vectors**2, 0.0)
             with np.errstate(invalid="ignore"):
                 variance = np.nansum(np.where(spread > 0.0, spread * inverse, 0.0), axis=1)
-            bound[seen] = np.sqrt(variance) / scale[seen]
+            bound[informed] = np.sqrt(variance) / scale[informed]
         return dict(zip(self.names, bound.tolist(), strict=True))
 
 
@@ -133,22 +132,22 @@ def driven_model(bench: DesignSetting) -> Model:
 
 
 def _holding(bench: DesignSetting, control: str) -> str:
-    held = HOLD_GAIN.get(control)
-    if not bench.held or held is None or held[0] not in bench.model.state_names:
+    hold = HOLD_GAIN.get(control)
+    if not bench.held or hold is None or hold[0] not in bench.model.state_names:
         return ""
-    signal, gain = held
-    return f" + {gain}*({signal} - ({bench.condition.of(signal)!r}))"
+    signal, gain = hold
+    return f" + {gain}*({signal} - ({bench.condition.trim_value(signal)!r}))"
 
 
 def fly(bench: DesignSetting, commands: Array, duration: float) -> PredictedMotion:
     """The motion that commands (N, nu) [rad], increments at INTEGRATION_STEP over `duration` [s], would cause."""
     model = driven_model(bench)
     time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
-    u = np.tile([bench.condition.of(s.name) for s in model.inputs], (len(time), 1))
+    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (len(time), 1))
     first = len(model.inputs) - len(bench.controls)
-    trim = np.array([bench.condition.of(c) for c in bench.controls])
+    trim = np.array([bench.condition.trim_value(c) for c in bench.controls])
     u[:, first:] = trim + commands
-    x0 = np.array([bench.condition.of(s.name) for s in model.states])
+    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
     z = np.full((len(time), len(model.outputs)), np.nan)
     simulator = Simulator.build(model, (), hold="linear")
     motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **bench.values}, x0)
@@ -167,11 +166,11 @@ def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformat
     """What samples of this motion at the bench's rate would tell of the free parameters."""
     keep = sampled(bench, motion)
     model = bench.model
-    u = np.tile([bench.condition.of(s.name) for s in model.inputs], (keep.size, 1))
+    u = np.tile([bench.condition.trim_value(s.name) for s in model.inputs], (keep.size, 1))
     for i, signal in enumerate(model.inputs):
         if signal.name in motion.surfaces:
             u[:, i] = motion.surfaces[signal.name][keep]
-    x0 = np.array([bench.condition.of(s.name) for s in model.states])
+    x0 = np.array([bench.condition.trim_value(s.name) for s in model.states])
     z = np.full((keep.size, len(model.outputs)), np.nan)
     simulator = Simulator.build(model)
     run = simulator.run(
@@ -184,31 +183,33 @@ def information(bench: DesignSetting, motion: PredictedMotion) -> DesignInformat
     full = scaled.T @ scaled
     n = len(simulator.free)
     by_state = full[n:, n:]
-    kept = full[:n, :n] - full[:n, n:] @ np.linalg.pinv(by_state, rcond=1e-12, hermitian=True) @ full[n:, :n]
-    return DesignInformation(simulator.free, 0.5 * (kept + kept.T))
+    parameter_information = (
+        full[:n, :n] - full[:n, n:] @ np.linalg.pinv(by_state, rcond=1e-12, hermitian=True) @ full[n:, :n]
+    )
+    return DesignInformation(simulator.free, 0.5 * (parameter_information + parameter_information.T))
 
 
 def output_noise(bench: DesignSetting, signal: Signal, values: Array) -> float:
     """Noise of one output's instrument, 1 sigma."""
-    known = bench.noise.get(signal.name, NOISE.get(signal.name))
-    return known if known else max(OTHER_NOISE_SHARE * float(np.ptp(values)), 1e-9)
+    stated_noise = bench.noise.get(signal.name, NOISE.get(signal.name))
+    return stated_noise if stated_noise else max(OTHER_NOISE_SHARE * float(np.ptp(values)), 1e-9)
 
 
 def limits_used(bench: DesignSetting, limits: Limits, commands: Array, motion: PredictedMotion) -> list[LimitUse]:
     """How much of every limit a manoeuvre uses; limits on signals that the model does not have are left out."""
-    used = [
+    limit_uses = [
         LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
     ]
     signals = dict(motion.signals)
     if "az" in signals:
         signals["load_factor"] = -signals["az"] / GRAVITY
-    for name, (least, most, relative) in limits.response.items():
+    for name, (lowest, highest, relative) in limits.response.items():
         if name not in signals:
             continue
         trim = signals[name][0] if relative else 0.0
-        middle, half = trim + 0.5 * (least + most), 0.5 * (most - least)
-        used.append(LimitUse(name, float(np.abs(signals[name] - middle).max()), half))
-    return used
+        middle, half = trim + 0.5 * (lowest + highest), 0.5 * (highest - lowest)
+        limit_uses.append(LimitUse(name, float(np.abs(signals[name] - middle).max()), half))
+    return limit_uses
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:
@@ -216,6 +217,6 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     return model.with_starts({n: v for n, v in values.items() if n in model.parameter_names})
 
 
-def told(parameters: Sequence[Parameter]) -> list[str]:
+def estimated_names(parameters: Sequence[Parameter]) -> list[str]:
     """Derivatives proper, whose relative bound means something: constants and what is believed to be zero are left out."""
     return [p.name for p in parameters if not p.fixed and not p.name.endswith("_0") and (p.reference or p.start) != 0.0]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 PATTERNS: Mapping[str, tuple[float, ...]] = {
     "doublet": (1.0, -1.0),
@@ -51,7 +51,6 @@ class Multisine:
         return -float(np.sin(speed * time + self.phases) @ (self.amplitudes * speed))
 
     def scaled(self, factor: float) -> "Multisine":
-        """The same shape, larger or smaller."""
         return Multisine(self.period, self.harmonics, factor * self.amplitudes, self.phases)
 
 
@@ -70,13 +69,13 @@ def pattern(name: str, time: Array, start: float, width: float, amplitude: float
 
 def chirp(time: Array, start: float, length: float, band: tuple[float, float], amplitude: float) -> Array:
     """(N,) a logarithmic sweep through `band` [Hz], faded in and out over a tenth of its length each (CIFER's habit)."""
-    since = (time - start) / length
-    inside = (since >= 0.0) & (since <= 1.0)
+    relative_time = (time - start) / length
+    during_sweep = (relative_time >= 0.0) & (relative_time <= 1.0)
     low, high = band
     ratio = high / low
-    phase = 2.0 * math.pi * low * length * (ratio**since - 1.0) / math.log(ratio)
-    fade = np.clip(10.0 * np.minimum(since, 1.0 - since), 0.0, 1.0)
-    return np.where(inside, amplitude * fade * np.sin(phase), 0.0)
+    phase = 2.0 * math.pi * low * length * (ratio**relative_time - 1.0) / math.log(ratio)
+    fade = np.clip(10.0 * np.minimum(relative_time, 1.0 - relative_time), 0.0, 1.0)
+    return np.where(during_sweep, amplitude * fade * np.sin(phase), 0.0)
 
 
 def deal(count: int, period: float, band: tuple[float, float]) -> list[NDArray[np.int64]]:
@@ -104,13 +103,13 @@ def low_peak_multisine(
     """
     weights = weights / weights.sum()
     search = _PeakSearch(harmonics, np.sqrt(2.0 * weights))
-    before = np.cumsum(weights) - weights
-    best = search.lowered(-2.0 * math.pi * np.cumsum(before))  # Schroeder 1970, eq 11
+    earlier_power = np.cumsum(weights) - weights
+    best_phases = search.lowered(-2.0 * math.pi * np.cumsum(earlier_power))  # Schroeder 1970, eq 11
     for _ in range(starts - 1):
-        if search.peak(best) < GOOD_PEAK:
+        if search.peak(best_phases) < GOOD_PEAK:
             break
-        best = min(best, search.lowered(rng.uniform(0.0, 2.0 * math.pi, harmonics.size)), key=search.peak)
-    amplitudes, phases = search.parts(best)
+        best_phases = min(best_phases, search.lowered(rng.uniform(0.0, 2.0 * math.pi, harmonics.size)), key=search.peak)
+    amplitudes, phases = search.parts(best_phases)
     return from_zero(Multisine(period, harmonics, amplitudes, phases))[0]
 
 
@@ -133,7 +132,6 @@ class _PeakSearch:
         return raw / math.sqrt(0.5 * raw @ raw), unknowns[self._count :]
 
     def peak(self, unknowns: Array) -> float:
-        """Relative peak factor."""
         amplitudes, phases = self.parts(unknowns)
         return relative_peak_factor(self._wave(amplitudes, phases))
 
@@ -144,8 +142,8 @@ class _PeakSearch:
         unknowns = np.concatenate([np.zeros(self._count), phases])
         bounds = [(-_FREEDOM, _FREEDOM)] * self._count + [(None, None)] * self._count
         for power in _POWERS:
-            found = minimize(self._norm, unknowns, args=(power,), jac=True, method="L-BFGS-B", bounds=bounds)
-            unknowns = found.x
+            minimum = minimize(self._norm, unknowns, args=(power,), jac=True, method="L-BFGS-B", bounds=bounds)
+            unknowns = minimum.x
         return unknowns
 
     def _wave(self, amplitudes: Array, phases: Array) -> Array:
@@ -157,12 +155,12 @@ class _PeakSearch:
         u = self._wave(amplitudes, phases)
         top = float(np.abs(u).max())
         powers = (u / top) ** (power - 1)
-        whole = float(powers @ u) / top
-        along_cos, along_sin = powers @ self._cos / (top * whole), powers @ self._sin / (top * whole)
+        power_sum = float(powers @ u) / top
+        along_cos, along_sin = powers @ self._cos / (top * power_sum), powers @ self._sin / (top * power_sum)
         by_phase = -amplitudes * (along_sin * np.cos(phases) + along_cos * np.sin(phases))
-        alone = amplitudes * (along_cos * np.cos(phases) - along_sin * np.sin(phases))
-        by_size = alone - alone.sum() * 0.5 * amplitudes**2  # the rms stays 1
-        return math.log(whole) / power + math.log(top), np.concatenate([by_size, by_phase])
+        direct_slope = amplitudes * (along_cos * np.cos(phases) - along_sin * np.sin(phases))
+        by_size = direct_slope - direct_slope.sum() * 0.5 * amplitudes**2  # the rms stays 1
+        return math.log(power_sum) / power + math.log(top), np.concatenate([by_size, by_phase])
 
 
 def from_zero(wave: Multisine) -> list[Multisine]:
@@ -174,14 +172,14 @@ def from_zero(wave: Multisine) -> list[Multisine]:
     u = wave.values(fine)
     following = np.roll(u, -1)
     crossings = np.flatnonzero(np.sign(u) != np.sign(following))
-    found = []
-    for at in crossings[np.argsort(np.abs(following - u)[crossings])].tolist():
-        instant = fine[at] + fine[1] * u[at] / (u[at] - following[at])
+    shifted_waves = []
+    for crossing in crossings[np.argsort(np.abs(following - u)[crossings])].tolist():
+        instant = fine[crossing] + fine[1] * u[crossing] / (u[crossing] - following[crossing])
         for _ in range(3):  # Newton's steps from so near end at rounding
             instant -= float(wave.values(np.array([instant]))[0]) / wave.slope(instant)
         shift = 2.0 * math.pi * wave.harmonics * instant / wave.period
-        found.append(replace(wave, phases=(wave.phases + shift) % (2.0 * math.pi)))
-    return found
+        shifted_waves.append(replace(wave, phases=(wave.phases + shift) % (2.0 * math.pi)))
+    return shifted_waves
 
 
 def flat(count: int) -> Array:

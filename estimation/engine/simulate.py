@@ -11,12 +11,13 @@ from typing import Literal
 import numpy as np
 
 from estimation.engine.compiled import compile_kernel
-from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, prepare
 from estimation.engine.kernel import Array, Kernel, SegmentInputs, SegmentMotion, SensitivityColumns
 from estimation.engine.transforms import acting_on, apply_transforms, transform_derivatives
 from estimation.models.base import Model
 from estimation.models.parts import ModelStructure
-from estimation.signals.monotone_cubic import half_way, inner_slopes
+from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, Segment
+from estimation.prepare.pipeline import prepare
+from estimation.signals.curves import half_way, inner_slopes
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "never"]
@@ -36,9 +37,9 @@ def usual_hold(model: Model) -> Hold:
 
 @lru_cache(maxsize=128)
 def _kernel(structure: ModelStructure, compile_: Compile) -> Kernel:
-    found = None if compile_ == "never" else compile_kernel(structure)
-    if found is not None:
-        return found
+    compiled = None if compile_ == "never" else compile_kernel(structure)
+    if compiled is not None:
+        return compiled
     from estimation.engine.virtual import VirtualKernel
 
     return VirtualKernel(structure)
@@ -70,8 +71,8 @@ class Simulator:
         hold: Hold | None = None,
     ) -> "Simulator":
         """hold: as `usual_hold` says unless given."""
-        chosen = hold or usual_hold(model)
-        return cls(model, model.free_names if free is None else free, kernel_for(model, compile_), substeps, chosen)
+        hold_used = hold or usual_hold(model)
+        return cls(model, model.free_names if free is None else free, kernel_for(model, compile_), substeps, hold_used)
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Parameters and constants in the order of the traced functions."""
@@ -85,16 +86,16 @@ class Simulator:
         the inputs."""
         nx, ny = len(self.model.states), len(self.model.outputs)
         names = (*self.model.parameter_names, *self.model.structure.constants_kept)
-        at = {name: i for i, name in enumerate(self.free)}
-        parameter = np.array([at.get(n, -1) for n in names], np.int32)
+        position = {name: i for i, name in enumerate(self.free)}
+        parameter = np.array([position.get(n, -1) for n in names], np.int32)
         count = len(self.free) + nx
         state = np.arange(len(self.free), count, dtype=np.int32)
-        transform = np.array([at[n] for n in self._transform_names()], np.int32)
+        transform = np.array([position[n] for n in self._transform_names()], np.int32)
         gain = np.full((nx, ny), -1, np.int32)
         if gain_free is not None:
-            where = np.argwhere(gain_free)
-            gain[where[:, 0], where[:, 1]] = np.arange(count, count + len(where))
-            count += len(where)
+            entries = np.argwhere(gain_free)
+            gain[entries[:, 0], entries[:, 1]] = np.arange(count, count + len(entries))
+            count += len(entries)
         transform = np.concatenate([transform, np.arange(count, count + moved, dtype=np.int32)])
         return SensitivityColumns(count + moved, parameter, state, transform, gain)
 
@@ -126,28 +127,28 @@ class Simulator:
     def _bends(self, u: Array, step: Array, values: Mapping[str, float]) -> Array:
         """(N, nu) what a parameter of the way between samples adds half-way: the straight line plus its share of the step,
         where there is one, in place of the usual way."""
-        added = np.zeros_like(u)
+        bends = np.zeros_like(u)
         if not self._bent():
-            return added
-        usual = self._middle(u, step)
+            return bends
+        middle = self._middle(u, step)
         for column, name in self._bent():
             line = 0.5 * (u[:-1, column] + u[1:, column])
-            added[:-1, column] = line + values[name] * np.diff(u[:, column]) - usual[:-1, column]
-        return added
+            bends[:-1, column] = line + values[name] * np.diff(u[:, column]) - middle[:-1, column]
+        return bends
 
     def _bend_slopes(self, u: Array, du: Array, step: Array, values: Mapping[str, float]) -> Array:
         """(N, nu, nt) derivatives of `_bends`."""
-        added = np.zeros_like(du)
+        slopes = np.zeros_like(du)
         if not du.shape[2] or not self._bent():
-            return added
-        usual = self._middle_slopes(u, du, step)
+            return slopes
+        middle = self._middle_slopes(u, du, step)
         names = self._transform_names()
         for column, name in self._bent():
             line = 0.5 * (du[:-1, column] + du[1:, column])
-            added[:-1, column] = line + values[name] * np.diff(du[:, column], axis=0) - usual[:-1, column]
+            slopes[:-1, column] = line + values[name] * np.diff(du[:, column], axis=0) - middle[:-1, column]
             if name in names:
-                added[:-1, column, names.index(name)] += np.diff(u[:, column])
-        return added
+                slopes[:-1, column, names.index(name)] += np.diff(u[:, column])
+        return slopes
 
     def _transformed(
         self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
@@ -167,20 +168,20 @@ class Simulator:
 
     def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
         """Changes (N, nu, k) of the transformed inputs with small changes of the inputs themselves."""
-        model, found = self.model, moved.copy()
+        model, changes = self.model, moved.copy()
         transformed = {t.input for t in model.transforms}
         for k in range(moved.shape[2]):
-            moving = {n for i, n in enumerate(model.input_names) if n in transformed and moved[:, i, k].any()}
-            if not moving:
+            affected = {n for i, n in enumerate(model.input_names) if n in transformed and moved[:, i, k].any()}
+            if not affected:
                 continue
-            concerned, columns = acting_on(moving, model.transforms, model.input_names)
-            inputs, own = tuple(model.input_names[c] for c in columns), segment.u[:, columns]
-            up, down = (
-                apply_transforms(concerned, inputs, segment.time, own + share * moved[:, columns, k], values)
+            concerned, columns = acting_on(affected, model.transforms, model.input_names)
+            inputs, values_in = tuple(model.input_names[c] for c in columns), segment.u[:, columns]
+            plus, minus = (
+                apply_transforms(concerned, inputs, segment.time, values_in + share * moved[:, columns, k], values)
                 for share in (MOVED, -MOVED)
             )
-            found[:, columns, k] = (up - down) / (2.0 * MOVED)
-        return found
+            changes[:, columns, k] = (plus - minus) / (2.0 * MOVED)
+        return changes
 
     def _end(self, values: Array) -> Array:
         """Inputs (or their derivatives) at the end of the interval after each sample."""
@@ -205,7 +206,9 @@ class Simulator:
             return self._middle(du, step)
         h = 1e-5
         ends = [(u + h * du[:, :, t], u - h * du[:, :, t]) for t in range(du.shape[2])]
-        return np.stack([(self._middle(up, step) - self._middle(down, step)) / (2 * h) for up, down in ends], axis=2)
+        return np.stack(
+            [(self._middle(plus, step) - self._middle(minus, step)) / (2 * h) for plus, minus in ends], axis=2
+        )
 
     def run(
         self,
@@ -268,8 +271,10 @@ class Simulator:
         """
         k, nx, ny = du.shape[2], len(self.model.states), len(self.model.outputs)
         p = self.vector(values)
-        held, kept = np.full(p.size, -1, np.int32), np.full(nx, -1, np.int32)
-        columns = SensitivityColumns(k, held, kept, np.arange(k, dtype=np.int32), np.full((nx, ny), -1, np.int32))
+        no_parameter, no_state = np.full(p.size, -1, np.int32), np.full(nx, -1, np.int32)
+        columns = SensitivityColumns(
+            k, no_parameter, no_state, np.arange(k, dtype=np.int32), np.full((nx, ny), -1, np.int32)
+        )
         du, du_mid = np.ascontiguousarray(du), np.ascontiguousarray(du_mid)
         drive = replace(self.drive(segment, values, False), du=du, du_mid=du_mid, du_end=self._end(du))
         motion = self.kernel.run(drive, p, np.ascontiguousarray(x0, float), self.substeps, columns, gain)
@@ -278,8 +283,8 @@ class Simulator:
         dy = motion.dy.copy()
         for output, name in self.model.output_delays.items():
             c = self.model.output_names.index(output)
-            weights, at, _ = _cubic(segment.time, segment.time - values[name])
-            dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[at, c])
+            weights, rows, _ = _cubic(segment.time, segment.time - values[name])
+            dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[rows, c])
         return dy
 
     def _delayed(self, motion: SegmentMotion, time: Array, values: Mapping[str, float]) -> SegmentMotion:
@@ -288,12 +293,12 @@ class Simulator:
         dy = None if motion.dy is None else motion.dy.copy()
         for output, name in self.model.output_delays.items():
             c = self.model.output_names.index(output)
-            weights, at, slope = _cubic(time, time - values[name])
-            y[:, c] = np.einsum("ij,ij->i", weights, motion.y[at, c])
+            weights, rows, slope = _cubic(time, time - values[name])
+            y[:, c] = np.einsum("ij,ij->i", weights, motion.y[rows, c])
             if dy is not None and motion.dy is not None:
-                dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[at, c])
+                dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[rows, c])
                 if name in self.free:
-                    dy[:, c, self.free.index(name)] -= np.einsum("ij,ij->i", slope, motion.y[at, c])
+                    dy[:, c, self.free.index(name)] -= np.einsum("ij,ij->i", slope, motion.y[rows, c])
         return SegmentMotion(motion.x, y, dy, motion.reached)
 
 
@@ -313,22 +318,22 @@ def _midpoints(u: Array, step: Array) -> Array:
     return half_way(u, slope, length)
 
 
-def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
-    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `wanted` times."""
-    outside = (wanted < time[0]) | (wanted > time[-1])
-    wanted = np.clip(wanted, time[0], time[-1])
-    left = np.clip(np.searchsorted(time, wanted, side="right") - 2, 0, time.size - 4)
-    at = left[:, None] + np.arange(4)
-    knots = time[at]
-    weights, slope = np.ones(at.shape), np.zeros(at.shape)
+def _cubic(time: Array, times: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
+    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `times` times."""
+    outside = (times < time[0]) | (times > time[-1])
+    inside = np.clip(times, time[0], time[-1])
+    first = np.clip(np.searchsorted(time, inside, side="right") - 2, 0, time.size - 4)
+    rows = first[:, None] + np.arange(4)
+    knots = time[rows]
+    weights, slope = np.ones(rows.shape), np.zeros(rows.shape)
     for j in range(4):
-        others = [m for m in range(4) if m != j]
-        gaps = [knots[:, j] - knots[:, m] for m in others]
-        terms = [(wanted - knots[:, m]) / gap for m, gap in zip(others, gaps, strict=True)]
+        rest = [m for m in range(4) if m != j]
+        gaps = [knots[:, j] - knots[:, m] for m in rest]
+        terms = [(inside - knots[:, m]) / gap for m, gap in zip(rest, gaps, strict=True)]
         weights[:, j] = terms[0] * terms[1] * terms[2]
         slope[:, j] = terms[1] * terms[2] / gaps[0] + terms[0] * terms[2] / gaps[1] + terms[0] * terms[1] / gaps[2]
     slope[outside] = 0.0
-    return weights, at, slope
+    return weights, rows, slope
 
 
 # ----------------------------------------------------------------------------------------------- plain functions

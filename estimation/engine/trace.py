@@ -5,7 +5,7 @@ fixed parameter needs no new tracing; only parameters have derivatives. Jacobian
 the functions.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -66,8 +66,8 @@ def trace(structure: ModelStructure) -> Traced:
 
     def resolve(name: str) -> Any:
         if name not in symbols:
-            for needed in names_in(definitions[name]):
-                resolve(needed)
+            for dependency in names_in(definitions[name]):
+                resolve(dependency)
             try:
                 symbols[name] = evaluate(definitions[name], symbols, CASADI_FUNCTIONS)
             except ArithmeticError as error:
@@ -75,8 +75,8 @@ def trace(structure: ModelStructure) -> Traced:
         return symbols[name]
 
     f = ca.vertcat(*(resolve(f"{s}_dot") for s in structure.states))
-    shown = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in structure.outputs)
-    y = ca.vertcat(*(resolve(name) for name in shown))
+    output_symbols = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in structure.outputs)
+    y = ca.vertcat(*(resolve(name) for name in output_symbols))
     patterns: dict[str, Pattern] = {}
     jacobians: dict[str, Any] = {}
     for key, value in (("f", f), ("y", y)):
@@ -103,19 +103,34 @@ def trace(structure: ModelStructure) -> Traced:
     )
 
 
+def rk4(
+    rates: Callable[..., tuple[Any, ...]], states: tuple[Any, ...], inputs: Sequence[Any], h: Any
+) -> tuple[Any, ...]:
+    """The states one classical Runge-Kutta step of `h` later. rates: of (states, inputs); inputs: at the begin, middle, end."""
+
+    def ahead(slopes: tuple[Any, ...], step: Any) -> tuple[Any, ...]:
+        return tuple(x + step * k for x, k in zip(states, slopes, strict=True))
+
+    k1 = rates(states, inputs[0])
+    k2 = rates(ahead(k1, h / 2), inputs[1])
+    k3 = rates(ahead(k2, h / 2), inputs[1])
+    k4 = rates(ahead(k3, h), inputs[2])
+    return tuple(x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip(states, k1, k2, k3, k4, strict=True))
+
+
 def _nonzeros(matrix: ca.SX) -> ca.SX:
     nonzeros = matrix.nonzeros()
     return ca.vertcat(*nonzeros) if nonzeros else ca.SX(0, 1)  # type: ignore[call-overload]
 
 
-def hoisted(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca.Function, ca.Function]:
+def hoist_inputs(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca.Function, ca.Function]:
     """A function of (x, u, p) as one of (x, u, p, h), and h of (u, p): sines of measured angles, dynamic pressure, all that does
     not change from stage to stage with the state."""
     x, u, p = (ca.SX.sym(name, size) for name, size in zip("xup", sizes[:3], strict=True))
-    both: Any = ca.vertcat(u, p)
-    results, names, values = ca.extract_parametric(function.call([x, u, p]), both, {"extract_trivial": False})
-    h, made = (ca.vertcat(*v) if v else ca.SX(0, 1) for v in (names, values))
+    parameters: Any = ca.vertcat(u, p)
+    results, names, values = ca.extract_parametric(function.call([x, u, p]), parameters, {"extract_trivial": False})
+    h, hoisted_values = (ca.vertcat(*v) if v else ca.SX(0, 1) for v in (names, values))
     return (
         ca.Function(function.name(), [x, u, p, h], ca.cse(results)),
-        ca.Function(f"{function.name()}_before", [u, p], ca.cse([made])),
+        ca.Function(f"{function.name()}_before", [u, p], ca.cse([hoisted_values])),
     )

@@ -44,11 +44,11 @@ def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
     if slowness <= 0.0:
         return value.copy()
     result = np.empty_like(value)
-    now = float(value[0])
-    result[0] = now
+    current = float(value[0])
+    result[0] = current
     for k, (u, h) in enumerate(zip(value[1:].tolist(), np.diff(time).tolist(), strict=True)):
-        now = min(max(u, now - h / slowness), now + h / slowness)
-        result[k + 1] = now
+        current = min(max(u, current - h / slowness), current + h / slowness)
+        result[k + 1] = current
     return result
 
 
@@ -120,16 +120,16 @@ def apply_transforms(
     All delays of one input act as one, their sum: done one after the other, two opposite ones would blur its edges.
     """
     u = u.copy()
-    late: dict[str, float] = {}
+    delays: dict[str, float] = {}
     for t in transforms:
         if t.kind == "delay":
-            late[t.input] = late.get(t.input, 0.0) + values[t.parameters[0]]
+            delays[t.input] = delays.get(t.input, 0.0) + values[t.parameters[0]]
     for t in transforms:
         column = input_names.index(t.input)
         if t.kind != "delay":
             u[:, column] = FUNCTIONS[t.kind][0](time, u[:, column], values[t.parameters[0]])
-        elif t.input in late:
-            u[:, column] = _delay(time, u[:, column], late.pop(t.input))
+        elif t.input in delays:
+            u[:, column] = _delay(time, u[:, column], delays.pop(t.input))
     return u
 
 
@@ -147,10 +147,10 @@ def transform_derivatives(
     for j, name in enumerate(names):
         h = steps[name]
         concerned, columns = acting_on({t.input for t in transforms if name in t.parameters}, transforms, input_names)
-        inputs, own = tuple(input_names[c] for c in columns), u[:, columns]
-        up = apply_transforms(concerned, inputs, time, own, {**values, name: values[name] + h})
-        down = apply_transforms(concerned, inputs, time, own, {**values, name: values[name] - h})
-        result[:, columns, j] = (up - down) / (2 * h)
+        inputs, values_in = tuple(input_names[c] for c in columns), u[:, columns]
+        plus = apply_transforms(concerned, inputs, time, values_in, {**values, name: values[name] + h})
+        minus = apply_transforms(concerned, inputs, time, values_in, {**values, name: values[name] - h})
+        result[:, columns, j] = (plus - minus) / (2 * h)
     return result
 
 

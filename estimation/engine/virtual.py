@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, SensitivityColumns
-from estimation.engine.trace import Pattern, Traced, trace
+from estimation.engine.trace import Pattern, Traced, rk4, trace
 from estimation.models.parts import ModelStructure
 
 BLOCKS = (128, 16)
@@ -49,11 +49,11 @@ class VirtualKernel:
         for part, block in _parts(count):
             stepper = _stepper(self._traced, block, substeps, key, transforms, gain is not None)
             state = stepper.advance(samples, part, state, x, y, dy)
-            bad = ~np.all(np.isfinite(x[part]) & (np.abs(x[part]) < LIMIT), axis=1)
-            if bad.any():
-                reached = part.start + int(np.argmax(bad))
-                x[reached:], y[reached:], dy[reached:] = 0.0, 0.0, 0.0
-                return SegmentMotion(x, y, dy if columns is not None else None, reached)
+            runaway = ~np.all(np.isfinite(x[part]) & (np.abs(x[part]) < LIMIT), axis=1)
+            if runaway.any():
+                finite_samples = part.start + int(np.argmax(runaway))
+                x[finite_samples:], y[finite_samples:], dy[finite_samples:] = 0.0, 0.0, 0.0
+                return SegmentMotion(x, y, dy if columns is not None else None, finite_samples)
         return SegmentMotion(x, y, dy if columns is not None else None, count)
 
     def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
@@ -100,8 +100,8 @@ def _samples(drive: SegmentInputs, p: Array, transforms: int, gain: Array | None
     dt[-1] = 0.0
     samples += [dt[:, None], p]
     if gain is not None:
-        known = np.isfinite(drive.z)
-        samples += [np.where(known, drive.z, 0.0), known.astype(float), gain.ravel(order="F")]
+        measured = np.isfinite(drive.z)
+        samples += [np.where(measured, drive.z, 0.0), measured.astype(float), gain.ravel(order="F")]
     return samples
 
 
@@ -109,8 +109,8 @@ def _parts(count: int) -> Iterator[tuple[slice, int]]:
     """(samples, length of the block) that cover `count` samples with little padding."""
     first = 0
     while first < count:
-        left = count - first
-        block = next((b for b in BLOCKS if b <= left), BLOCKS[-1])
+        remaining = count - first
+        block = next((b for b in BLOCKS if b <= remaining), BLOCKS[-1])
         yield slice(first, min(first + block, count)), block
         first += block
 
@@ -153,10 +153,10 @@ class _Stepper:
                 array[size:] = values[part.stop - 1]
         self.inputs[self.step_length][size:] = 0.0
         self._call()
-        after, xs, ys, dys = self.results
+        final_states, xs, ys, dys = self.results
         x[part], y[part] = xs[:size], ys[:size]
         dy[part] = dys[:size].reshape(size, self.n, ys.shape[1]).transpose(0, 2, 1)
-        return after[size - 1].copy()
+        return final_states[size - 1].copy()
 
 
 @lru_cache(maxsize=64)
@@ -168,30 +168,31 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
     u, um, ub = (ca.MX.sym(k, nu) for k in ("u", "um", "ub"))
     d, dm, db = (ca.MX.sym(k, nu * nt) for k in ("d", "dm", "db"))
     dt, p = ca.MX.sym("dt"), ca.MX.sym("p", np_)
-    z, known, gain = ca.MX.sym("z", ny), ca.MX.sym("known", ny), ca.MX.sym("gain", nx * ny)
+    z, measured, gain = ca.MX.sym("z", ny), ca.MX.sym("known", ny), ca.MX.sym("gain", nx * ny)
     x, s = state[:nx], ca.reshape(state[nx:], nx, n)
     y, dy = variation.outputs(x, s, u, ca.reshape(d, nu, nt), p)
     if with_gain:
-        x, s = _corrected(x, s, y, dy, known * (z - y), known, ca.reshape(gain, nx, ny), gain_columns, n)
+        x, s = _corrected(x, s, y, dy, measured * (z - y), measured, ca.reshape(gain, nx, ny), gain_columns, n)
     x_here = x
     h = dt / substeps
     for j in range(substeps):
         a, m, b = (j / substeps, (j + 0.5) / substeps, (j + 1) / substeps)
-        us = [_path(t, u, um, ub) for t in (a, m, b)]
-        ds = [ca.reshape(_path(t, d, dm, db), nu, nt) for t in (a, m, b)]
-        x, s = variation.step(x, s, h, us, ds, p)
+        inputs = [(_path(t, u, um, ub), ca.reshape(_path(t, d, dm, db), nu, nt)) for t in (a, m, b)]
+        x, s = rk4(
+            lambda motion, driven: variation.rates(motion[0], motion[1], driven[0], driven[1], p), (x, s), inputs, h
+        )
     results = [ca.vertcat(x, ca.vec(s)), x_here, y, ca.vec(dy)]
-    inputs = [u, um, ub, *([d, dm, db] if nt else []), dt, p, *([z, known, gain] if with_gain else [])]
-    return _Stepper(ca.Function("step", [state, *inputs], results), block, n, 6 if nt else 3)
+    arguments = [state, u, um, ub, *([d, dm, db] if nt else []), dt, p, *([z, measured, gain] if with_gain else [])]
+    return _Stepper(ca.Function("step", arguments, results), block, n, 6 if nt else 3)
 
 
-def _path(at: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
+def _path(fraction: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
     """Input at a fraction of the interval: straight to the middle, straight on to the end."""
-    if at in (0.0, 0.5, 1.0):
-        return {0.0: begin, 0.5: middle, 1.0: end}[at]
-    if at < 0.5:
-        return begin + 2.0 * at * (middle - begin)
-    return middle + (2.0 * at - 1.0) * (end - middle)
+    if fraction in (0.0, 0.5, 1.0):
+        return {0.0: begin, 0.5: middle, 1.0: end}[fraction]
+    if fraction < 0.5:
+        return begin + 2.0 * fraction * (middle - begin)
+    return middle + (2.0 * fraction - 1.0) * (end - middle)
 
 
 def _corrected(
@@ -200,16 +201,16 @@ def _corrected(
     y: ca.MX,
     dy: ca.MX,
     e: ca.MX,
-    known: ca.MX,
+    measured: ca.MX,
     gain: ca.MX,
     gain_columns: tuple[tuple[int, ...], ...],
     n: int,
 ) -> tuple[ca.MX, ca.MX]:
     ny, nx = y.shape[0], x.shape[0]
-    used = gain * ca.repmat(known.T, nx, 1)
-    x = x + ca.mtimes(used, e)
+    masked_gain = gain * ca.repmat(measured.T, nx, 1)
+    x = x + ca.mtimes(masked_gain, e)
     if n:
-        s = s - ca.mtimes(used, dy)
+        s = s - ca.mtimes(masked_gain, dy)
         for i in range(nx):
             for c in range(ny):
                 column = gain_columns[i][c]
@@ -237,15 +238,15 @@ class _Variation:
     def _by_column(self, key: str, nonzeros: ca.MX, rows: int) -> ca.MX:
         """Derivatives with respect to p, each entry in the sensitivity column of its parameter; (rows, n) dense."""
         r, c = self.traced.patterns[key]
-        used = sorted(
+        entries = sorted(
             (self.parameter[col], row, i)
             for i, (row, col) in enumerate(zip(r, c, strict=True))
             if self.parameter[col] >= 0
         )
-        if not used:
+        if not entries:
             return ca.MX.zeros(rows, self.n)
-        sparsity = ca.Sparsity.triplet(rows, self.n, [row for _, row, _ in used], [col for col, _, _ in used])
-        return ca.densify(ca.MX(sparsity, nonzeros[[i for _, _, i in used]]))
+        sparsity = ca.Sparsity.triplet(rows, self.n, [row for _, row, _ in entries], [col for col, _, _ in entries])
+        return ca.densify(ca.MX(sparsity, nonzeros[[i for _, _, i in entries]]))
 
     def _total(self, key: str, by_state: ca.MX, by_parameter: ca.MX, rows: int, s: ca.MX) -> ca.MX:
         nx = self.traced.sizes[0]
@@ -273,10 +274,3 @@ class _Variation:
         if self.nt:
             total += self._through_inputs("y", self.traced.outputs_by_input(x, u, p), self.traced.sizes[3], d)
         return y, total
-
-    def step(self, x: ca.MX, s: ca.MX, h: ca.MX, us: list[ca.MX], ds: list[ca.MX], p: ca.MX) -> tuple[ca.MX, ca.MX]:
-        k1, v1 = self.rates(x, s, us[0], ds[0], p)
-        k2, v2 = self.rates(x + h / 2 * k1, s + h / 2 * v1, us[1], ds[1], p)
-        k3, v3 = self.rates(x + h / 2 * k2, s + h / 2 * v2, us[1], ds[1], p)
-        k4, v4 = self.rates(x + h * k3, s + h * v3, us[2], ds[2], p)
-        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), s + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4)

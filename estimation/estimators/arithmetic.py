@@ -56,8 +56,8 @@ def _of_library(error: Exception) -> bool:
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
-    where = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__", ""))
-    return where.split(".")[0] in LIBRARIES
+    module = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__", ""))
+    return module.split(".")[0] in LIBRARIES
 
 
 def _one_line(error: Exception) -> str:
@@ -65,9 +65,9 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
-def believable(result: Result) -> Result:
+def mark_not_finite(result: Result) -> Result:
     """The result; diverged where it calls itself converged on estimates that are no numbers."""
-    lost = [n for n, e in result.parameters.items() if e.identifiable and not np.isfinite(e.estimate)]
-    if not result.converged or not lost:
+    not_finite = [n for n, e in result.parameters.items() if e.identifiable and not np.isfinite(e.estimate)]
+    if not result.converged or not not_finite:
         return result
-    return replace(result, status=Status.DIVERGED, text=f"no finite estimate of {', '.join(lost)}: {CURE}")
+    return replace(result, status=Status.DIVERGED, text=f"no finite estimate of {', '.join(not_finite)}: {CURE}")

@@ -1,4 +1,4 @@
-"""Covariance of estimates when residuals are coloured.
+"""Covariance of estimates when residuals are coloured, by the spectrum of an autoregression.
 
 V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 6.4 (Morelli and Klein, Journal of Aircraft
 34(1), 1997): with M the information matrix and S_i the sensitivities, Cov = M^-1 B M^-1 with
@@ -80,17 +80,17 @@ def filtered_covariance(pieces: list[ResidualSegment], projected: list[Array], s
 def white_products(piece: ResidualSegment, columns: Array, inverse_spectrum: Spectrum) -> Array:
     """(m, m) inner products of columns (N ny, m) in the metric in which noise of the spectrum is white, with what the piece's
     initial states and sensitivities can make of them: order nuisance, jacobian, columns, residual."""
-    every = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
-    return _quadratic(every.reshape(piece.residual.shape[0], -1, every.shape[1]), inverse_spectrum)
+    columns_of_all = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
+    return _quadratic(columns_of_all.reshape(piece.residual.shape[0], -1, columns_of_all.shape[1]), inverse_spectrum)
 
 
 def without_nuisance(pieces: list[ResidualSegment], nuisance_inverse: list[Array]) -> list[Array]:
     """Jacobian (N ny, n) of each piece with the columns of its initial states projected out."""
     projected = []
-    for piece, own in zip(pieces, nuisance_inverse, strict=True):
+    for piece, covariance in zip(pieces, nuisance_inverse, strict=True):
         J = piece.jacobian
         if piece.nuisance.shape[1]:
-            J = J - piece.nuisance @ (own @ (piece.nuisance.T @ J))
+            J = J - piece.nuisance @ (covariance @ (piece.nuisance.T @ J))
         projected.append(J)
     return projected
 
@@ -115,24 +115,25 @@ def noise_spectrum(
     spectrum = observed
     rng = np.random.default_rng(20)
     for _ in range(ROUNDS):
-        expected = _after_fit(spectrum, pieces, projected, inverse, nuisance_inverse, order, size, rng)
-        raise_by = np.real(np.einsum("fii->f", observed)) / np.real(np.einsum("fii->f", expected))
+        after_fit = _after_fit(spectrum, pieces, projected, inverse, nuisance_inverse, order, size, rng)
+        raise_by = np.real(np.einsum("fii->f", observed)) / np.real(np.einsum("fii->f", after_fit))
         spectrum = spectrum * np.clip(raise_by, 1.0 / LARGEST_RAISE, LARGEST_RAISE)[:, None, None]
     return spectrum
 
 
-def _fast_length(least: int) -> int:
-    """The smallest of 2^k, 3 2^k and 5 2^k from `least` on: what a Fourier transform likes."""
-    return min(a << max(1, int(np.ceil(np.log2(least / a)))) for a in (1, 3, 5))
+def _fast_length(shortest: int) -> int:
+    """The smallest of 2^k, 3 2^k and 5 2^k from `shortest` on: what a Fourier transform likes."""
+    return min(a << max(1, int(np.ceil(np.log2(shortest / a)))) for a in (1, 3, 5))
 
 
-def autocovariance(series: list[Array], known: list[NDArray[np.bool_]]) -> Array:
-    """C_k = E v_t v_{t-k}' for k = 0 .. largest order, (lags, ny, ny), biased (so a stable autoregression follows).
+def autocovariance(series: list[Array], known: list[NDArray[np.bool_]], lags: int | None = None) -> Array:
+    """C_k = E v_t v_{t-k}' for k = 0 .. lags, (lags + 1, ny, ny), biased (so a stable autoregression follows).
 
-    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws.
+    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws. lags: by default the longest order that is used. The
+    autocorrelation of one channel over all lags of a long record is that of `signals.goodness_of_fit`, by Fourier transform.
     """
-    longest = max(v.shape[0] for v in series)
-    lags = min(LONGEST_ORDER, max(longest // 8, 0))
+    if lags is None:
+        lags = min(LONGEST_ORDER, max(v.shape[0] for v in series) // 8)
     ny = series[0].shape[1]
     draws = series[0].shape[2] if series[0].ndim == 3 else 1
     sums = np.zeros((lags + 1, ny, ny))
@@ -144,17 +145,17 @@ def autocovariance(series: list[Array], known: list[NDArray[np.bool_]]) -> Array
     return sums / max(float(counts), 1.0)
 
 
-def _without(lags: Array, known: Array, order: int) -> Array:
+def _without(lags: Array, known_lags: Array, order: int) -> Array:
     """`lags` less those of a known cause, or less as great a part of them as leaves every direction half its smallest
     share: the known part is an expectation, and a record can have less of it."""
-    whole, part = _toeplitz(lags, order), _toeplitz(known, order)
-    smallest = float(np.linalg.eigvalsh(whole)[0])
+    total, part = _toeplitz(lags, order), _toeplitz(known_lags, order)
+    smallest = float(np.linalg.eigvalsh(total)[0])
     if smallest <= 0.0:
         return lags
-    L = np.linalg.cholesky(whole - 0.5 * smallest * np.eye(len(whole)))
+    L = np.linalg.cholesky(total - 0.5 * smallest * np.eye(len(total)))
     half = np.linalg.solve(L, part)
-    most = float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1])
-    return lags - min(1.0, 1.0 / max(most, 1e-12)) * known
+    largest = float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1])
+    return lags - min(1.0, 1.0 / max(largest, 1e-12)) * known_lags
 
 
 def order_for(lags: Array, samples: int) -> int:
@@ -209,16 +210,16 @@ def _after_fit(
     """Spectrum that the residuals of a fit would show if the noise had `spectrum`."""
     ny = spectrum.shape[1]
     root = square_root(spectrum)
-    shown: list[Array] = []
-    for piece, J, own in zip(pieces, projected, nuisance_inverse, strict=True):
+    residuals: list[Array] = []
+    for piece, J, state_covariance in zip(pieces, projected, nuisance_inverse, strict=True):
         count = piece.residual.shape[0]
         noise = coloured_noise(root, count, DRAWS, rng) * piece.known[:, :, None]
         e = noise.reshape(count * ny, DRAWS)
         rest = e - J @ (inverse @ (J.T @ e))
         if piece.nuisance.shape[1]:
-            rest -= piece.nuisance @ (own @ (piece.nuisance.T @ e))
-        shown.append(rest.reshape(count, ny, DRAWS))
-    return autoregressive_spectrum(autocovariance(shown, [p.known for p in pieces]), order, size)
+            rest -= piece.nuisance @ (state_covariance @ (piece.nuisance.T @ e))
+        residuals.append(rest.reshape(count, ny, DRAWS))
+    return autoregressive_spectrum(autocovariance(residuals, [p.known for p in pieces]), order, size)
 
 
 def square_root(spectrum: Spectrum) -> Spectrum:
@@ -245,6 +246,6 @@ def _quadratic(jacobian: Array, spectrum: Spectrum) -> Array:
     transformed = np.fft.rfft(jacobian, size, axis=0)
     part = np.full(spectrum.shape[0], 2.0)
     part[0] = part[-1] = 1.0
-    left = (transformed.conj() * part[:, None, None]).reshape(-1, n)
-    total = np.real(left.T @ (spectrum @ transformed).reshape(-1, n)) / size
+    weighted = (transformed.conj() * part[:, None, None]).reshape(-1, n)
+    total = np.real(weighted.T @ (spectrum @ transformed).reshape(-1, n)) / size
     return np.asarray(0.5 * (total + total.T))

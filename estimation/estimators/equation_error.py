@@ -15,20 +15,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FOR_REGRESSION, FlightData
 from estimation.engine.kernel import Array
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator, simulate
 from estimation.errors import DataError
-from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, score_covariance
 from estimation.estimators.gauss_newton import Status
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.uncertainty import TIED, estimates
+from estimation.estimators.uncertainty import TIED, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
-from estimation.signals.goodness_of_fit import fits
-from groundstation.flight import Flight
+from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
+from estimation.signals.goodness_of_fit import channel_fits
 
 Index = NDArray[np.intp]
 
@@ -59,7 +58,7 @@ class EquationError:
 
 def states_measured(flights: Sequence[FlightData]) -> bool:
     """Whether every state is measured throughout the segments."""
-    return all(np.isfinite(f.states[s.first : s.first + len(s)]).all() for f in flights for s in f.segments)
+    return all(np.isfinite(f.states[s.rows]).all() for f in flights for s in f.segments)
 
 
 def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[str, float] | None:
@@ -76,36 +75,31 @@ def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[st
     return values
 
 
-def equation_error(
-    model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    *,
-    stepwise: bool = False,
-) -> Result:
+def equation_error(model: Model | str, flights: FlightsToFit, *, stepwise: bool = False) -> Result:
     """Estimates by equation error with bounds, over one flight or several together.
 
     stepwise: choose the parameters by partial F; the rest stay at zero and say so. Raises DataError where a state of
     the model is not measured.
     """
-    chosen = load_model(model)
-    chosen, data = compared(chosen, prepared(chosen, flights, FOR_REGRESSION))
+    loaded = load_model(model)
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, FOR_REGRESSION))
     if not states_measured(data):
-        raise DataError(f"model {chosen.name}: equation error needs every state measured; use method ml")
-    simulator = Simulator.build(chosen)
-    solution = solve(simulator, data, stepwise=stepwise)
+        raise DataError(f"model {loaded.name}: equation error needs every state measured; use method ml")
+    simulator = Simulator.build(loaded)
+    solution = solve_regression(simulator, data, stepwise=stepwise)
     return _describe(simulator, data, solution, stepwise)
 
 
-def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool = False) -> EquationError:
+def solve_regression(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool = False) -> EquationError:
     """Weighted least squares with Cramer-Rao and coloured covariances."""
     values = simulator.model.starts()
-    chosen = np.arange(len(simulator.free))
+    active = np.arange(len(simulator.free))
     if stepwise:
         values |= dict.fromkeys(simulator.free, 0.0)
-        chosen = stepwise_choice(_regressions(simulator, flights, values))
+        active = stepwise_choice(_regressions(simulator, flights, values))
     for _ in range(ROUNDS):
         regressions = _regressions(simulator, flights, values)
-        change, weights = _solve(regressions, chosen)
+        change, weights = _solve(regressions, active)
         _apply(simulator, values, change)
     regressions = _regressions(simulator, flights, values)
     n = len(simulator.free)
@@ -118,26 +112,26 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     stacked = np.concatenate([p.jacobian for flight_parts in parts for p in flight_parts])
     information = stacked.T @ stacked
     covariance, coloured = np.zeros((n, n)), np.zeros((n, n))
-    pick = np.ix_(chosen, chosen)
+    pick = np.ix_(active, active)
     inverse, blind = pseudo_inverse(information[pick])
-    again = np.sqrt(np.tile(_repeats(simulator.model, flights), len(stacked) // len(weights)))[:, None] * stacked
-    covariance[pick] = inverse @ (again.T @ again)[pick] @ inverse
+    repeated = np.sqrt(np.tile(_repeats(simulator.model, flights), len(stacked) // len(weights)))[:, None] * stacked
+    covariance[pick] = inverse @ (repeated.T @ repeated)[pick] @ inverse
     middle = np.zeros((n, n))
     for p in parts:
         middle += score_covariance(p, covariance, [np.zeros((0, 0))] * len(p))
     coloured[pick] = inverse @ middle[pick] @ inverse
     undetermined = np.zeros(n, bool)
     if blind.size:
-        undetermined[chosen] = np.any(np.abs(blind) > TIED, axis=1)
+        undetermined[active] = np.any(np.abs(blind) > TIED, axis=1)
     return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
 
 
 def _piece(regression: Regression, weights: Array) -> ResidualSegment:
-    known = np.isfinite(regression.e)
+    measured = np.isfinite(regression.e)
     count, equations, n = regression.A.shape
-    J = np.where(known[:, :, None], regression.A, 0.0) * weights[None, :, None]
-    e = np.where(known, regression.e, 0.0) * weights
-    return ResidualSegment(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), known)
+    J = np.where(measured[:, :, None], regression.A, 0.0) * weights[None, :, None]
+    e = np.where(measured, regression.e, 0.0) * weights
+    return ResidualSegment(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), measured)
 
 
 def stepwise_choice(regressions: list[Regression]) -> Index:
@@ -151,38 +145,38 @@ def stepwise_choice(regressions: list[Regression]) -> Index:
     flat, z = (A * weight[None, :, None]).reshape(-1, A.shape[2]), (e * weight).ravel()
     gram, moment, energy = flat.T @ flat, flat.T @ z, float(z @ z)
     everything = [j for j in range(gram.shape[0]) if gram[j, j] > 0]
-    chosen = list(everything)
+    active = list(everything)
     for _ in range(4 * len(everything)):
-        full = _rest(gram, moment, energy, chosen)
+        full = _rest(gram, moment, energy, active)
         losses = {
-            j: _partial_f(_rest(gram, moment, energy, [i for i in chosen if i != j]), full, z.size - len(chosen))
-            for j in chosen
+            j: _partial_f(_rest(gram, moment, energy, [i for i in active if i != j]), full, z.size - len(active))
+            for j in active
         }
-        worst = min(losses, key=lambda j: losses[j], default=None)
-        if worst is not None and losses[worst] < F_OUT:
-            chosen.remove(worst)
+        weakest = min(losses, key=lambda j: losses[j], default=None)
+        if weakest is not None and losses[weakest] < F_OUT:
+            active.remove(weakest)
             continue
         gains = {
-            j: _partial_f(full, _rest(gram, moment, energy, [*chosen, j]), z.size - len(chosen) - 1)
+            j: _partial_f(full, _rest(gram, moment, energy, [*active, j]), z.size - len(active) - 1)
             for j in everything
-            if j not in chosen
+            if j not in active
         }
-        best = max(gains, key=lambda j: gains[j], default=None)
-        if best is None or gains[best] < F_IN:
+        strongest = max(gains, key=lambda j: gains[j], default=None)
+        if strongest is None or gains[strongest] < F_IN:
             break
-        chosen.append(best)
-    return np.array(sorted(chosen), int)
+        active.append(strongest)
+    return np.array(sorted(active), int)
 
 
-def _rest(gram: Array, moment: Array, energy: float, chosen: Sequence[int]) -> float:
-    if not len(chosen):
+def _rest(gram: Array, moment: Array, energy: float, columns: Sequence[int]) -> float:
+    if not len(columns):
         return energy
-    pick = np.array(chosen, int)
+    pick = np.array(columns, int)
     return max(energy - float(moment[pick] @ pseudo_inverse(gram[np.ix_(pick, pick)])[0] @ moment[pick]), 1e-300)
 
 
-def _partial_f(without: float, with_: float, freedom: int) -> float:
-    return (without - with_) / (with_ / max(freedom, 1))
+def _partial_f(rest_without: float, rest_with: float, freedom: int) -> float:
+    return (rest_without - rest_with) / (rest_with / max(freedom, 1))
 
 
 def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Mapping[str, float]) -> list[Regression]:
@@ -191,7 +185,7 @@ def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Ma
     result = []
     for flight in flights:
         for segment in flight.segments:
-            x = flight.states[segment.first : segment.first + len(segment)]
+            x = flight.states[segment.rows]
             u = simulator.drive(segment, values, False).u
             f, fp, y, yp = simulator.kernel.evaluate(x, u, simulator.vector(values))
             A = np.concatenate([_means(fp[:, :, free]), yp[:, :, free]], axis=1)
@@ -205,8 +199,8 @@ def _repeats(model: Model, flights: Sequence[FlightData]) -> Array:
     """(m,) of how many samples of each equation one was measured, for a state that is logged more slowly than the flight samples:
     increments between two of its own samples say the same over again. 1 for outputs, which are compared at their own samples."""
     z = np.concatenate([s.z for f in flights for s in f.segments])
-    known = np.isfinite(z).mean(axis=0)
-    outputs = {s.source: known[j] for j, s in enumerate(model.outputs)}
+    measured_share = np.isfinite(z).mean(axis=0)
+    outputs = {s.source: measured_share[j] for j, s in enumerate(model.outputs)}
     shares = [outputs.get(s.source, 1.0) or 1.0 for s in model.states]
     return np.concatenate([1.0 / np.array(shares), np.ones(len(model.outputs))])
 
@@ -221,18 +215,18 @@ def _means(values: Array) -> Array:
 def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
     e = np.concatenate([r.e for r in regressions])
     A = np.concatenate([r.A for r in regressions])
-    known = np.isfinite(e)
-    return np.where(known[:, :, None], A, 0.0), np.where(known, e, 0.0)
+    measured = np.isfinite(e)
+    return np.where(measured[:, :, None], A, 0.0), np.where(measured, e, 0.0)
 
 
-def _solve(regressions: list[Regression], chosen: Index) -> tuple[Array, Array]:
+def _solve(regressions: list[Regression], active: Index) -> tuple[Array, Array]:
     """(change of every free parameter, weights of the equations): each equation weighted by its own misfit."""
     A, e = _stacked(regressions)
     weight = np.ones(e.shape[1])
     change = np.zeros(A.shape[2])
     for _ in range(3):
-        flat = (A[:, :, chosen] * weight[None, :, None]).reshape(-1, len(chosen))
-        change[chosen] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
+        flat = (A[:, :, active] * weight[None, :, None]).reshape(-1, len(active))
+        change[active] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
         misfit = e - A @ change
         size = np.sqrt(np.mean(misfit**2, axis=0))
         weight = 1.0 / np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
@@ -248,16 +242,16 @@ def _apply(simulator: Simulator, values: dict[str, float], change: Array) -> Non
 def _describe(simulator: Simulator, data: list[FlightData], solution: EquationError, stepwise: bool) -> Result:
     model = simulator.model
     vector = np.array([solution.values[n] for n in solution.names])
-    found, pairs = estimates(
+    parameters, pairs = judge_estimates(
         model, solution.names, vector, solution.covariance, solution.coloured, solution.undetermined, data
     )
     flights, R = simulated_fits(model, data, [solution.values] * len(data))
     text = "solved" + (" with terms chosen by partial F" if stepwise else "")
-    blind = [n for n, e in found.items() if not e.identifiable]
+    blind = [n for n, e in parameters.items() if not e.identifiable]
     status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
     text += f"; cannot be told from this data: {', '.join(blind)}" if blind else ""
     return Result(
-        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, found, solution.covariance,
+        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, parameters, solution.covariance,
         solution.coloured, pairs, tuple(flights), simulator.kernel.label,
     )  # fmt: skip
 
@@ -267,13 +261,10 @@ def simulated_fits(
 ) -> tuple[list[FlightFit], Array]:
     """How each flight compares with the model simulated at its `values`, and the (ny, ny) variances of the residuals."""
     flights, residuals = [], []
-    for flight, at in zip(data, values, strict=True):
-        predicted = simulate(model, flight, at)
-        time = np.full(flight.samples, np.nan)
-        measured = np.full_like(predicted, np.nan)
-        for s in flight.segments:
-            time[s.first : s.first + len(s)], measured[s.first : s.first + len(s)] = s.time, s.z
-        fit = fits(model.output_names, measured, predicted)
+    for flight, parameters in zip(data, values, strict=True):
+        predicted = simulate(model, flight, parameters)
+        time, measured = flight.histories(len(model.outputs))
+        fit = channel_fits(model.output_names, measured, predicted)
         x0 = tuple(s.x0 for s in flight.segments)
         residuals.append(measured - predicted)
         flights.append(
@@ -282,6 +273,6 @@ def simulated_fits(
             )
         )
     stacked = np.concatenate(residuals)
-    known = np.isfinite(stacked)
-    variance = np.where(known, stacked, 0.0) ** 2
-    return flights, np.diag(variance.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    measured_rows = np.isfinite(stacked)
+    variance = np.where(measured_rows, stacked, 0.0) ** 2
+    return flights, np.diag(variance.sum(axis=0) / np.maximum(measured_rows.sum(axis=0), 1))

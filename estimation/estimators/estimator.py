@@ -9,8 +9,8 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 
 if TYPE_CHECKING:
-    from estimation.engine.data import FlightData
     from estimation.estimators.result import Result
+    from estimation.prepare.flight_data import FlightData
     from groundstation.flight import Flight
 
 
@@ -41,15 +41,7 @@ class Extras:
     @property
     def asked(self) -> tuple[Extra, ...]:
         """Those that differ from their default."""
-        given = {
-            Extra.PROFILE: self.profile,
-            Extra.BOOTSTRAP: self.bootstrap,
-            Extra.SEED: self.seed,
-            Extra.STEPWISE: self.stepwise,
-            Extra.RAW_INPUTS: self.raw_inputs,
-            Extra.KEEP_HELD: self.keep_held,
-        }
-        return tuple(extra for extra, value in given.items() if value)
+        return tuple(extra for extra in Extra if getattr(self, extra.name.lower()))
 
 
 NO_EXTRAS = Extras()
@@ -92,24 +84,25 @@ class Task:
 
     def _prepared(self, feedback: bool) -> "list[FlightData]":
         """Each flight, once for all methods and fits of a session that see the same signals in it."""
-        from estimation.engine.data import Preparation, prepare
+        from estimation.prepare.flight_data import Preparation
+        from estimation.prepare.pipeline import prepare
 
         way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback)
-        found = []
+        flights = []
         for flight in self.flights:
             key = (flight.name, self.model.states, self.model.inputs, self.model.outputs, way)
             if key not in self.memory:
                 self.memory[key] = prepare(self.model, flight, way)
-            found.append(self.memory[key])
-        return found
+            flights.append(self.memory[key])
+        return flights
 
     @property
     def repaired(self) -> "Sequence[Flight]":
         """The flights for a method that reads their columns itself, without wild values and repeats."""
-        from estimation.engine.conditioned import repaired
+        from estimation.prepare.conditioned import repair_columns
 
         columns = [s.source for s in (*self.model.inputs, *self.model.outputs, *self.model.states)]
-        return [repaired(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
+        return [repair_columns(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
 
 
 @dataclass(frozen=True)

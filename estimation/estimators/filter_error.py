@@ -7,39 +7,93 @@ model are white, so both bounds agree. The fit that a result reports is that of 
 - `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
   process-noise model: asymptotically the same estimate without a Riccati equation.
 - `process_noise_error`: the published form. Unknown is the process noise of each state that forces drive; the gain follows
-  from it by the Riccati equation of the model linearised where it flew (`kalman_gain`), anew at the estimates. Few unknowns, and
+  from it by the Riccati equation of the model linearised where it flew (`GainLaw`), anew at the estimates. Few unknowns, and
   stable always: where the air is calm a free gain can find a filter that blows up, and this one ends at output error.
+
+Small motion about a point of flight, dx = (A x + w) dt, y = C x + v, sampled every `dt`: Phi = exp(A dt), P the covariance of
+the prediction from the discrete Riccati equation, K = P C' (C P C' + R)^-1 (Maine and Iliff, NASA RP-1168, section 6).
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import expm, solve_discrete_are
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, SegmentMotion
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
-from estimation.estimators.frequency_domain.linearised import matrices
+from estimation.estimators.frequency_domain.transformed import state_matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
-from estimation.estimators.input_path import in_own_terms, with_paths, without
-from estimation.estimators.kalman_gain import GainLaw, gain_law
+from estimation.estimators.input_path import in_own_terms, with_paths, without_nuisance_parameters
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.output_error import (
-    STANDARD,
-    OutputErrorOptions,
-    describe,
-    free_states_of,
-    output_error,
-)
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, fit_result, free_states_of, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
-from estimation.models.driven import force_states
-from groundstation.flight import Flight
+from estimation.models.dependence import force_states
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
 from groundstation.flight.quality.noise import noise as noise_of
+
+STEP = 1e-4  # of a noise, for the slope of the gain
+
+
+@dataclass(frozen=True)
+class GainLaw:
+    """transition: Phi (nx, nx); C: (ny, nx); noise: (ny,) std of the measurements; unit: (n,) what 1 means for each unknown, as
+    the std that a state gathers in a sample interval; states: (n,) the state each is of."""
+
+    transition: Array
+    C: Array
+    noise: Array
+    unit: Array
+    states: tuple[int, ...]
+
+    def gain(self, relative: Array) -> Array:
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where the filter has no steady state that
+        can be calculated, as where the model grows or decays beyond all numbers within a sample interval."""
+        Q = np.zeros(self.transition.shape)
+        for state, unit, size in zip(self.states, self.unit, relative, strict=True):
+            Q[state, state] = (unit * size) ** 2
+        P = self._prediction(Q)
+        S = self.C @ P @ self.C.T + np.diag(self.noise**2)
+        return np.asarray(np.linalg.solve(S, self.C @ P).T)
+
+    def slopes(self, relative: Array) -> Array:
+        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. LinAlgError as of `gain`."""
+        slopes = []
+        for i in range(relative.size):
+            plus, minus = relative.copy(), relative.copy()
+            plus[i] += STEP
+            minus[i] = max(minus[i] - STEP, 0.0)
+            slopes.append((self.gain(plus) - self.gain(minus)) / (plus[i] - minus[i]))
+        return np.array(slopes).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
+
+    def _prediction(self, Q: Array) -> Array:
+        """Covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
+        if not (np.isfinite(self.transition).all() and np.isfinite(self.C).all() and np.isfinite(Q).all()):
+            raise np.linalg.LinAlgError("the linearised motion grows beyond all numbers within one sample interval")
+        R = np.diag(self.noise**2)
+        # a state that nothing disturbs and that does not decay is known for good: its filter has no steady state but zero gain
+        floor = TINY * max(float(Q.max()), float(R.min())) * np.eye(len(Q))
+        try:
+            return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
+        except ValueError as error:  # scipy's word for infinite intermediate results
+            raise np.linalg.LinAlgError("the Riccati equation of its filter has no finite solution") from error
+
+
+TINY = 1e-12  # of the largest process noise, or of the smallest noise of measurement
+
+
+def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
+    """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # what grows beyond all numbers is refused where the gain is asked for
+        return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
+
 
 FIRST_GAIN = 0.2  # of each measured state on itself: a filter that follows from the first step
 LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly
@@ -141,7 +195,7 @@ class ProcessNoiseProblem(_Filtered):
 
 def filter_error(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     start: Mapping[str, float] | None = None,
     options: OutputErrorOptions = STANDARD,
 ) -> Result:
@@ -150,19 +204,17 @@ def filter_error(
     The gain is in `extra["gain"]`: state -> output -> number. Where a free gain comes to no result, or to one that can tell
     nothing because its filter is not stable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
-    chosen = load_model(model).with_starts(start or {})
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    return in_own_terms(_by_free_gain(with_paths(chosen, data) if options.paths else chosen, data, options), chosen)
+    loaded = load_model(model).with_starts(start or {})
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
+    return in_own_terms(_by_free_gain(with_paths(loaded, data) if options.paths else loaded, data, options), loaded)
 
 
-def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
+def _by_free_gain(model: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
     """The fit with a gain of its own, of a model that has its unknowns of the inputs."""
-    first = output_error(chosen, data, options=options)
+    first = output_error(model, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
-    names = [
-        [f"gain_{s}_{o}" if o in chosen.state_names else "" for o in chosen.output_names] for s in chosen.state_names
-    ]
+    names = [[f"gain_{s}_{o}" if o in model.state_names else "" for o in model.output_names] for s in model.state_names]
     noise = first.noise
     fallback = float(np.median(list(noise.values())))
     parameters = [
@@ -172,24 +224,24 @@ def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOpt
             prior_mean=0.0,
             prior_std=GAIN_PRIOR * noise.get(state, fallback) / noise[output],
         )
-        for state, row in zip(chosen.state_names, names, strict=True)
-        for output, name in zip(chosen.output_names, row, strict=True)
+        for state, row in zip(model.state_names, names, strict=True)
+        for output, name in zip(model.output_names, row, strict=True)
         if name
     ]
-    extended = chosen.with_starts(first.values).plus(parameters=parameters)
+    extended = model.with_starts(first.values).plus(parameters=parameters)
     simulator = Simulator.build(extended, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
     problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-    found = _without_gains(describe(problem, outcome, "fem"), chosen, names)
-    if found.converged and any(e.identifiable for e in found.parameters.values()):
-        return found
-    return _by_process_noise(chosen, data, first, options).with_method("fem")
+    result = _without_gains(fit_result(problem, outcome, "fem"), model, names)
+    if result.converged and any(e.identifiable for e in result.parameters.values()):
+        return result
+    return _by_process_noise(model, data, first, options).with_method("fem")
 
 
 def process_noise_error(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     start: Mapping[str, float] | None = None,
     options: OutputErrorOptions = STANDARD,
 ) -> Result:
@@ -198,20 +250,20 @@ def process_noise_error(
     `extra["process_noise"]`: state -> std that it gathers in one second, in its unit by the root of a second; `extra["gain"]` as
     of `filter_error`.
     """
-    chosen = load_model(model).with_starts(start or {})
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    full = with_paths(chosen, data) if options.paths else chosen
+    loaded = load_model(model).with_starts(start or {})
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
+    full = with_paths(loaded, data) if options.paths else loaded
     first = output_error(full, data, options=replace(options, paths=False))
     if first.status is Status.DIVERGED:
-        return in_own_terms(first.with_method("fem-noise"), chosen)
-    return in_own_terms(_by_process_noise(full, data, first, options), chosen)
+        return in_own_terms(first.with_method("fem-noise"), loaded)
+    return in_own_terms(_by_process_noise(full, data, first, options), loaded)
 
 
-def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+def _by_process_noise(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit from an output error that came to a result; one that says why where the arithmetic of the filter fails."""
     try:
         with np.errstate(all="ignore"):  # what leaves the numbers is refused where it does
-            return _steady_filter(chosen, data, first, options)
+            return _steady_filter(model, data, first, options)
     except (np.linalg.LinAlgError, ArithmeticError) as error:
         text = (
             f"no filter could be found ({error}): the model is unstable or too stiff for these samples; use method ml"
@@ -219,16 +271,16 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
         return replace(first, method="fem-noise", status=Status.DIVERGED, text=text)
 
 
-def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+def _steady_filter(model: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit with the filter of its process noise. LinAlgError where the law of that has no gain to begin with."""
-    noise = _white_noise(chosen, data, first)
-    driven = force_states(chosen)
+    noise = _white_noise(model, data, first)
+    disturbed = force_states(model)
     fallback = float(np.median(noise))
-    unit = {s: float(noise[chosen.output_names.index(s)]) if s in chosen.output_names else fallback for s in driven}
-    names = [f"noise_{s}" for s in driven]
+    unit = {s: float(noise[model.output_names.index(s)]) if s in model.output_names else fallback for s in disturbed}
+    names = [f"noise_{s}" for s in disturbed]
     values, last = {**first.values, **dict.fromkeys(names, FIRST_NOISE)}, None
     for _ in range(LINEARISED):
-        extended = chosen.with_starts({n: values[n] for n in first.values}).plus(
+        extended = model.with_starts({n: values[n] for n in first.values}).plus(
             parameters=[Parameter(n, start=values[n], lower=0.0, prior_mean=0.0, prior_std=NOISE_PRIOR) for n in names]
         )
         simulator = Simulator.build(extended, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
@@ -239,31 +291,30 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
         problem.law = _law(simulator, data, values, noise, unit)
         problem.law.gain(np.array([values[n] for n in names]))  # a law without a gain here says why
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-        last = describe(problem, outcome, "fem-noise")
+        last = fit_result(problem, outcome, "fem-noise")
         if not last.converged:
             break
         values = last.values
     assert last is not None
     if last.status is Status.DIVERGED:
-        return without(last, chosen, set(names), {})
+        return without_nuisance_parameters(last, model, set(names), {})
     dt = _step(data)
-    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(driven, names, strict=True)}
+    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(disturbed, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
     gain = {
-        s: dict(zip(chosen.output_names, row.tolist(), strict=True))
-        for s, row in zip(chosen.state_names, K, strict=True)
+        s: dict(zip(model.output_names, row.tolist(), strict=True)) for s, row in zip(model.state_names, K, strict=True)
     }
-    return without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
+    return without_nuisance_parameters(last, model, set(names), {"gain": gain, "process_noise": sizes})
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
     """(ny,) noise of the outputs from sample to sample; where a channel has none of its own, what output error left."""
-    found = []
+    levels = []
     for i, name in enumerate(model.output_names):
-        told = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
-        seen = [t for t in told if t]
-        found.append(float(np.median(seen)) if seen else first.noise[name])
-    return np.array(found)
+        segment_levels = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
+        nonzero = [t for t in segment_levels if t]
+        levels.append(float(np.median(nonzero)) if nonzero else first.noise[name])
+    return np.array(levels)
 
 
 def _step(data: Sequence[FlightData]) -> float:
@@ -287,7 +338,9 @@ def _law(
         else starts[i]
         for i, n in enumerate(model.state_names)
     ]
-    A, C = matrices(trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values))
+    A, C = state_matrices(
+        trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values)
+    )
     states = tuple(model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 
@@ -298,4 +351,4 @@ def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Resu
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)
     }
-    return without(result, model, {n for row in names for n in row if n}, {"gain": gain})
+    return without_nuisance_parameters(result, model, {n for row in names for n in row if n}, {"gain": gain})

@@ -8,6 +8,7 @@ non-finite checks live here. The outcome is a named state with a sentence, never
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, Protocol, TypeVar
@@ -41,6 +42,7 @@ class EvaluatedPoint(Protocol):
 
 
 P = TypeVar("P", bound=EvaluatedPoint)
+Place = TypeVar("Place")
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,17 +128,19 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
         return SolverOutcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
     damping = 0.0
     last = math.inf
-    past = _Past(options.memory)
+    history_of_steps = _Past(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.settled(point.cost):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
         if point.cost - HOPED * step.decrement > options.beyond:
             return SolverOutcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
-        combined = past.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
-        moved, moved_point, used = _search(problem, unknowns, point, step, combined, options)
-        count += used
-        if moved is None or moved_point is None:
+        combined = (
+            history_of_steps.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
+        )
+        next_unknowns, moved_point, evaluations = _search(problem, unknowns, point, step, combined, options)
+        count += evaluations
+        if next_unknowns is None or moved_point is None:
             if step.decrement < options.flat * options.tolerance:  # the cost is flat to rounding here
                 return SolverOutcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
             damping = max(10.0 * damping, options.first_damping)
@@ -145,12 +149,16 @@ def minimise(problem: SolverProblem[P], start: Array, options: LoopOptions = AS_
             continue
         damping = damping / 10.0 if damping > options.first_damping else 0.0
         gained, promised = point.cost - moved_point.cost, step.decrement
-        unknowns, point = moved, moved_point
+        unknowns, point = next_unknowns, moved_point
         history.append(point.cost)
         if options.gain and gained < options.settled(point.cost):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
-        settled = options.settled(point.cost)
-        if promised < options.kept and abs(gained - promised) < 0.5 * settled and promised * promised < settled * last:
+        negligible = options.settled(point.cost)
+        if (
+            promised < options.kept
+            and abs(gained - promised) < 0.5 * negligible
+            and promised * promised < negligible * last
+        ):
             return SolverOutcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
         last = promised
     return SolverOutcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
@@ -178,28 +186,43 @@ class _Past:
         return np.asarray(step.direction - (change + turn) @ share)
 
 
+def halve_until(
+    evaluate: Callable[[float], Place], acceptable: Callable[[Place], bool], halvings: int
+) -> tuple[float, Place] | None:
+    """The largest of a whole step, its half, its quarter ... that leads to an acceptable place, and that place."""
+    for fraction in (0.5**k for k in range(halvings)):
+        place = evaluate(fraction)
+        if acceptable(place):
+            return fraction, place
+    return None
+
+
 def _search(
     problem: SolverProblem[P], unknowns: Array, point: P, step: SolverStep, combined: Array | None, options: LoopOptions
 ) -> tuple[Array | None, P | None, int]:
     """First of the combined and the halved steps that lowers the cost, evaluated with derivatives."""
     count = 0
+
+    def lower(place: P) -> bool:
+        return math.isfinite(place.cost) and place.cost < point.cost
+
+    def evaluate(fraction: float) -> P:
+        nonlocal count
+        trial = problem.clip(unknowns + fraction * step.direction)
+        place = problem.evaluate(trial, fraction == 1.0)
+        count += 1
+        if fraction < 1.0 and lower(place):  # a place without derivatives is none to go on from
+            place = problem.evaluate(trial, True)
+            count += 1
+        return place
+
     if combined is not None and np.all(np.isfinite(combined)):
         trial = problem.clip(unknowns + combined)
-        candidate = problem.evaluate(trial, True)
+        place = problem.evaluate(trial, True)
         count += 1
-        if math.isfinite(candidate.cost) and candidate.cost < point.cost:
-            return trial, candidate, count
-    for halving in range(options.halvings):
-        fraction = 0.5**halving
-        trial = problem.clip(unknowns + fraction * step.direction)
-        whole = halving == 0
-        candidate = problem.evaluate(trial, whole)
-        count += 1
-        if math.isfinite(candidate.cost) and candidate.cost < point.cost:
-            if not whole:
-                candidate = problem.evaluate(trial, True)
-                count += 1
-                if not math.isfinite(candidate.cost):  # a place without derivatives is none to go on from
-                    continue
-            return trial, candidate, count
-    return None, None, count
+        if lower(place):
+            return trial, place, count
+    lowered = halve_until(evaluate, lower, options.halvings)
+    if lowered is None:
+        return None, None, count
+    return problem.clip(unknowns + lowered[0] * step.direction), lowered[1], count

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.engine.data import Segment, draws_for
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, Spectrum, white_products
 from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.estimators.normal_equations import projected_out
 from estimation.models.base import Model
+from estimation.prepare.flight_data import Segment, draws_for
 
 EDGE = 0.08  # of the bend (second difference), rms over servo lags of 0.4 to 2 samples and all phases of an edge
 SHIFT = 0.035  # of the time between samples; 2 ms at 20 Hz is hard to do better
@@ -70,14 +70,14 @@ class InputErrorEvidence:
     def common(self, edges: float) -> tuple[Array, Array, Array]:
         """(information, product with the residual, covariance of that by chance). edges: factor on their variance."""
         k, m = self.noise, self.edges
-        here = slice(k + m, -1)
-        information = self.rest[here, here]
-        by_noise, by_edges = self.rest[here, :k], self.rest[here, k : k + m]
+        rows = slice(k + m, -1)
+        information = self.rest[rows, rows]
+        by_noise, by_edges = self.rest[rows, :k], self.rest[rows, k : k + m]
         chance = information + by_noise @ by_noise.T / max(k, 1) + edges / max(m, 1) * by_edges @ by_edges.T
-        return information, self.rest[here, -1], chance
+        return information, self.rest[rows, -1], chance
 
 
-def evidence(
+def input_error_evidence(
     pieces: list[ResidualSegment], responses: list[Array], spectrum: Spectrum, kinds: Disturbed
 ) -> InputErrorEvidence:
     """Evidence of one flight. responses: (N ny, columns) of each piece in units of the noise."""
@@ -85,19 +85,13 @@ def evidence(
     inverse: Spectrum = np.asarray(np.linalg.inv(spectrum + floor), np.complex128)
     total: Array | None = None
     for piece, columns in zip(pieces, responses, strict=True):
-        gram = _without(white_products(piece, columns, inverse), piece.nuisance.shape[1])
+        gram = projected_out(white_products(piece, columns, inverse), piece.nuisance.shape[1])
         total = gram if total is None else total + gram
     assert total is not None
-    return InputErrorEvidence(_without(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
+    return InputErrorEvidence(projected_out(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
 
 
-def _without(gram: Array, count: int) -> Array:
-    """Inner products of the columns after the first `count` with those projected out."""
-    lever = gram[count:, :count] @ pseudo_inverse(gram[:count, :count])[0] if count else np.zeros((len(gram), 0))
-    return np.asarray(gram[count:, count:] - lever @ gram[:count, count:])
-
-
-def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:
+def disturbed_outputs(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:
     """Responses of one flight, segment by segment."""
     flight = problem.flights[index]
     rng = np.random.default_rng([SEED, index])
@@ -105,7 +99,7 @@ def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[
     for j, segment in enumerate(flight.segments):
         noise = np.zeros((len(segment), segment.u.shape[1], 0))
         if flight.errors is not None:
-            noise = flight.errors[segment.first : segment.first + len(segment)].astype(float)
+            noise = flight.errors[segment.rows].astype(float)
         edges = _edges(problem.model, segment, draws_for(flight.samples), rng)
         common, common_mid = _common(problem.model, segment)
         du = np.concatenate([noise, np.zeros_like(edges), common], axis=2)
@@ -145,31 +139,31 @@ def _edges(model: Model, segment: Segment, draws: int, rng: np.random.Generator)
 def _common(model: Model, segment: Segment) -> tuple[Array, Array]:
     """(N, nu, 2 controls) changes of the inputs, at the samples and half-way: each control SHIFT later, each bent by BEND."""
     controls = _controls(model)
-    at = np.zeros((*segment.u.shape, 2 * len(controls)))
-    middle = np.zeros_like(at)
+    samples = np.zeros((*segment.u.shape, 2 * len(controls)))
+    middle = np.zeros_like(samples)
     for k, i in enumerate(controls):
         step = np.append(np.diff(segment.u[:, i]), 0.0)
         bend = np.append(_bends(segment.u[:, i]), 0.0)
-        at[1:, i, 2 * k] = -0.5 * SHIFT * (step[1:] + step[:-1])
+        samples[1:, i, 2 * k] = -0.5 * SHIFT * (step[1:] + step[:-1])
         middle[:, i, 2 * k] = -SHIFT * step
         middle[:, i, 2 * k + 1] = -2.0 * BEND * (bend[:-1] + bend[1:])
-    return at, middle
+    return samples, middle
 
 
-def edge_size(told: Sequence[InputErrorEvidence]) -> float:
+def edge_size(shown: Sequence[InputErrorEvidence]) -> float:
     """Factor on the variance of edges, from all flights of a fit; 0 where residuals show nothing of them."""
-    excess, scale = np.sum([t.edge_excess() for t in told], axis=0)
+    excess, scale = np.sum([t.edge_excess() for t in shown], axis=0)
     return float(np.clip(excess / scale, 0.0, MOST_EDGE)) if scale > 0.0 else 0.0
 
 
-def common_error(told: Sequence[InputErrorEvidence], edges: float) -> Array:
+def common_error(shown: Sequence[InputErrorEvidence], edges: float) -> Array:
     """(common, common) second moment of the common errors, given that they are of size one and what the flights show."""
-    each = [t.common(edges) for t in told]
-    information, product, chance = (np.sum([e[i] for e in each], axis=0) for i in range(3))
+    sums = [t.common(edges) for t in shown]
+    information, product, chance = (np.sum([e[i] for e in sums], axis=0) for i in range(3))
     prior = np.eye(product.size)
     weight = information @ np.linalg.pinv(chance, hermitian=True)
     spread = np.linalg.inv(weight @ information + prior)
-    found = spread @ weight @ product
-    if np.any(np.abs(found) > MOST_COMMON):  # no error of timing is that large: the residuals speak of something else
+    mean = spread @ weight @ product
+    if np.any(np.abs(mean) > MOST_COMMON):  # no error of timing is that large: the residuals speak of something else
         return prior
-    return np.asarray(np.outer(found, found) + 0.5 * (spread + spread.T))
+    return np.asarray(np.outer(mean, mean) + 0.5 * (spread + spread.T))

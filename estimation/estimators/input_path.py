@@ -1,11 +1,15 @@
 """Where a surface was between the samples of its record, as unknowns of a fit.
 
-Where the edges of a control are alike at its samples (`engine.edges`) two numbers a control stand for what the record does not
-say: how much later than its samples the surface acts (earlier, where negative: a command that was logged up to one logging
-interval after it was given), and how far beyond the straight line it is half-way between two samples (a servo of first order
-that starts on a sample is there at 1 / (1 + exp(-dt / 2T)) of the step). Both have priors as wide as a logging interval and a
-servo make them; what the data cannot tell of them stays in the bounds of the derivatives, which are taken from the inverse of
-the whole information.
+A servo that lags takes some share of its way within the first interval after an edge. Where edges come at any time of an
+interval that share scatters from nothing to all that the servo can do; where a sequencer steps on the sampling clock, or what
+is logged is a command, it is the same at every edge, does not average out, and cannot be read off the samples
+(`clocked_controls`).
+
+There two numbers a control stand for what the record does not say: how much later than its samples the surface acts (earlier,
+where negative: a command that was logged up to one logging interval after it was given), and how far beyond the straight line it
+is half-way between two samples (a servo of first order that starts on a sample is there at 1 / (1 + exp(-dt / 2T)) of the step).
+Both have priors as wide as a logging interval and a servo make them; what the data cannot tell of them stays in the bounds of the
+derivatives, which are taken from the inverse of the whole information.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,12 +18,64 @@ from typing import Any
 
 import numpy as np
 
-from estimation.engine.data import FlightData
-from estimation.engine.edges import clocked_controls
+from estimation.engine.kernel import Array
 from estimation.estimators.gauss_newton import Status
-from estimation.estimators.result import Estimate, Result, finite
+from estimation.estimators.result import Estimate, Result, finite_or_none, judge_status
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
-from groundstation.flight.notes import Note, NoteKind
+from estimation.prepare.flight_data import FlightData
+from groundstation.flight.findings import Finding, FindingKind
+
+FEWEST_EDGES = 4  # from which the scatter of a share says something: four at random are as alike in one of fifty
+ALIKE = 0.2  # scatter of the share over its mean; 0.58 where edges come at any time of an interval
+FAST = 0.15  # share of the way within one interval from which the way between samples matters
+LARGE = 0.3  # of the largest edge of a control: smaller ones are steering, not an input made on purpose
+REST = 0.05  # of an edge: a control that moves less was at rest before it
+NOISY = 8.0  # noise levels that an edge has to stand out by
+LONGEST = 8  # samples that one edge takes at most
+
+
+def clocked_controls(model: Model, flights: Sequence[FlightData]) -> tuple[str, ...]:
+    """Controls of a model whose edges are alike at the samples of these flights."""
+    clocked = []
+    for i, signal in enumerate(model.inputs):
+        if not signal.control:
+            continue
+        noise = max((f.noise.get(signal.name, (0.0, 0.0))[0] for f in flights), default=0.0)
+        edges = np.concatenate([_edges_from_rest(s.u[:, i], noise) for f in flights for s in f.segments])
+        if _alike(edges):
+            clocked.append(signal.name)
+    return tuple(clocked)
+
+
+def _alike(edges: Array) -> bool:
+    """edges: (n, 2) size of each and the share of it in its first interval."""
+    if not len(edges):
+        return False
+    share = edges[edges[:, 0] >= LARGE * edges[:, 0].max(), 1]
+    return share.size >= FEWEST_EDGES and bool(share.mean() >= FAST and share.std(ddof=1) <= ALIKE * share.mean())
+
+
+def _edges_from_rest(u: Array, noise: float) -> Array:
+    """(n, 2) size and first share of each edge of a control (N,) that comes out of rest."""
+    step = np.diff(u)
+    edges = []
+    k = 2
+    while k < step.size:
+        rise = step[k : k + LONGEST] * np.sign(step[k])
+        way = rise[: int(np.argmax(rise <= 0.0)) if (rise <= 0.0).any() else rise.size]
+        size = float(way.sum())
+        if (
+            size > NOISY * noise
+            and size > 0.0
+            and np.abs(step[k - 2 : k]).max() <= REST * size
+            and way[0] > REST * size
+        ):
+            edges.append((size, float(way[0]) / size))
+            k += max(1, way.size)
+        else:
+            k += 1
+    return np.array(edges).reshape(-1, 2)
+
 
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this
 INTERVALS = 0.5  # of a sample interval: what an edge on the clock leaves open
@@ -44,11 +100,11 @@ class InputPath:
     def to_json(self) -> dict[str, Any]:
         """An entry of `inputs` in `estimate --json`."""
         return {
-            "lag": finite(self.lag),
-            "std": finite(self.std),
+            "lag": finite_or_none(self.lag),
+            "std": finite_or_none(self.std),
             "model": "delay and way between samples",
-            "bend": finite(self.bend),
-            "bend_std": finite(self.bend_std),
+            "bend": finite_or_none(self.bend),
+            "bend_std": finite_or_none(self.bend_std),
         }
 
 
@@ -99,9 +155,9 @@ def in_own_terms(result: Result, model: Model) -> Result:
     if not names:
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
-    notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
-    stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
-    return without(stated, model, set(e) - set(model.free_names), {"input_paths": paths})
+    notes = tuple(Finding(FindingKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
+    noted = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
+    return without_nuisance_parameters(noted, model, set(e) - set(model.free_names), {"input_paths": paths})
 
 
 def _sentence(control: str, path: InputPath) -> str:
@@ -116,15 +172,13 @@ def _path(lag: Estimate, bend: Estimate) -> InputPath:
     return InputPath(lag.estimate, lag.std_coloured, bend.estimate, bend.std_coloured)
 
 
-def without(result: Result, model: Model, nuisance: set[str], extra: Mapping[str, Any]) -> Result:
+def without_nuisance_parameters(result: Result, model: Model, nuisance: set[str], extra: Mapping[str, Any]) -> Result:
     """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
     keep = np.array([i for i, n in enumerate(result.names) if n not in nuisance], int)
     parameters = {n: e for n, e in result.parameters.items() if n not in nuisance}
-    blind = [n for n, e in parameters.items() if not e.identifiable]
     status, text = result.status, result.text
     if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
-        status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
-        text = status.value + (f": {', '.join(blind)}" if blind else "")
+        status, text = judge_status(status, parameters)
     pick = np.ix_(keep, keep)
     return replace(
         result,

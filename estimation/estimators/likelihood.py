@@ -12,12 +12,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, SegmentMotion
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import FlightBlocks, SegmentBlocks, pseudo_inverse
 from estimation.estimators.gauss_newton import SolverStep
+from estimation.estimators.normal_equations import FlightBlocks, SegmentBlocks, pseudo_inverse
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 
 Noise = Literal["diagonal", "full"]
 LARGEST_SLOPE = 1e60  # of an output with respect to an unknown
@@ -169,16 +169,16 @@ class OutputErrorProblem:
         if self.sigma is not None:
             return np.diag(self.sigma**2)
         stacked = np.concatenate([r for flight in residuals for r in flight])
-        known = np.isfinite(stacked)
-        counts = np.maximum(known.sum(axis=0), 1)
-        filled = np.where(known, stacked, 0.0)
+        measured = np.isfinite(stacked)
+        counts = np.maximum(measured.sum(axis=0), 1)
+        filled = np.where(measured, stacked, 0.0)
         variance = np.maximum((filled**2).sum(axis=0) / counts, self._floor)
         if self.noise == "diagonal":
             return np.diag(variance)
-        whole = known.all(axis=1)
-        if whole.sum() < 5 * self.ny:
+        complete = measured.all(axis=1)
+        if complete.sum() < 5 * self.ny:
             return np.diag(variance)
-        R = filled[whole].T @ filled[whole] / whole.sum()
+        R = filled[complete].T @ filled[complete] / complete.sum()
         return R + np.diag(self._floor)
 
     def _cost(self, residuals: list[list[Array]], R: Array) -> float:
@@ -197,9 +197,9 @@ class OutputErrorProblem:
         total = 0.0
         for i in range(len(self.flights)):
             index = self.local if i else np.arange(len(self.free))
-            off = self.parameters(unknowns, i)[index] - self.prior_mean[index]
-            held = self.prior_weight[index] > 0
-            total += 0.5 * float(np.sum(self.prior_weight[index][held] * off[held] ** 2))
+            deviation = self.parameters(unknowns, i)[index] - self.prior_mean[index]
+            with_prior = self.prior_weight[index] > 0
+            total += 0.5 * float(np.sum(self.prior_weight[index][with_prior] * deviation[with_prior] ** 2))
         return total
 
     # -------------------------------------------------------------------------------------------- steps
@@ -227,18 +227,18 @@ class OutputErrorProblem:
             gradient += gt
         blocks = FlightBlocks.split(information, gradient, self.shared, self.local)
         if len(self.local):
-            off = self.prior_mean[self.local] - self.parameters(unknowns, flight)[self.local]
+            deviation = self.prior_mean[self.local] - self.parameters(unknowns, flight)[self.local]
             weight = self.prior_weight[self.local]
             ll = blocks.ll + np.diag(weight + damping * np.diag(blocks.ll))
-            gl = blocks.gl + np.where(weight > 0, weight * np.where(weight > 0, off, 0.0), 0.0)
+            gl = blocks.gl + np.where(weight > 0, weight * np.where(weight > 0, deviation, 0.0), 0.0)
             blocks = FlightBlocks(blocks.ss, blocks.sl, ll, blocks.gs, gl)
         return blocks
 
     def shared_information(self, unknowns: Array, blocks: list[FlightBlocks]) -> tuple[Array, Array]:
         """Information and gradient about the shared parameters with all else eliminated, priors included."""
         information = np.diag(self.prior_weight[self.shared])
-        off = self.prior_mean[self.shared] - self.parameters(unknowns, 0)[self.shared]
-        gradient = np.where(self.prior_weight[self.shared] > 0, self.prior_weight[self.shared] * off, 0.0)
+        deviation = self.prior_mean[self.shared] - self.parameters(unknowns, 0)[self.shared]
+        gradient = np.where(self.prior_weight[self.shared] > 0, self.prior_weight[self.shared] * deviation, 0.0)
         for block in blocks:
             ss, gs = block.reduced()
             information = information + ss
@@ -249,8 +249,8 @@ class OutputErrorProblem:
         blocks = [self.flight_blocks(unknowns, point, i, damping) for i in range(len(self.flights))]
         information, gradient = self.shared_information(unknowns, blocks)
         information = information + damping * np.diag(np.diag(information))
-        now = unknowns[: len(self.shared)]
-        change = self._bounded_solution(information, gradient, now)
+        current = unknowns[: len(self.shared)]
+        change = self._bounded_solution(information, gradient, current)
         direction, weight = np.zeros(self.size), np.zeros(self.size)
         direction[: len(self.shared)] = change
         weight[: len(self.shared)] = np.diag(information)
@@ -270,13 +270,13 @@ class OutputErrorProblem:
                 decrement += 0.5 * float(block.gx @ block.xx_inverse @ block.gx)
         return SolverStep(direction, decrement, np.sqrt(np.maximum(weight, 0.0)))
 
-    def _bounded_solution(self, information: Array, gradient: Array, now: Array) -> Array:
+    def _bounded_solution(self, information: Array, gradient: Array, current: Array) -> Array:
         """Solution of the reduced normal equations with parameters that press against a limit held there."""
         lower, upper = self.lower[self.shared], self.upper[self.shared]
-        moving = ~(((now <= lower) & (gradient < 0)) | ((now >= upper) & (gradient > 0)))
-        change = np.zeros(now.size)
-        if moving.any():
-            index = np.flatnonzero(moving)
+        movable = ~(((current <= lower) & (gradient < 0)) | ((current >= upper) & (gradient > 0)))
+        change = np.zeros(current.size)
+        if movable.any():
+            index = np.flatnonzero(movable)
             change[index] = pseudo_inverse(information[np.ix_(index, index)])[0] @ gradient[index]
         return change
 
@@ -288,14 +288,14 @@ def _runaway(motion: SegmentMotion) -> bool:
 
 def whiten(residual: Array, R: Array) -> tuple[Array, float]:
     """(residuals (N, ny) in units of their noise with unknown samples zero, sum of log det R over the samples)."""
-    known = np.isfinite(residual)
+    measured = np.isfinite(residual)
     if np.count_nonzero(R - np.diag(np.diag(R))) == 0:
         sigma = np.sqrt(np.diag(R))
-        return np.where(known, residual, 0.0) / sigma, float(np.sum(known * 2.0 * np.log(sigma)))
+        return np.where(measured, residual, 0.0) / sigma, float(np.sum(measured * 2.0 * np.log(sigma)))
     result = np.zeros_like(residual)
     logdet = 0.0
-    for pattern in np.unique(known, axis=0):
-        rows = np.all(known == pattern, axis=1)
+    for pattern in np.unique(measured, axis=0):
+        rows = np.all(measured == pattern, axis=1)
         index = np.flatnonzero(pattern)
         if not index.size:
             continue
@@ -308,14 +308,14 @@ def whiten(residual: Array, R: Array) -> tuple[Array, float]:
 def whiten_all(dy: Array, residual: Array, R: Array) -> tuple[Array, Array]:
     """Jacobian (N ny, n) and residual (N ny,) in units of the noise, rows of unknown samples zero."""
     count, ny, n = dy.shape
-    known = np.isfinite(residual)
+    measured = np.isfinite(residual)
     w, _ = whiten(residual, R)
     if np.count_nonzero(R - np.diag(np.diag(R))) == 0:
-        weight = known / np.sqrt(np.diag(R))
+        weight = measured / np.sqrt(np.diag(R))
         return (dy * weight[:, :, None]).reshape(count * ny, n), w.ravel()
     J = np.zeros_like(dy)
-    for pattern in np.unique(known, axis=0):
-        rows = np.flatnonzero(np.all(known == pattern, axis=1))
+    for pattern in np.unique(measured, axis=0):
+        rows = np.flatnonzero(np.all(measured == pattern, axis=1))
         index = np.flatnonzero(pattern)
         if not index.size:
             continue

@@ -5,28 +5,34 @@ segment has initial states of its own, each flight its own values of `local` par
 bounds and says what the data could not tell.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import AS_USUAL, FlightData, Preparation
 from estimation.engine.kernel import Array
-from estimation.engine.prepared import PIECES, compared, cut, prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import start_values
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, P, SolverOutcome, Status, minimise
 from estimation.estimators.input_path import in_own_terms, path_values, with_paths
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
-from estimation.estimators.result import Estimate, FlightFit, Result
-from estimation.estimators.uncertainty import ParameterEffect, effects_of, estimates, uncertainty
+from estimation.estimators.result import Estimate, FlightFit, Result, judge_status
+from estimation.estimators.uncertainty import ParameterEffect, bounds_at_optimum, effects_of, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
-from estimation.signals.goodness_of_fit import fits
-from groundstation.flight import Flight
+from estimation.prepare.flight_data import (
+    AS_USUAL,
+    PIECES,
+    FlightData,
+    Preparation,
+    cut_into_pieces,
+    without_absent_outputs,
+)
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
+from estimation.signals.goodness_of_fit import channel_fits
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,7 @@ FINEST = 16  # substeps
 
 def output_error(
     model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    flights: FlightsToFit,
     start: Mapping[str, float] | None = None,
     options: OutputErrorOptions = STANDARD,
 ) -> Result:
@@ -75,19 +81,19 @@ def output_error(
     start: start values by parameter name (default: the model's). Raises DataError or MissingColumnError for a flight
     that cannot feed the model; a fit that fails is a Result whose status says so.
     """
-    chosen = load_model(model).with_starts(start or {})
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    full = with_paths(chosen, data) if options.paths else chosen
+    loaded = load_model(model).with_starts(start or {})
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
+    full = with_paths(loaded, data) if options.paths else loaded
     problem = build_problem(full, data, options)
     _enough(problem)
-    outcome = optimum(problem, _starts(problem, options), options)
+    outcome = find_optimum(problem, _starts(problem, options), options)
     if _hopeless(problem, outcome) or _unstable(problem, outcome):
         problem, outcome = _rescued(full, data, options, problem, outcome)
     problem, outcome = _fine_enough(problem, outcome, options)
-    return in_own_terms(describe(problem, outcome, "ml"), chosen)
+    return in_own_terms(fit_result(problem, outcome, "ml"), loaded)
 
 
-def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
+def find_optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
     """The optimum from `start`: the way there with half the integration steps, the end with all of them."""
     steps = problem.simulator.substeps
     if steps < 2 or problem.size == 0:
@@ -147,22 +153,22 @@ def _rescued(
     An unstable aircraft cannot be simulated for long from anywhere; short pieces can, and their estimates are good.
     """
     for seconds in PIECES:
-        pieces = [cut(d, seconds) for d in data]
+        pieces = [cut_into_pieces(d, seconds) for d in data]
         if all(len(p.segments) == len(d.segments) for p, d in zip(pieces, data, strict=True)):
             continue
         short = build_problem(model, pieces, options)
         if any(len(s) * problem.ny < 3 * problem.nx for f in pieces for s in f.segments):
             break
-        done = minimise(short, _starts(short, options), options.loop)
-        if done.status is not Status.CONVERGED or _hopeless(short, done):
+        piecewise = minimise(short, _starts(short, options), options.loop)
+        if piecewise.status is not Status.CONVERGED or _hopeless(short, piecewise):
             continue
-        again = minimise(problem, problem.pack(short.values(done.unknowns, 0)), options.loop)
-        whole = not _hopeless(problem, again) and again.point.cost <= outcome.point.cost
-        if whole and _unstable(problem, again):  # by Akaike's criterion: the pieces have more unknowns
-            whole = again.point.cost + problem.size <= done.point.cost + short.size
-        if whole:
-            return problem, again
-        return short, replace(done, status=Status.CUT)
+        uncut = minimise(problem, problem.pack(short.values(piecewise.unknowns, 0)), options.loop)
+        uncut_preferred = not _hopeless(problem, uncut) and uncut.point.cost <= outcome.point.cost
+        if uncut_preferred and _unstable(problem, uncut):  # by Akaike's criterion: the pieces have more unknowns
+            uncut_preferred = uncut.point.cost + problem.size <= piecewise.point.cost + short.size
+        if uncut_preferred:
+            return problem, uncut
+        return short, replace(piecewise, status=Status.CUT)
     return problem, outcome
 
 
@@ -174,19 +180,19 @@ def _fine_enough(
     while outcome.status in (Status.CONVERGED, Status.CUT) and problem.simulator.substeps < FINEST:
         point = outcome.point
         finer = replace(problem.simulator, substeps=2 * problem.simulator.substeps)
-        worst = 0.0
+        largest = 0.0
         residuals: list[list[Array]] = []
         for i, flight in enumerate(problem.flights):
             values = problem.values(outcome.unknowns, i)
             residuals.append([])
             for j, segment in enumerate(flight.segments):
                 motion = finer.run(segment, values, problem.initial_state(outcome.unknowns, i, j))
-                off = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
-                worst = max(worst, float(np.sqrt(np.mean(off**2, axis=0)).max()))
+                integration_error = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
+                largest = max(largest, float(np.sqrt(np.mean(integration_error**2, axis=0)).max()))
                 residuals[-1].append(segment.z - motion.y)
         probe = LikelihoodPoint(point.cost, residuals, point.motions, point.R)
         step = problem.step(outcome.unknowns, probe, 0.0)
-        if worst < COARSE and step.decrement < MOVED:
+        if largest < COARSE and step.decrement < MOVED:
             break
         options = replace(options, substeps=finer.substeps)
         problem = build_problem(problem.model, problem.flights, options)
@@ -203,8 +209,10 @@ def build_problem(model: Model, data: list[FlightData], options: OutputErrorOpti
     free_states = free_states_of(model, options)
     sigma = None
     if options.sigma is not None:
-        if lacking := [n for n in model.output_names if n not in options.sigma]:
-            raise ModelError(f"model {model.name}: sigma: none given for output {lacking[0]!r}; every output needs one")
+        if without_sigma := [n for n in model.output_names if n not in options.sigma]:
+            raise ModelError(
+                f"model {model.name}: sigma: none given for output {without_sigma[0]!r}; every output needs one"
+            )
         sigma = np.array([options.sigma[n] for n in model.output_names])
     return OutputErrorProblem(model, data, simulator, noise=options.noise, sigma=sigma, free_states=free_states)
 
@@ -220,56 +228,57 @@ def free_states_of(model: Model, options: OutputErrorOptions) -> NDArray[np.bool
     return np.array([n in options.free_states for n in model.state_names])
 
 
-def reopened(
-    model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    result: Result,
-    options: OutputErrorOptions = STANDARD,
+def reopen_fit(
+    model: Model | str, flights: FlightsToFit, result: Result, options: OutputErrorOptions = STANDARD
 ) -> tuple[OutputErrorProblem, Fit]:
     """The problem of an earlier fit at its optimum, in the same pieces and steps."""
-    chosen = load_model(model).with_starts(result.fitted_model.starts())
-    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    loaded = load_model(model).with_starts(result.fitted_model.starts())
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
     data = in_pieces_of(data, result)
-    chosen = with_paths(chosen, data).with_starts(path_values(result)) if options.paths else chosen
-    problem = build_problem(chosen, data, options)
-    start = problem.pack(chosen.starts(), [list(f.initial_states) for f in result.flights])
+    loaded = with_paths(loaded, data).with_starts(path_values(result)) if options.paths else loaded
+    problem = build_problem(loaded, data, options)
+    start = problem.pack(loaded.starts(), [list(f.initial_states) for f in result.flights])
     return _fine_enough(problem, minimise(problem, start, options.loop), options)
 
 
 def in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
     """Prepared flights in the segments in which a result was fitted."""
-    wanted = [len(f.initial_states) for f in result.flights]
-    for pieces in (data, *([cut(d, seconds) for d in data] for seconds in PIECES)):
-        if [len(p.segments) for p in pieces] == wanted:
+    segment_counts = [len(f.initial_states) for f in result.flights]
+    for pieces in (data, *([cut_into_pieces(d, seconds) for d in data] for seconds in PIECES)):
+        if [len(p.segments) for p in pieces] == segment_counts:
             return pieces
     raise DataError(f"{data[0].name}: not in the segments of the fit: give the flights that were fitted")
 
 
 def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
     """The better of the given start and the equation-error solution."""
-    given = problem.pack(problem.model.starts())
+    from_model = problem.pack(problem.model.starts())
     if not options.improve_start:
-        return given
-    better = start_values(problem.simulator, problem.flights)
-    if better is None:
-        return given
-    other = problem.clip(problem.pack(better))
-    return other if problem.evaluate(other, False).cost < problem.evaluate(given, False).cost else given
+        return from_model
+    regression_values = start_values(problem.simulator, problem.flights)
+    if regression_values is None:
+        return from_model
+    from_regression = problem.clip(problem.pack(regression_values))
+    return (
+        from_regression
+        if problem.evaluate(from_regression, False).cost < problem.evaluate(from_model, False).cost
+        else from_model
+    )
 
 
-def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
+def fit_result(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     """The result of an optimisation: bounds, verdicts, histories, fit."""
     model, unknowns = problem.model, outcome.unknowns
     point = outcome.point
     if outcome.status is Status.DIVERGED:
-        return failed(problem, outcome, method)
+        return failed_result(problem, outcome, method)
     problem.segment_blocks(point)
-    spread = uncertainty(problem, unknowns, point)
+    spread = bounds_at_optimum(problem, unknowns, point)
     effects = effects_of(problem, point)
     shared_names = tuple(problem.free[i] for i in problem.shared)
-    found, pairs = estimates(
+    estimated, pairs = judge_estimates(
         model,
         shared_names,
         unknowns[: len(shared_names)],
@@ -284,46 +293,35 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
         for i in range(len(problem.flights))
     )
     if len(problem.local):
-        found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
-    ordered = {n: found[n] for n in problem.free if n in found}
-    blind = [n for n, e in ordered.items() if not e.identifiable]
-    status = Status.NOT_IDENTIFIABLE if outcome.status is Status.CONVERGED and blind else outcome.status
-    text = status.value + (f": {', '.join(blind)}" if status is Status.NOT_IDENTIFIABLE else "")
+        estimated |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
+    ordered = {n: estimated[n] for n in problem.free if n in estimated}
+    status, text = judge_status(outcome.status, ordered)
     return Result(
         model, method, status, text, outcome.iterations, outcome.evaluations, point.cost, point.R, shared_names, ordered,
         spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,
     )  # fmt: skip
 
 
-def failed(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) -> Result:
+def failed_result(problem: OutputErrorProblem, outcome: SolverOutcome[P], method: str) -> Result:
     """The result of a fit that found no usable simulation."""
     names = tuple(problem.free[i] for i in problem.shared)
-    nothing = np.full((len(names), len(names)), np.nan)
-    why = "no usable simulation was found"
-    found = {
-        n: Estimate(n, float("nan"), float("inf"), float("inf"), False, why, problem.model.parameter(n).unit)
+    no_covariance = np.full((len(names), len(names)), np.nan)
+    reason = "no usable simulation was found"
+    estimated = {
+        n: Estimate(n, float("nan"), float("inf"), float("inf"), False, reason, problem.model.parameter(n).unit)
         for n in problem.free
     }
     flights = []
     for f in problem.flights:
         blank = np.full((f.samples, problem.ny), np.nan)
-        time, measured = _histories(f, problem.ny)
+        time, measured = f.histories(problem.ny)
         x0 = tuple(s.x0 for s in f.segments)
         flights.append(FlightFit(f.name, f.samples, time, measured, blank, blank, x0, {}, {}, f.notes))
     return Result(
         problem.model, method, outcome.status, outcome.status.value, outcome.iterations, outcome.evaluations,
-        float("inf"), np.eye(problem.ny) * np.nan, names, found, nothing, nothing, (), tuple(flights),
+        float("inf"), np.eye(problem.ny) * np.nan, names, estimated, no_covariance, no_covariance, (), tuple(flights),
         problem.simulator.kernel.label,
     )  # fmt: skip
-
-
-def _histories(flight: FlightData, ny: int) -> tuple[Array, Array]:
-    time = np.full(flight.samples, np.nan)
-    measured = np.full((flight.samples, ny), np.nan)
-    for s in flight.segments:
-        time[s.first : s.first + len(s)] = s.time
-        measured[s.first : s.first + len(s)] = s.z
-    return time, measured
 
 
 def _flight_fit(
@@ -335,16 +333,16 @@ def _flight_fit(
     effects: Mapping[str, ParameterEffect],
 ) -> FlightFit:
     flight = problem.flights[index]
-    time, measured = _histories(flight, problem.ny)
+    time, measured = flight.histories(problem.ny)
     outputs = np.full_like(measured, np.nan)
     for segment, motion in zip(flight.segments, point.motions[index], strict=True):
-        outputs[segment.first : segment.first + len(segment)] = motion.y
+        outputs[segment.rows] = motion.y
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
-    seen = np.zeros(len(names), bool)
-    local, _ = estimates(problem.model, names, values, *covariances, seen, [flight], effects)
+    blind = np.zeros(len(names), bool)
+    local, _ = judge_estimates(problem.model, names, values, *covariances, blind, [flight], effects)
     states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
-    fit = fits(problem.model.output_names, measured, outputs)
+    fit = channel_fits(problem.model.output_names, measured, outputs)
     return FlightFit(
         flight.name, flight.samples, time, measured, outputs, measured - outputs, states, local, fit, flight.notes
     )
@@ -355,12 +353,14 @@ def mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> di
     no flight can tell its own."""
     result = {}
     for name in names:
-        each = [f.local[name] for f in flights]
-        count = len(each)
-        std = float(np.sqrt(sum(e.std**2 for e in each))) / count
-        coloured = float(np.sqrt(sum(e.std_coloured**2 for e in each))) / count
-        mean = float(np.mean([e.estimate for e in each]))
-        told = any(e.identifiable for e in each)
-        why = "" if told else f"each flight's own: {each[0].why}"
-        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=coloured, identifiable=told, why=why)
+        members = [f.local[name] for f in flights]
+        count = len(members)
+        std = float(np.sqrt(sum(e.std**2 for e in members))) / count
+        coloured = float(np.sqrt(sum(e.std_coloured**2 for e in members))) / count
+        mean = float(np.mean([e.estimate for e in members]))
+        identifiable = any(e.identifiable for e in members)
+        reason = "" if identifiable else f"each flight's own: {members[0].why}"
+        result[name] = replace(
+            members[0], estimate=mean, std=std, std_coloured=coloured, identifiable=identifiable, why=reason
+        )
     return result

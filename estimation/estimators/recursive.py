@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Airframe, Belief, Sample
 from daq.identification.estimates import LiveDerivative, LiveEstimates
@@ -16,19 +15,17 @@ from daq.identification.live import GAP, JointEstimator
 from daq.identification.regression import LATERAL, Regression
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
-from estimation.engine.data import FOR_REGRESSION, FlightData
-from estimation.engine.derived import with_derived
-from estimation.engine.prepared import compared, prepared
 from estimation.errors import EstimationError
 from estimation.estimators.equation_error import simulated_fits
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.linear_terms import OPTIONAL, LinearTerms, linear_terms
-from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation
+from estimation.estimators.result import Estimate, EstimateHistory, FlightFit, Result, correlation_matrix
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
-from groundstation.flight import GAP_FACTOR, Flight
-
-Array = NDArray[np.float64]
+from estimation.prepare.columns import with_derived
+from estimation.prepare.flight_data import FOR_REGRESSION, FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from groundstation.flight import GAP_FACTOR, Array, Flight
 
 EVERY = 0.5  # s between two entries of the history
 DOUBTED = 0.5  # of a believed value: its standard deviation where the aircraft file states none
@@ -43,7 +40,7 @@ class _RecursiveRun:
     history: EstimateHistory
 
 
-def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
+def estimate_recursively(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
     """Estimates with bounds after the last scan, and how they came about.
 
     model: linear in its parameters, as `linear_terms` asks. Several flights are taken one after the other, as one aircraft; the
@@ -53,12 +50,12 @@ def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Re
     airframe, terms = airframe_of(model, aircraft), linear_terms(model)
     for flight in flights:
         flight.require(list(terms.signals), "method live")
-    compared_model, data = compared(model, prepared(model, flights, FOR_REGRESSION))
+    compared_model, data = without_absent_outputs(model, prepare_all(model, flights, FOR_REGRESSION))
     run = _fed(airframe, terms, [with_derived(f, ["rho"]) for f in flights])
     return _result(compared_model, data, run, terms)
 
 
-def refusal(model: Model) -> str:
+def unsupported_by_live(model: Model) -> str:
     """Why a model cannot be taken, empty where it can."""
     try:
         linear_terms(model)
@@ -132,11 +129,11 @@ def _fed(airframe: Airframe, terms: LinearTerms, flights: Sequence[Flight]) -> _
     return _RecursiveRun(estimator, tuple(ends), _history(entries, terms.names))
 
 
-def _leads_over(flight: Flight, at: int) -> bool:
+def _leads_over(flight: Flight, row: int) -> bool:
     """Whether a segment begins only because some scans are missing, fewer than make the estimator begin anew by itself."""
-    if at == 0:
+    if row == 0:
         return False
-    step = float(flight.time[at] - flight.time[at - 1])
+    step = float(flight.time[row] - flight.time[row - 1])
     return GAP_FACTOR * flight.sample_interval < step <= GAP
 
 
@@ -191,8 +188,8 @@ def _estimate(p: Parameter, d: LiveDerivative) -> Estimate:
     )
 
 
-def _status(final: LiveEstimates, found: Mapping[str, Estimate]) -> tuple[Status, str]:
-    blind = [n for n, e in found.items() if not e.identifiable]
+def _status(final: LiveEstimates, parameters: Mapping[str, Estimate]) -> tuple[Status, str]:
+    blind = [n for n, e in parameters.items() if not e.identifiable]
     text = f"solved from {final.rows} intervals, {final.span:.1f} s"
     if blind:
         text += f"; cannot be told from this data: {', '.join(blind)}"
@@ -212,7 +209,7 @@ def _matrix(names: Sequence[str], solutions: Mapping[str, RegressionSolution | N
 
 
 def _pairs(names: tuple[str, ...], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    rho = correlation(covariance)
+    rho = correlation_matrix(covariance)
     pairs = [
         (names[i], names[j], round(float(rho[i, j]), 4))
         for i in range(len(names))

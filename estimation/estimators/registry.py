@@ -16,7 +16,7 @@ from daq.contract.plain_words import meant
 from estimation.errors import EstimationError
 from estimation.estimators import methods
 from estimation.estimators.estimator import Estimator, Extra
-from estimation.own_code import MISTAKES, named, said
+from estimation.own_code import MISTAKES, import_named, mistake_text
 
 ENTRY_POINTS = "sideslip.estimators"
 
@@ -25,8 +25,8 @@ ENTRY_POINTS = "sideslip.estimators"
 def built_in() -> Mapping[str, Estimator]:
     """The estimators of `estimators/methods` by name, in the order of their rank."""
     modules = (importlib.import_module(f"{methods.__name__}.{m.name}") for m in pkgutil.iter_modules(methods.__path__))
-    found: list[Estimator] = [e for module in modules for e in module.ESTIMATORS]
-    return {e.name: e for e in sorted(found, key=lambda e: (e.rank, e.name))}
+    estimators: list[Estimator] = [e for module in modules for e in module.ESTIMATORS]
+    return {e.name: e for e in sorted(estimators, key=lambda e: (e.rank, e.name))}
 
 
 @cache
@@ -34,53 +34,57 @@ def _installed() -> Mapping[str, EntryPoint]:
     return {p.name: p for p in entry_points(group=ENTRY_POINTS)}
 
 
-def names(extra: Extra | None = None) -> tuple[str, ...]:
+def estimator_names(extra: Extra | None = None) -> tuple[str, ...]:
     """All names; with `extra` those of Sideslip's own that support it (others are not loaded to be asked)."""
-    own = built_in()
+    built_in_estimators = built_in()
     if extra is not None:
-        return tuple(n for n, e in own.items() if extra in e.supports)
-    return (*own, *sorted(set(_installed()) - set(own)))
+        return tuple(n for n, e in built_in_estimators.items() if extra in e.supports)
+    return (*built_in_estimators, *sorted(set(_installed()) - set(built_in_estimators)))
 
 
-def find(name: str) -> Estimator:
+def find_estimator(name: str) -> Estimator:
     """The estimator of that name, or of `module:NAME`; EstimationError naming what there is."""
-    own, point = built_in().get(name), _installed().get(name)
-    if own is not None and point is not None:
+    estimator, point = built_in().get(name), _installed().get(name)
+    if estimator is not None and point is not None:
         raise EstimationError(f"method {name}: {point.value} brings one too, but the name is taken; give it another")
-    if own is not None:
-        return own
+    if estimator is not None:
+        return estimator
     if point is not None:
         try:
             value = point.load()
         except MISTAKES as error:
-            raise EstimationError(f"method {name}: {point.value} cannot be loaded: {said(error)}") from error
+            raise EstimationError(f"method {name}: {point.value} cannot be loaded: {mistake_text(error)}") from error
         return _checked(value, f"method {name}: {point.value}", name)
     if ":" in name:
-        found = _checked(named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}")
-        if found.name in names():
-            raise EstimationError(f"method {name} calls itself {found.name!r}: the name is taken; give it another")
-        return found
-    known = f"known are {', '.join(names())}, or give module:NAME"
-    raise EstimationError(f"method {name!r} is unknown; {known}{meant(name, names())}")
+        estimator_of_file = _checked(
+            import_named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}"
+        )
+        if estimator_of_file.name in estimator_names():
+            raise EstimationError(
+                f"method {name} calls itself {estimator_of_file.name!r}: the name is taken; give it another"
+            )
+        return estimator_of_file
+    alternatives = f"known are {', '.join(estimator_names())}, or give module:NAME"
+    raise EstimationError(f"method {name!r} is unknown; {alternatives}{meant(name, estimator_names())}")
 
 
-def _checked(value: object, where: str, name: str = "") -> Estimator:
+def _checked(value: object, source: str, name: str = "") -> Estimator:
     if not isinstance(value, Estimator):
-        raise EstimationError(f"{where} is {type(value).__name__}, not an estimation.Estimator")
+        raise EstimationError(f"{source} is {type(value).__name__}, not an estimation.Estimator")
     if name and value.name != name:
-        raise EstimationError(f"{where} calls itself {value.name!r}: give it the name of its entry point")
+        raise EstimationError(f"{source} calls itself {value.name!r}: give it the name of its entry point")
     return value
 
 
-def listed(words: Sequence[str]) -> str:
+def listed_words(words: Sequence[str]) -> str:
     """`a`, `a and b`, `a, b and c`."""
     return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
-def check_extras(asked: Sequence[Extra], chosen: Sequence[Estimator]) -> None:
+def check_extras(extras: Sequence[Extra], estimators: Sequence[Estimator]) -> None:
     """EstimationError for an extra that none of the chosen estimators heeds."""
-    for extra in asked:
-        if not any(extra in e.supports for e in chosen):
-            able = names(extra)
-            which = f"method{'s' if len(able) > 1 else ''} {listed(able)}"
-            raise EstimationError(f"{extra.value} is for {which}: add {able[0]} to --method")
+    for extra in extras:
+        if not any(extra in e.supports for e in estimators):
+            able = estimator_names(extra)
+            able_methods = f"method{'s' if len(able) > 1 else ''} {listed_words(able)}"
+            raise EstimationError(f"{extra.value} is for {able_methods}: add {able[0]} to --method")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimation.estimators.gauss_newton import Status
 from estimation.models.base import Model
 from estimation.signals.goodness_of_fit import ChannelFit
-from groundstation.flight.notes import Note
+from groundstation.flight.findings import Finding
 
 Array = NDArray[np.float64]
 
@@ -37,9 +37,9 @@ class Estimate:
 
     def to_json(self) -> dict[str, Any]:
         data: dict[str, Any] = {
-            "estimate": finite(self.estimate),
-            "std": finite(self.std),
-            "std_coloured": finite(self.std_coloured),
+            "estimate": finite_or_none(self.estimate),
+            "std": finite_or_none(self.std),
+            "std_coloured": finite_or_none(self.std_coloured),
             "identifiable": self.identifiable,
             "unit": self.unit,
         }
@@ -64,7 +64,7 @@ class FlightFit:
     initial_states: tuple[Array, ...]
     local: Mapping[str, Estimate]
     fit: Mapping[str, ChannelFit]
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ class Profile:
 
     def to_json(self) -> dict[str, Any]:
         data: dict[str, Any] = {
-            "interval": [finite(v) for v in self.interval],
-            "interval_coloured": [finite(v) for v in self.interval_coloured],
+            "interval": [finite_or_none(v) for v in self.interval],
+            "interval_coloured": [finite_or_none(v) for v in self.interval_coloured],
             "values": self.values.tolist(),
             "deviance": self.deviance.tolist(),
         }
@@ -133,11 +133,14 @@ class EstimateHistory:
 
     def to_json(self) -> dict[str, Any]:
         """`time` and each parameter by name; JSON knows no NaN, so what cannot be told yet is null."""
-        told = {
-            n: {"estimate": [finite(v) for v in self.estimate[n]], "std": [finite(v) for v in self.std[n]]}
+        parameters = {
+            n: {
+                "estimate": [finite_or_none(v) for v in self.estimate[n]],
+                "std": [finite_or_none(v) for v in self.std[n]],
+            }
             for n in self.estimate
         }
-        return {"time": self.time.tolist(), **told}
+        return {"time": self.time.tolist(), **parameters}
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ class Result:
     @property
     def correlation(self) -> Array:
         """(n, n) correlation of the estimates, from the Cramer-Rao covariance."""
-        return correlation(self.covariance)
+        return correlation_matrix(self.covariance)
 
     @property
     def std(self) -> dict[str, float]:
@@ -205,8 +208,8 @@ class Result:
             "converged": self.converged,
             "status": self.text,
             "iterations": self.iterations,
-            "cost": finite(self.cost),
-            "R": {n: finite(v) for n, v in zip(self.model.output_names, np.diag(self.R).tolist(), strict=True)},
+            "cost": finite_or_none(self.cost),
+            "R": {n: finite_or_none(v) for n, v in zip(self.model.output_names, np.diag(self.R).tolist(), strict=True)},
             "parameters": {n: e.to_json() for n, e in self.parameters.items()},
             "fit": self._fit_json(),
         }
@@ -219,7 +222,7 @@ class Result:
         if paths := self.extra.get("input_paths"):
             data["inputs"] = {n: path.to_json() for n, path in paths.items()}
         if noise := self.extra.get("process_noise"):
-            data["process_noise"] = {n: finite(v) for n, v in noise.items()}
+            data["process_noise"] = {n: finite_or_none(v) for n, v in noise.items()}
         if self.history is not None:
             data["history"] = self.history.to_json()
         return data
@@ -230,16 +233,24 @@ class Result:
         return {flight.name: {n: f.to_json() for n, f in flight.fit.items()} for flight in self.flights}
 
 
-def correlation(covariance: Array) -> Array:
+def judge_status(status: Status, parameters: Mapping[str, Estimate]) -> tuple[Status, str]:
+    """The status of a fit in view of what the data can tell, and its sentence."""
+    unclear = [n for n, e in parameters.items() if not e.identifiable]
+    if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
+        status = Status.NOT_IDENTIFIABLE if unclear else Status.CONVERGED
+    return status, status.value + (f": {', '.join(unclear)}" if status is Status.NOT_IDENTIFIABLE else "")
+
+
+def correlation_matrix(covariance: Array) -> Array:
     """Correlation matrix; rows of parameters without a bound are zero but for the diagonal."""
     d = np.sqrt(np.diag(covariance))
-    good = np.isfinite(d) & (d > 0)
-    scale = np.where(good, 1.0 / np.where(good, d, 1.0), 0.0)
+    bounded = np.isfinite(d) & (d > 0)
+    scale = np.where(bounded, 1.0 / np.where(bounded, d, 1.0), 0.0)
     result = np.where(np.isfinite(covariance), covariance, 0.0) * scale[:, None] * scale[None, :]
     np.fill_diagonal(result, 1.0)
     return result
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """JSON knows no infinity: None stands for it."""
     return float(value) if math.isfinite(value) else None

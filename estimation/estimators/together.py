@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.models.base import Model
+from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 
@@ -24,48 +24,48 @@ def moving_together(model: Model, flights: list[FlightData]) -> dict[str, tuple[
     blocks = [_block(f, controls) for f in flights]
     if len(controls) < 1 or not any(len(b) for b in blocks):
         return {}
-    every = np.concatenate([b for b in blocks if len(b)])
+    rows = np.concatenate([b for b in blocks if len(b)])
     names = (*(model.inputs[i].name for i in controls), *model.state_names)
-    usable = np.flatnonzero(np.isfinite(every).all(axis=0) & (every.std(axis=0) > 0.0))
-    found = {}
+    usable = np.flatnonzero(np.isfinite(rows).all(axis=0) & (rows.std(axis=0) > 0.0))
+    partners_of = {}
     for k in (k for k in usable if k < len(controls)):
-        others = np.array([j for j in usable if j != k], int)
+        rest = np.array([j for j in usable if j != k], int)
         noise = max((f.noise.get(names[k], (0.0, 0.0))[0] for f in flights), default=0.0)
-        if partners := _followed(every[:, k], every[:, others], noise):
-            found[names[k]] = tuple(names[others[j]] for j in partners)
-    return found
+        if partners := _followed(rows[:, k], rows[:, rest], noise):
+            partners_of[names[k]] = tuple(names[rest[j]] for j in partners)
+    return partners_of
 
 
 def _block(flight: FlightData, controls: list[int]) -> Array:
     """(N, controls + states) of a flight, each segment about its mean."""
     parts = []
     for s in flight.segments:
-        rows = np.concatenate([s.u[:, controls], flight.states[s.first : s.first + len(s)]], axis=1)
+        rows = np.concatenate([s.u[:, controls], flight.states[s.rows]], axis=1)
         parts.append(rows - rows.mean(axis=0))
     return np.concatenate(parts) if parts else np.zeros((0, 0))
 
 
-def _followed(control: Array, others: Array, noise: float) -> list[int]:
-    """Columns of `others` that a control is made of, the main ones; empty where it moves by itself."""
-    if not others.shape[1]:
+def _followed(control: Array, rest: Array, noise: float) -> list[int]:
+    """Columns of `rest` that a control is made of, the main ones; empty where it moves by itself."""
+    if not rest.shape[1]:
         return []
-    scaled = others / others.std(axis=0)
+    scaled = rest / rest.std(axis=0)
     weights = np.linalg.lstsq(scaled, control, rcond=1e-9)[0]
-    left, moved = float(np.std(control - scaled @ weights)), float(np.std(control))
-    if left > max(ALONE * moved, HEARD * noise):
+    unexplained, movement = float(np.std(control - scaled @ weights)), float(np.std(control))
+    if unexplained > max(ALONE * movement, HEARD * noise):
         return []
-    if left > ALONE * moved and moved <= 3.0 * noise:  # it hardly moves at all, which is said elsewhere
+    if unexplained > ALONE * movement and movement <= 3.0 * noise:  # it hardly moves at all, which is said elsewhere
         return []
     size = np.abs(weights)
     return [int(j) for j in np.flatnonzero(size > NAMED * size.max())]
 
 
-def text_of(control: str, together: Mapping[str, tuple[str, ...]]) -> str:
+def text_of(control: str, partners_of: Mapping[str, tuple[str, ...]]) -> str:
     """Why derivatives by a control cannot be told; empty where it moves by itself."""
-    if control not in together:
+    if control not in partners_of:
         return ""
-    with_ = " and ".join(together[control])
+    partners = " and ".join(partners_of[control])
     return (
-        f"{control} moves only together with {with_} (a combination of them to within its noise or {ALONE:.0%}): these flights"
+        f"{control} moves only together with {partners} (a combination of them to within its noise or {ALONE:.0%}): these flights"
         " cannot tell their effects apart; move it by itself"
     )

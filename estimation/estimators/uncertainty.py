@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.constants import RADIAN
-from estimation.engine.data import FlightData
-from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
 from estimation.estimators.coloured import (
     ResidualSegment,
     Spectrum,
@@ -29,15 +27,17 @@ from estimation.estimators.input_error import (
     Disturbed,
     InputErrorEvidence,
     common_error,
-    disturbed,
+    disturbed_outputs,
     edge_size,
-    evidence,
+    input_error_evidence,
 )
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
-from estimation.estimators.result import Estimate, correlation
+from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
+from estimation.estimators.result import Estimate, correlation_matrix
 from estimation.estimators.together import moving_together, text_of
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import products_in
+from estimation.prepare.flight_data import FlightData
 
 Array = NDArray[np.float64]
 
@@ -73,22 +73,26 @@ class ParameterEffect:
 def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str, ParameterEffect]:
     """Effect of each free parameter at a point evaluated with derivatives."""
     n = len(problem.free)
-    moved, motion = np.zeros((problem.ny, n)), np.zeros(problem.ny)
+    effect_squares, motion = np.zeros((problem.ny, n)), np.zeros(problem.ny)
     for flight, motions in zip(problem.flights, point.motions, strict=True):
         for segment, of_segment in zip(flight.segments, motions, strict=True):
             assert of_segment.dy is not None
-            known = np.isfinite(segment.z)
-            moved += np.sum(np.where(known[:, :, None], of_segment.dy[:, :, :n], 0.0) ** 2, axis=0)
-            z = np.where(known, segment.z, 0.0)
-            mean = z.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-            motion += np.sum(np.where(known, z - mean, 0.0) ** 2, axis=0)
-    share = np.sqrt(np.divide(moved, motion[:, None], out=np.zeros_like(moved), where=motion[:, None] > 0.0))
-    most = np.argmax(share, axis=0)
+            measured = np.isfinite(segment.z)
+            effect_squares += np.sum(np.where(measured[:, :, None], of_segment.dy[:, :, :n], 0.0) ** 2, axis=0)
+            z = np.where(measured, segment.z, 0.0)
+            mean = z.sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+            motion += np.sum(np.where(measured, z - mean, 0.0) ** 2, axis=0)
+    share = np.sqrt(
+        np.divide(effect_squares, motion[:, None], out=np.zeros_like(effect_squares), where=motion[:, None] > 0.0)
+    )
+    strongest = np.argmax(share, axis=0)
     names = problem.model.output_names
-    return {name: ParameterEffect(names[most[k]], float(share[most[k], k])) for k, name in enumerate(problem.free)}
+    return {
+        name: ParameterEffect(names[strongest[k]], float(share[strongest[k], k])) for k, name in enumerate(problem.free)
+    }
 
 
-def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
+def bounds_at_optimum(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
     """Both bounds at an optimum evaluated with derivatives."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     information, _ = problem.shared_information(unknowns, blocks)
@@ -97,9 +101,9 @@ def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodP
     scores = [flight_score(problem, unknowns, point, i, covariance, block) for i, block in enumerate(blocks)]
     reduced = [_reduction(problem, block) for block in blocks]
     change = covariance @ np.sum([r @ s.common for r, s in zip(reduced, scores, strict=True)], axis=0)
-    told = [s.evidence for s in scores]
-    edges = edge_size(told)
-    common = common_error(told, edges)
+    flight_evidence = [s.evidence for s in scores]
+    edges = edge_size(flight_evidence)
+    common = common_error(flight_evidence, edges)
     middle = np.diag(problem.prior_weight[problem.shared])
     middle += sum(r @ s.covariance(edges) @ r.T for r, s in zip(reduced, scores, strict=True))
     coloured = covariance @ middle @ covariance + change @ common @ change.T
@@ -107,9 +111,9 @@ def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodP
     for block, score in zip(blocks, scores, strict=True):
         local_covariance.append(_local(block, covariance, block.ll_inverse))
         of_local = score.covariance(edges)[np.ix_(problem.local, problem.local)]
-        off = score.common[problem.local]
-        own = block.ll_inverse @ (of_local + off @ common @ off.T) @ block.ll_inverse
-        local_coloured.append(_local(block, coloured, own))
+        local_common = score.common[problem.local]
+        own_coloured = block.ll_inverse @ (of_local + local_common @ common @ local_common.T) @ block.ll_inverse
+        local_coloured.append(_local(block, coloured, own_coloured))
     return Uncertainty(covariance, coloured, local_covariance, local_coloured, undetermined)
 
 
@@ -122,9 +126,9 @@ def _reduction(problem: OutputErrorProblem, block: FlightBlocks) -> Array:
     return reduce
 
 
-def _local(block: FlightBlocks, shared: Array, own: Array) -> Array:
+def _local(block: FlightBlocks, shared: Array, own_covariance: Array) -> Array:
     lever = block.ll_inverse @ block.sl.T
-    return own + lever @ shared @ lever.T
+    return own_covariance + lever @ shared @ lever.T
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,7 @@ class FlightScore:
     """Where the score of one flight about the free parameters scatters from, initial states projected out.
 
     noise: (n, n) covariance from the outputs' noise; inputs, edges: (n, draws) and common: (n, errors) scores; evidence: from
-    which the sizes of the last two are found.
+    which the sizes of the last two are found; spectrum: of the outputs' noise, in units of R.
     """
 
     noise: Array
@@ -140,6 +144,7 @@ class FlightScore:
     edges: Array
     common: Array
     evidence: InputErrorEvidence
+    spectrum: Spectrum
 
     def covariance(self, edges: float) -> Array:
         """(n, n), of all that is independent from flight to flight. edges: factor on their variance."""
@@ -156,8 +161,10 @@ def flight_score(
     blocks: FlightBlocks,
 ) -> FlightScore:
     """Where the score of one flight scatters from: the outputs' noise, coloured as residuals show it, and the inputs."""
-    pieces, inverse, nuisance_inverse = _pieces(problem, point, index, covariance, blocks)
-    responses = disturbed(problem, unknowns, index)
+    pieces = segments_in_noise(problem, point, index)
+    nuisance_inverse = [b.xx_inverse for b in point.blocks[index]]
+    inverse = _of_free_parameters(problem, covariance, blocks)
+    responses = disturbed_outputs(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
     white = white_responses(pieces, nuisance_inverse, responses, point)
     white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
@@ -167,13 +174,9 @@ def flight_score(
     lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
-    return FlightScore(
-        filtered_covariance(pieces, projected, spectrum),
-        inputs,
-        edge,
-        common,
-        evidence(pieces, white, spectrum, responses[0]),
-    )
+    from_noise = filtered_covariance(pieces, projected, spectrum)
+    residual_evidence = input_error_evidence(pieces, white, spectrum, responses[0])
+    return FlightScore(from_noise, inputs, edge, common, residual_evidence, spectrum)
 
 
 def white_responses(
@@ -181,9 +184,9 @@ def white_responses(
 ) -> list[Array]:
     """Responses (N ny, columns) of each piece in units of the noise, initial states projected out."""
     white = []
-    for d, p, own in zip(responses, pieces, nuisance_inverse, strict=True):
+    for d, p, state_covariance in zip(responses, pieces, nuisance_inverse, strict=True):
         w = whiten_all(d.values, np.where(p.known, 0.0, np.nan), point.R)[0]
-        white.append(w - p.nuisance @ (own @ (p.nuisance.T @ w)))
+        white.append(w - p.nuisance @ (state_covariance @ (p.nuisance.T @ w)))
     return white
 
 
@@ -201,41 +204,33 @@ def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: Likelihoo
     """Spectrum of each flight's output noise in units of R, the one that the corrected bound is made of."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     covariance, _ = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
-    spectra = []
-    for i, block in enumerate(blocks):
-        pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
-        responses = disturbed(problem, unknowns, i)
-        white = [w[:, : responses[0].noise] for w in white_responses(pieces, nuisance_inverse, responses, point)]
-        white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
-        pieces = [without_empty_rows(p) for p in pieces]
-        projected = without_nuisance(pieces, nuisance_inverse)
-        change = inverse @ np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
-        lags = input_lags(pieces, projected, white, change)
-        spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags))
-    return spectra
+    return [flight_score(problem, unknowns, point, i, covariance, b).spectrum for i, b in enumerate(blocks)]
 
 
-def _pieces(
-    problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
-) -> tuple[list[ResidualSegment], Array, list[Array]]:
-    """Segments of one flight, covariance of its free parameters, and of the initial states of each segment."""
-    n = len(problem.free)
-    keep = np.concatenate([np.arange(n), n + problem.free_states])
-    inverse = np.zeros((n, n))
+def _of_free_parameters(problem: OutputErrorProblem, covariance: Array, blocks: FlightBlocks) -> Array:
+    """(n, n) covariance of the free parameters of one flight, shared and local ones each by themselves."""
+    inverse = np.zeros((len(problem.free), len(problem.free)))
     inverse[np.ix_(problem.shared, problem.shared)] = covariance
     inverse[np.ix_(problem.local, problem.local)] = blocks.ll_inverse
+    return inverse
+
+
+def segments_in_noise(problem: OutputErrorProblem, point: LikelihoodPoint, index: int) -> list[ResidualSegment]:
+    """Segments of one flight in units of the noise."""
+    n = len(problem.free)
+    keep = np.concatenate([np.arange(n), n + problem.free_states])
     pieces = []
     for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
         assert motion.dy is not None
         J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
         pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
-    return pieces, inverse, [b.xx_inverse for b in point.blocks[index]]
+    return pieces
 
 
 # ------------------------------------------------------------------------------------------------ identifiability
 
 
-def estimates(
+def judge_estimates(
     model: Model,
     names: tuple[str, ...],
     values: Array,
@@ -252,23 +247,23 @@ def estimates(
     std = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     std_coloured = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(coloured), 0.0)))
     std_coloured = np.maximum(std, std_coloured)
-    rho = correlation(covariance)
+    rho = correlation_matrix(covariance)
     diagonal = np.diag(covariance)  # zero where the data holds no information at all
     movement = input_movement(model, flights)
-    together = moving_together(model, flights)
+    gearing = moving_together(model, flights)
     result = {}
     for i, name in enumerate(names):
         parameter = model.parameter(name)
         size = (float(values[i]), float(std_coloured[i]))
-        why = next((t for c in sorted(companions(model, name)) if (t := text_of(c, together))), "")
-        why = why or _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
-        if not why and undetermined[i] and diagonal[i] <= 0.0:
-            why = "has no effect on any output in this data"
-        if not why and undetermined[i]:
+        reason = next((t for c in sorted(inputs_beside(model, name)) if (t := text_of(c, gearing))), "")
+        reason = reason or _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
+        if not reason and undetermined[i] and diagonal[i] <= 0.0:
+            reason = "has no effect on any output in this data"
+        if not reason and undetermined[i]:
             partners = ", ".join(n for j, n in enumerate(names) if undetermined[j] and j != i) or "nothing else"
-            why = f"tied exactly to {partners}: only a combination can be told; held at its start value"
+            reason = f"tied exactly to {partners}: only a combination can be told; held at its start value"
         result[name] = Estimate(
-            name, float(values[i]), float(std[i]), float(std_coloured[i]), not why, why, parameter.unit,
+            name, float(values[i]), float(std[i]), float(std_coloured[i]), not reason, reason, parameter.unit,
             parameter.reference, parameter.reference_source, parameter.local,
         )  # fmt: skip
     pairs = [
@@ -291,13 +286,13 @@ def _why_not(
     movement: dict[str, tuple[float, float]],
     effect: ParameterEffect | None,
 ) -> str:
-    for name in sorted(companions(model, parameter.name)):
+    for name in sorted(inputs_beside(model, parameter.name)):
         if name in movement:
-            moved, noise = movement[name]
-            if moved <= max(STILL * noise, 1e-12):
+            movement_rms, noise = movement[name]
+            if movement_rms <= max(STILL * noise, 1e-12):
                 unit, factor = _face(model, name)
                 return (
-                    f"{name} moved only {moved * factor:.2g} {unit} rms"
+                    f"{name} moved only {movement_rms * factor:.2g} {unit} rms"
                     + (f" against {noise * factor:.2g} {unit} of sensor noise" if noise else "")
                     + ": this data cannot tell; move it on purpose (doublet or 3-2-1-1)"
                 )
@@ -312,21 +307,21 @@ def _why_not(
     if strong:
         r, partner = max(strong)
         return f"collinear with {partner} (correlation {r:.3f}): this data cannot tell them apart"
-    seen = "" if effect is None else f", and moves {effect.output} by {std * effect.share:.0%} of its motion"
-    return f"bound {std:.2g} is wider than {_what_limits(parameter, limit)}{seen}: this data cannot tell"
+    effect_text = "" if effect is None else f", and moves {effect.output} by {std * effect.share:.0%} of its motion"
+    return f"bound {std:.2g} is wider than {_what_limits(parameter, limit)}{effect_text}: this data cannot tell"
 
 
 def _what_limits(parameter: Parameter, limit: float) -> str:
-    believed = parameter.reference or parameter.reference_std is not None
-    return f"{limit:.2g}, too wide to be of use" if believed else "the estimate itself"
+    has_belief = parameter.reference or parameter.reference_std is not None
+    return f"{limit:.2g}, too wide to be of use" if has_belief else "the estimate itself"
 
 
 def _useful_bound(parameter: Parameter, value: float) -> float:
-    found = BEYOND_DOUBT * abs(value)
+    share_of_value = BEYOND_DOUBT * abs(value)
     if parameter.reference:
-        return max(USEFUL * abs(parameter.reference), found)
+        return max(USEFUL * abs(parameter.reference), share_of_value)
     if parameter.reference_std is not None:
-        return max(parameter.reference_std, found)
+        return max(parameter.reference_std, share_of_value)
     return np.inf if parameter.reference == 0.0 else abs(value)
 
 
@@ -352,8 +347,8 @@ def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[f
     return result
 
 
-def companions(model: Model, parameter: str) -> frozenset[str]:
+def inputs_beside(model: Model, parameter: str) -> frozenset[str]:
     """Input names that stand in a product with the parameter in some line of the model."""
     inputs = set(model.input_names)
-    together = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
-    return frozenset(name for names in together for name in names if name in inputs)
+    products = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
+    return frozenset(name for names in products for name in names if name in inputs)

@@ -10,12 +10,10 @@ Remple, chapter 8).
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimation.frequency.records import DetrendedStretch, Signals
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 SECONDS = 1.0  # of past that models look at, and of future in which a pilot or autopilot would have answered
 CHANCE = 1e-4  # that this is said of a flight in open loop
@@ -25,12 +23,12 @@ SHARE = 0.02  # of the control's new movements, below which feedback is too weak
 def feedback_note(signals: Signals) -> str:
     """One sentence where the control follows the output, else nothing."""
     lags = max(2, round(SECONDS / signals.step))
-    told = [t for s in signals.stretches if (t := _moments(s, lags)) is not None]
-    if not told:
+    moments = [t for s in signals.stretches if (t := _moments(s, lags)) is not None]
+    if not moments:
         return ""
-    cross = np.sum([t[0] for t in told], axis=0)
-    norm = math.sqrt(sum(t[1] for t in told) * sum(t[2] for t in told))
-    count = sum(t[3] for t in told)
+    cross = np.sum([t[0] for t in moments], axis=0)
+    norm = math.sqrt(sum(t[1] for t in moments) * sum(t[2] for t in moments))
+    count = sum(t[3] for t in moments)
     if norm <= 0.0:
         return ""
     rho = cross / norm
@@ -54,8 +52,8 @@ def _moments(stretch: DetrendedStretch, lags: int) -> tuple[Array, float, float,
         return None
     past_u = np.concatenate([_lagged(c, range(lags + 1), lags) for c in u.T], axis=1)
     past_y = _lagged(y, range(1, lags + 1), lags)
-    residual = _left(y[lags:], np.concatenate([past_u, past_y], axis=1))
-    new = _left(u[lags:, 0], _lagged(u[:, 0], range(1, lags + 1), lags))
+    residual = _remainder(y[lags:], np.concatenate([past_u, past_y], axis=1))
+    new = _remainder(u[lags:, 0], _lagged(u[:, 0], range(1, lags + 1), lags))
     cross = np.array([residual[:-k] @ new[k:] for k in range(1, lags + 1)])
     return cross, float(residual @ residual), float(new @ new), len(residual)
 
@@ -65,5 +63,5 @@ def _lagged(values: Array, lags: range, first: int) -> Array:
     return np.stack([values[first - k : len(values) - k] for k in lags], axis=1)
 
 
-def _left(values: Array, columns: Array) -> Array:
+def _remainder(values: Array, columns: Array) -> Array:
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=1e-9)[0])

@@ -20,7 +20,6 @@ SPLIT = 1.35  # ratio of neighbouring frequencies from which points between them
 
 
 def draw(response: FrequencyResponse, fit: TransferFunction | None = None) -> "Figure":
-    """The whole figure."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.6, 7.4), layout="constrained")
@@ -35,8 +34,8 @@ def draw_on(axes: Any, response: FrequencyResponse, fit: TransferFunction | None
     omega = response.omega
     relative = SURE * response.std / response.magnitude
     decibels, degrees = 20 * np.log10(response.magnitude), np.degrees(response.phase)
-    up, down = 20 * np.log10(1 + relative), 20 * np.log10(np.maximum(1 - relative, 0.1))
-    _banded(axes[0], omega, decibels, decibels + down, decibels + up)
+    upper_error, lower_error = 20 * np.log10(1 + relative), 20 * np.log10(np.maximum(1 - relative, 0.1))
+    _banded(axes[0], omega, decibels, decibels + lower_error, decibels + upper_error)
     wide = SURE * np.degrees(response.std_phase)
     _banded(axes[1], omega, degrees, degrees - wide, degrees + wide)
     if fit is not None:
@@ -47,7 +46,7 @@ def draw_on(axes: Any, response: FrequencyResponse, fit: TransferFunction | None
     axes[1].yaxis.set_major_locator(_multiples_of_45())
     axes[2].set_xlabel("frequency [rad/s]")
     axes[2].set_xscale("log")
-    axes[2].xaxis.set_major_formatter(_plain())
+    axes[2].xaxis.set_major_formatter(_plain_ticks())
     for axis in axes:
         axis.grid(which="minor", axis="x", alpha=0.15)
     axes[0].legend(ncols=3, **ABOVE)
@@ -88,25 +87,23 @@ def _multiples_of_45() -> Any:
     return MaxNLocator(nbins=7, steps=[1, 1.5, 3, 4.5, 9, 10])
 
 
-def _plain() -> Any:
+def _plain_ticks() -> Any:
     from matplotlib.ticker import FuncFormatter
 
     return FuncFormatter(lambda value, _: f"{value:g}")
 
 
 def write_figure(response: FrequencyResponse, fit: TransferFunction | None, path: Path) -> None:
-    """Write the figure; its ending chooses the format."""
     with styled():
         save_figure(draw(response, fit), path, dpi=150)
 
 
 def response_picture(response: FrequencyResponse, fit: TransferFunction | None) -> Picture:
-    """The figure for a page."""
     with styled():
-        drawn = draw(response, fit)
+        figure = draw(response, fit)
     caption = (
         f"Frequency response of {response.output} to {response.input}"
         + (f", with {', '.join(response.inputs[1:])} taken off" if len(response.inputs) > 1 else "")
         + f". Dashed: coherence {GOOD:g}, from which points are fitted."
     )
-    return picture(drawn, "frequency_response", caption)
+    return picture(figure, "frequency_response", caption)

@@ -7,12 +7,10 @@ and 6), each with a delay tau that stands for servos, sampling and all that is f
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.errors import EstimationError
-from estimation.signals.fourier import Complex
-
-Array = NDArray[np.float64]
+from estimation.signals.curves import Complex
+from groundstation.flight import Array
 
 HIGHEST = 6  # order of a general form
 SURFACE_OF = {"cmd_a": "delta_a", "cmd_e": "delta_e", "cmd_r": "delta_r"}

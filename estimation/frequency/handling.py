@@ -7,20 +7,18 @@ aircraft, and of the response to the stick: here it is that to the measured surf
 """
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.constants import GRAVITY
 from estimation.errors import EstimationError
 from estimation.frequency.forms import SURFACE_OF
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import TransferFunction
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 LIGHTEST = 150.0  # kg; the standards were drawn from aircraft with a pilot aboard
 CLASSES = ("I", "II", "III", "IV")
@@ -28,12 +26,8 @@ CATEGORIES = ("A", "B", "C")
 
 # MIL-F-8785C table VII: largest roll mode time constant [s] of levels 1, 2, 3
 ROLL_MODE = {
-    ("A", True): (1.0, 1.4, 10.0),
-    ("A", False): (1.4, 3.0, 10.0),
-    ("B", True): (1.4, 3.0, 10.0),
-    ("B", False): (1.4, 3.0, 10.0),
-    ("C", True): (1.0, 1.4, 10.0),
-    ("C", False): (1.4, 3.0, 10.0),
+    **dict.fromkeys((("A", True), ("C", True)), (1.0, 1.4, 10.0)),
+    **dict.fromkeys((("A", False), ("B", True), ("B", False), ("C", False)), (1.4, 3.0, 10.0)),
 }
 # table VI: least damping, least damping times frequency [rad/s], least frequency [rad/s] of levels 1, 2, 3
 DUTCH_ROLL = {
@@ -99,15 +93,39 @@ class Number:
     level: int | None = None
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "name": self.name,
-            "value": self.value,
-            "std": self.std if math.isfinite(self.std) else None,
-            "unit": self.unit,
-            "definition": self.definition,
-            "source": self.source,
-            "level": self.level,
-        }
+        return {**asdict(self), "std": self.std if math.isfinite(self.std) else None}
+
+
+DEFINED: Mapping[str, tuple[str, str, str]] = {
+    "T_R": ("s", "time constant of the roll mode", "MIL-F-8785C 3.3.1.2, table VII"),
+    "zeta_d": ("1", "damping ratio of the Dutch roll", "MIL-F-8785C 3.3.1.1, table VI"),
+    "omega_d": ("rad/s", "undamped natural frequency of the Dutch roll", "MIL-F-8785C 3.3.1.1, table VI"),
+    "zeta_d omega_d": ("rad/s", "decay rate of the Dutch roll", "MIL-F-8785C 3.3.1.1, table VI"),
+    "zeta_sp": ("1", "damping ratio of the short period", "MIL-F-8785C 3.2.2.1.2, table IV"),
+    "omega_sp": ("rad/s", "undamped natural frequency of the short period", "MIL-F-8785C 3.2.2.1.1"),
+    "n/alpha": ("g/rad", "V / (g T_theta2), steady normal acceleration per angle of attack", "MIL-F-8785C 3.2.2.1.1"),
+    "CAP": (
+        "1/(g s2)",
+        "omega_sp^2 / (n/alpha), control anticipation parameter",
+        "MIL-F-8785C 3.2.2.1.1, figures 1-3",
+    ),
+    "tau": ("s", "equivalent time delay, surface to output", "MIL-STD-1797A 4.2.1.2"),
+    "omega_BW": (
+        "rad/s",
+        "bandwidth of the attitude: 45 deg of phase or 6 dB of gain margin, the lower",
+        "MIL-STD-1797A 4.2.1.2",
+    ),
+    "tau_p": (
+        "s",
+        "phase delay of the attitude: (phase at w180 - phase at 2 w180) / 2 w180",
+        "MIL-STD-1797A 4.2.1.2",
+    ),
+}
+"""Name of a number -> unit, definition, source."""
+
+
+def _number(name: str, value: float, std: float = math.nan, level: int | None = None) -> Number:
+    return Number(name, value, std, *DEFINED[name], level)
 
 
 def handling(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> tuple[Number, ...]:
@@ -120,10 +138,8 @@ def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -
     rated = not craft.why_no_level
     if fit.form.mode == "roll":
         T = p["T_R"]
-        level = _below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
-        yield Number(
-            "T_R", T.estimate, T.std, "s", "time constant of the roll mode", "MIL-F-8785C 3.3.1.2, table VII", level
-        )
+        level = _level_below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
+        yield _number("T_R", T.estimate, T.std, level)
     elif fit.form.mode == "dutch-roll":
         yield from _dutch_roll(fit, craft, rated)
     elif fit.form.mode == "short-period":
@@ -133,87 +149,58 @@ def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -
 def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_d"], fit.parameters["omega_d"]
     product, spread = _derived(fit, lambda v: v["zeta_d"] * v["omega_d"])
-    told = (zeta.estimate, product, omega.estimate)
+    rated_values = (zeta.estimate, product, omega.estimate)
     limits = DUTCH_ROLL[craft.category, craft.small_or_agile]
-    level = next((k + 1 for k, least in enumerate(limits) if all(a >= b for a, b in zip(told, least, strict=True))), 4)
-    source = "MIL-F-8785C 3.3.1.1, table VI"
-    shown = level if rated else None
-    yield Number("zeta_d", zeta.estimate, zeta.std, "1", "damping ratio of the Dutch roll", source, shown)
-    yield Number(
-        "omega_d", omega.estimate, omega.std, "rad/s", "undamped natural frequency of the Dutch roll", source, shown
+    level = next(
+        (
+            k + 1
+            for k, lowest_values in enumerate(limits)
+            if all(a >= b for a, b in zip(rated_values, lowest_values, strict=True))
+        ),
+        4,
     )
-    yield Number("zeta_d omega_d", product, spread, "rad/s", "decay rate of the Dutch roll", source, shown)
+    level_shown = level if rated else None
+    yield _number("zeta_d", zeta.estimate, zeta.std, level_shown)
+    yield _number("omega_d", omega.estimate, omega.std, level_shown)
+    yield _number("zeta_d omega_d", product, spread, level_shown)
 
 
 def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
     zeta, omega = fit.parameters["zeta_sp"], fit.parameters["omega_sp"]
-    level = _within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
-    yield Number(
-        "zeta_sp",
-        zeta.estimate,
-        zeta.std,
-        "1",
-        "damping ratio of the short period",
-        "MIL-F-8785C 3.2.2.1.2, table IV",
-        level,
-    )
-    yield Number(
-        "omega_sp",
-        omega.estimate,
-        omega.std,
-        "rad/s",
-        "undamped natural frequency of the short period",
-        "MIL-F-8785C 3.2.2.1.1",
-    )
+    level = _level_within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
+    yield _number("zeta_sp", zeta.estimate, zeta.std, level)
+    yield _number("omega_sp", omega.estimate, omega.std)
     lead = fit.parameters.get("1/T_theta2")
     if response.output != "q" or lead is None or not lead.estimate > 0.0 or not math.isfinite(response.speed):
         return
     V = response.speed
-    load, load_std = _derived(fit, lambda v: V / GRAVITY * v["1/T_theta2"])
-    yield Number(
-        "n/alpha",
-        load,
-        load_std,
-        "g/rad",
-        "V / (g T_theta2), steady normal acceleration per angle of attack",
-        "MIL-F-8785C 3.2.2.1.1",
-    )
+    yield _number("n/alpha", *_derived(fit, lambda v: V / GRAVITY * v["1/T_theta2"]))
     cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * GRAVITY / (V * v["1/T_theta2"]))
-    level = _within(cap, ANTICIPATION[craft.category]) if rated else None
-    yield Number(
-        "CAP",
-        cap,
-        cap_std,
-        "1/(g s2)",
-        "omega_sp^2 / (n/alpha), control anticipation parameter",
-        "MIL-F-8785C 3.2.2.1.1, figures 1-3",
-        level,
-    )
+    level = _level_within(cap, ANTICIPATION[craft.category]) if rated else None
+    yield _number("CAP", cap, cap_std, level)
 
 
 def _delay(fit: TransferFunction, craft: Craft) -> Iterator[Number]:
     tau = fit.parameters["tau"]
-    level = None if craft.why_no_level else _below(tau.estimate, DELAY)
-    yield Number(
-        "tau", tau.estimate, tau.std, "s", "equivalent time delay, surface to output", "MIL-STD-1797A 4.2.1.2", level
-    )
+    level = None if craft.why_no_level else _level_below(tau.estimate, DELAY)
+    yield _number("tau", tau.estimate, tau.std, level)
 
 
 def _derived(fit: TransferFunction, value: Callable[[dict[str, float]], float]) -> tuple[float, float]:
     """A number of the parameters and its bound, to first order."""
-    at = {n: p.estimate for n, p in fit.parameters.items()}
-    slopes = np.zeros(len(at))
-    for i, (name, v) in enumerate(at.items()):
+    estimates = {n: p.estimate for n, p in fit.parameters.items()}
+    slopes = np.zeros(len(estimates))
+    for i, (name, v) in enumerate(estimates.items()):
         h = 1e-5 * max(abs(v), 1e-6)
-        slopes[i] = (value({**at, name: v + h}) - value({**at, name: v - h})) / (2 * h)
-    return value(at), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
+        slopes[i] = (value({**estimates, name: v + h}) - value({**estimates, name: v - h})) / (2 * h)
+    return value(estimates), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
 
 
-def _below(value: float, limits: tuple[float, ...]) -> int:
+def _level_below(value: float, limits: tuple[float, ...]) -> int:
     return next((k + 1 for k, limit in enumerate(limits) if value <= limit), 4)
 
 
-def _within(value: float, limits: tuple[tuple[float, float], ...]) -> int:
+def _level_within(value: float, limits: tuple[tuple[float, float], ...]) -> int:
     return next((k + 1 for k, (low, high) in enumerate(limits) if low <= value <= high), len(limits) + 1)
 
 
@@ -232,32 +219,17 @@ def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[N
         H = H / (1j * omega)
     phase = np.unwrap(np.angle(H))
     phase += -np.pi / 2 - phase[0] + _near_quarter(phase[0] + np.pi / 2)
-    crossing = _first(omega, phase, -np.pi)
-    by_phase = _first(omega, phase, -0.75 * np.pi)
+    crossing = _first_crossing(omega, phase, -np.pi)
+    by_phase = _first_crossing(omega, phase, -0.75 * np.pi)
     if crossing is None or by_phase is None:
         return
     decibels = 20 * np.log10(np.abs(H))
-    by_gain = _first(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
+    by_gain = _first_crossing(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
     width = min(by_phase, by_gain if by_gain is not None else math.inf)
-    source = "MIL-STD-1797A 4.2.1.2"
-    yield Number(
-        "omega_BW",
-        width,
-        math.nan,
-        "rad/s",
-        "bandwidth of the attitude: 45 deg of phase or 6 dB of gain margin, the lower",
-        source,
-    )
+    yield _number("omega_BW", width)
     if 2 * crossing <= omega[-1]:
-        late = -np.pi - float(np.interp(2 * crossing, omega, phase))
-        yield Number(
-            "tau_p",
-            late / (2 * crossing),
-            math.nan,
-            "s",
-            "phase delay of the attitude: (phase at w180 - phase at 2 w180) / 2 w180",
-            source,
-        )
+        phase_lag = -np.pi - float(np.interp(2 * crossing, omega, phase))
+        yield _number("tau_p", phase_lag / (2 * crossing))
 
 
 def _near_quarter(offset: float) -> float:
@@ -265,11 +237,11 @@ def _near_quarter(offset: float) -> float:
     return offset - np.pi * round(offset / np.pi)
 
 
-def _first(omega: Array, values: Array, level: float) -> float | None:
+def _first_crossing(omega: Array, values: Array, level: float) -> float | None:
     """Where values first fall through a level."""
-    below = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
-    if not below.size:
+    crossings = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
+    if not crossings.size:
         return None
-    k = int(below[0])
+    k = int(crossings[0])
     share = (values[k] - level) / (values[k] - values[k + 1])
     return float(omega[k] + share * (omega[k + 1] - omega[k]))

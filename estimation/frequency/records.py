@@ -10,13 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.conditioned import conditioned
 from estimation.errors import DataError
-from estimation.signals.fourier import FEWEST, curve
-from estimation.signals.preprocess import noise_level
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from estimation.prepare.conditioned import condition_columns
+from estimation.signals.curves import FEWEST, curve_through
+from estimation.signals.denoise import noise_level
+from groundstation.flight import Array, Flight
 
 CONTROLS = ("delta_e", "delta_a", "delta_r")
 STILL = 1.5  # noise levels: an input whose samples scatter less than this shows noise and nothing else
@@ -71,30 +69,32 @@ def collect(flights: Sequence[Flight], name: str, output: str, with_: Sequence[s
     """
     if name == output or output in (with_ or ()):
         raise DataError(f"frequency: {output} cannot be input and output at once; name two different columns")
-    wanted = (name, output, *(with_ or ()))
+    columns = (name, output, *(with_ or ()))
     for flight in flights:
         flight.require([name, output, *(with_ or ())], f"the frequency response of {output} to {name}")
-    looked_at = [conditioned(f, (*wanted, *CONTROLS), keep_held=True) for f in flights]
-    flights = [told.flight for told in looked_at]
+    looked_at = [condition_columns(f, (*columns, *CONTROLS), keep_held=True) for f in flights]
+    flights = [prepared_flight.flight for prepared_flight in looked_at]
     for flight in flights:
-        _refuse_endless(flight, wanted)
+        _refuse_endless(flight, columns)
     _refuse_still(flights, name)
-    others = (
-        tuple(dict.fromkeys(w for w in with_ if w != name)) if with_ is not None else _moved(flights, (name, output))
+    other_inputs = (
+        tuple(dict.fromkeys(w for w in with_ if w != name))
+        if with_ is not None
+        else _moved_text(flights, (name, output))
     )
-    stretches = [s for flight in flights for s in _stretches(flight, (name, *others), output)]
+    stretches = [s for flight in flights for s in _stretches(flight, (name, *other_inputs), output)]
     if not stretches:
         raise DataError(
             f"{', '.join(f.name for f in flights)}: no {SHORTEST} samples in a row have {name} and {output} "
             "measured; nothing to transform"
         )
     _refuse_flat(stretches, output)
-    notes = (*(n.text for told in looked_at for n in told.notes), *_notes(flights, stretches))
+    notes = (*(n.text for prepared_flight in looked_at for n in prepared_flight.notes), *_notes(flights, stretches))
     level = float(np.median([sensor_noise(s.x[:, 0]) for s in stretches]))
-    return Signals((name, *others), output, tuple(stretches), level, _speed(flights), notes)
+    return Signals((name, *other_inputs), output, tuple(stretches), level, _speed(flights), notes)
 
 
-def moved(flight: Flight, name: str) -> tuple[float, float]:
+def input_movement(flight: Flight, name: str) -> tuple[float, float]:
     """(rms motion about the median, noise level) of a column."""
     values = flight[name][np.isfinite(flight[name])]
     return float(np.sqrt(np.mean((values - np.median(values)) ** 2))), sensor_noise(values)
@@ -113,16 +113,16 @@ def sensor_noise(values: Array) -> float:
     return min(noise_level(values), float(np.sqrt(floor)))
 
 
-def _moves(flights: Sequence[Flight], name: str) -> bool:
-    told = [moved(f, name) for f in flights if f.measured(name)]
+def _typical_movement(flights: Sequence[Flight], name: str) -> bool:
+    movements = [input_movement(f, name) for f in flights if f.measured(name)]
     size = max((float(np.nanmax(np.abs(f[name]))) for f in flights if f.measured(name)), default=0.0)
-    return any(rms > max(STILL * noise, LEAST * size) for rms, noise in told)
+    return any(rms > max(STILL * noise, LEAST * size) for rms, noise in movements)
 
 
 def _refuse_still(flights: Sequence[Flight], name: str) -> None:
-    if _moves(flights, name):
+    if _typical_movement(flights, name):
         return
-    rms, noise = max(moved(f, name) for f in flights)
+    rms, noise = max(input_movement(f, name) for f in flights)
     raise DataError(
         f"{', '.join(f.name for f in flights)}: input {name} moved only {rms:.2g} rms against {noise:.2g} of "
         "sensor noise, so there is no response to it; fly a frequency sweep, a multisine or doublets on it"
@@ -143,39 +143,41 @@ def _refuse_flat(stretches: Sequence[DetrendedStretch], output: str) -> None:
         raise DataError(f"output {output} stands still: a dead channel has no frequency response; name another output")
 
 
-def _moved(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]:
+def _moved_text(flights: Sequence[Flight], taken: tuple[str, ...]) -> tuple[str, ...]:
     """Other controls that moved, in all flights that would be left out otherwise."""
-    return tuple(c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _moves(flights, c))
+    return tuple(
+        c for c in CONTROLS if c not in taken and all(f.measured(c) for f in flights) and _typical_movement(flights, c)
+    )
 
 
 def _stretches(flight: Flight, inputs: tuple[str, ...], output: str) -> list[DetrendedStretch]:
     columns = np.stack([flight[c] for c in (*inputs, output)], axis=1)
-    found = []
+    stretches = []
     for part in flight.segments:
-        for first, last in _whole(np.asarray(np.isfinite(columns[part]).all(axis=1))):
+        for first, last in _gapless_runs(np.asarray(np.isfinite(columns[part]).all(axis=1))):
             if last - first >= SHORTEST:
                 rows = slice(part.start + first, part.start + last)
-                found.append(_even(flight.time[rows], columns[rows]))
-    return found
+                stretches.append(_resampled(flight.time[rows], columns[rows]))
+    return stretches
 
 
-def _whole(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _gapless_runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Index ranges without a hole longer than LONGEST_BRIDGE; they begin and end at a known sample."""
-    at = np.flatnonzero(known)
-    if not at.size:
+    known_indices = np.flatnonzero(known)
+    if not known_indices.size:
         return []
-    breaks = np.flatnonzero(np.diff(at) > LONGEST_BRIDGE + 1)
-    begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [at.size - 1]])
-    return [(int(at[a]), int(at[b]) + 1) for a, b in zip(begins, ends, strict=True)]
+    breaks = np.flatnonzero(np.diff(known_indices) > LONGEST_BRIDGE + 1)
+    begins, ends = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [known_indices.size - 1]])
+    return [(int(known_indices[a]), int(known_indices[b]) + 1) for a, b in zip(begins, ends, strict=True)]
 
 
-def _even(time: Array, columns: Array) -> DetrendedStretch:
+def _resampled(time: Array, columns: Array) -> DetrendedStretch:
     """A stretch on an even grid, by a cubic where samples are missing or unevenly spaced; trends taken off."""
     step = float(time[-1] - time[0]) / (time.size - 1)
     grid = time[0] + step * np.arange(time.size)
-    even = bool(np.all(np.abs(np.diff(time) - step) < EVEN * step)) and bool(np.isfinite(columns).all())
-    if not even and np.isfinite(columns).all(axis=1).sum() >= FEWEST:
-        columns = np.stack([curve(time, c, grid) for c in columns.T], axis=1)
+    evenly_sampled = bool(np.all(np.abs(np.diff(time) - step) < EVEN * step)) and bool(np.isfinite(columns).all())
+    if not evenly_sampled and np.isfinite(columns).all(axis=1).sum() >= FEWEST:
+        columns = np.stack([curve_through(time, c, grid) for c in columns.T], axis=1)
     rise = np.stack([np.ones(time.size), np.linspace(-1.0, 1.0, time.size)], axis=1)
     flat = columns - rise @ np.linalg.lstsq(rise, columns, rcond=None)[0]
     return DetrendedStretch(step, flat[:, :-1], flat[:, -1])

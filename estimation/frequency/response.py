@@ -18,10 +18,8 @@ from estimation.errors import DataError
 from estimation.frequency.feedback import feedback_note
 from estimation.frequency.records import Signals, collect
 from estimation.frequency.spectra import FrequencyGrid, WindowResponse, respond
-from estimation.signals.fourier import Complex
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from estimation.signals.curves import Complex
+from groundstation.flight import Array, Flight
 
 PERIODS = 2.0  # of a frequency in a window: below, its transform holds the mean and the trend
 LENGTHS = 5  # windows, as CIFER takes
@@ -120,23 +118,23 @@ def frequency_response(
     Raises MissingColumnError for a column that is not there, DataError where the input did not move, no stretch holds windows
     enough, or nothing of the output follows the input.
     """
-    chosen = options or ResponseOptions()
+    response_options = options or ResponseOptions()
     read = [flights] if isinstance(flights, Flight) else list(flights)
-    signals = collect(read, name, output, chosen.with_)
-    lengths = _lengths(signals, chosen)
-    low, high = _band(signals, chosen, lengths[0])
-    grid = _grid(low, high, chosen.points)
-    found = [r for length in lengths if (r := respond(signals.stretches, length, grid)) is not None]
-    if not found:
+    signals = collect(read, name, output, response_options.with_)
+    lengths = _lengths(signals, response_options)
+    low, high = _band(signals, response_options, lengths[0])
+    grid = _grid(low, high, response_options.points)
+    window_responses = [r for length in lengths if (r := respond(signals.stretches, length, grid)) is not None]
+    if not window_responses:
         raise DataError(_too_short(signals))
-    return _composed(signals, found, grid, tuple(f.name for f in read))
+    return _composed(signals, window_responses, grid, tuple(f.name for f in read))
 
 
 def _too_short(signals: Signals) -> str:
     inputs, count = ", ".join(signals.names), len(signals.stretches)
-    many = f"{count} stretch{'es' if count > 1 else ''}"
+    stretch_count = f"{count} stretch{'es' if count > 1 else ''}"
     return (
-        f"{signals.duration:.3g} s in {many} hold too few windows to tell a "
+        f"{signals.duration:.3g} s in {stretch_count} hold too few windows to tell a "
         f"response to {inputs} and its error; "
         "fly longer, give more flights, or condition on fewer inputs with --with"
     )
@@ -150,11 +148,11 @@ def _lengths(signals: Signals, options: ResponseOptions) -> tuple[float, ...]:
             raise DataError(f"windows must be positive and no longer than the longest stretch, {longest:.3g} s")
         return tuple(sorted(options.windows, reverse=True))
     top = min(LONGEST, longest, signals.duration / (1.0 + 2.0 * len(signals.names)))
-    every = [top / SHORTER**k for k in range(LENGTHS)]
-    kept = tuple(w for w in every if w >= max(SHORTEST, 8.0 * signals.step))
-    if not kept:
+    lengths = [top / SHORTER**k for k in range(LENGTHS)]
+    usable_lengths = tuple(w for w in lengths if w >= max(SHORTEST, 8.0 * signals.step))
+    if not usable_lengths:
         raise DataError(_too_short(signals))
-    return kept
+    return usable_lengths
 
 
 def _band(signals: Signals, options: ResponseOptions, longest: float) -> tuple[float, float]:
@@ -179,76 +177,77 @@ def _grid(low: float, high: float, points: int) -> FrequencyGrid:
     if not 2 <= points <= 2000:
         raise DataError(f"{points} points: give 2 to 2000")
     spacing = low / max(STEPS, 2.0 * points * low / (high - low) if high / low < 2 else STEPS)
-    wanted = np.geomspace(low, high, points)
-    chosen = np.unique(np.round((wanted - low) / spacing).astype(np.intp))
-    chosen = chosen[low + spacing * chosen <= high * (1.0 + 1e-9)]
-    return FrequencyGrid(2 * np.pi * low, 2 * np.pi * spacing, chosen)
+    target_frequencies = np.geomspace(low, high, points)
+    grid_indices = np.unique(np.round((target_frequencies - low) / spacing).astype(np.intp))
+    grid_indices = grid_indices[low + spacing * grid_indices <= high * (1.0 + 1e-9)]
+    return FrequencyGrid(2 * np.pi * low, 2 * np.pi * spacing, grid_indices)
 
 
 # ------------------------------------------------------------------------------------------------------- composite
 
 
 def _composed(
-    signals: Signals, found: Sequence[WindowResponse], grid: FrequencyGrid, names: tuple[str, ...]
+    signals: Signals, window_responses: Sequence[WindowResponse], grid: FrequencyGrid, names: tuple[str, ...]
 ) -> FrequencyResponse:
     omega = grid.omega
-    holds = np.stack([omega >= (1.0 - 1e-9) * 2 * np.pi * PERIODS / r.length for r in found])
+    holds = np.stack([omega >= (1.0 - 1e-9) * 2 * np.pi * PERIODS / r.length for r in window_responses])
     omega, holds = omega[holds.any(axis=0)], holds[:, holds.any(axis=0)]
     if not omega.size:
         raise DataError(_too_short(signals))
     part = slice(len(grid.omega) - len(omega), None)
-    bias = _bias(found, part)
-    error = np.where(holds, np.hypot(np.stack([r.std[part] for r in found]), bias), np.inf)
+    bias = _bias(window_responses, part)
+    error = np.where(holds, np.hypot(np.stack([r.std[part] for r in window_responses]), bias), np.inf)
     weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** -4.0
     weight /= weight.sum(axis=0)
 
     def mean(values: Sequence[Any]) -> Any:
         return np.sum(weight * np.stack([v[part] for v in values]), axis=0)
 
-    H, std = mean([r.H for r in found]), np.sum(weight * np.where(holds, error, 0.0), axis=0)
-    coherence, power = mean([r.coherence for r in found]), mean([r.power for r in found])
-    length = mean([np.full(grid.omega.shape, r.length) for r in found])
-    kept = _told(H, std, coherence, mean([r.freedom for r in found]))
-    out = tuple((float(w), float(c)) for w, c in zip(omega[~kept], coherence[~kept], strict=True))
-    if not kept.any():
+    H, std = mean([r.H for r in window_responses]), np.sum(weight * np.where(holds, error, 0.0), axis=0)
+    coherence, power = mean([r.coherence for r in window_responses]), mean([r.power for r in window_responses])
+    length = mean([np.full(grid.omega.shape, r.length) for r in window_responses])
+    coherent = _coherent_points(H, std, coherence, mean([r.freedom for r in window_responses]))
+    omitted = tuple((float(w), float(c)) for w, c in zip(omega[~coherent], coherence[~coherent], strict=True))
+    if not coherent.any():
         raise DataError(
             f"{', '.join(names)}: {signals.output} does not follow {signals.names[0]} anywhere from {omega[0]:.3g} to "
             f"{omega[-1]:.3g} rad/s (coherence at most {float(coherence.max()):.2f}); is it the right output, and was the "
             "input moved on purpose?"
         )
-    notes = (*signals.notes, *_notes(signals, found, power[kept]))
+    notes = (*signals.notes, *_notes(signals, window_responses, power[coherent]))
     return FrequencyResponse(
-        signals.names, signals.output, omega[kept], H[kept], std[kept], coherence[kept], length[kept], out,
-        tuple(r.length for r in found), signals.duration, signals.speed, notes, names,
+        signals.names, signals.output, omega[coherent], H[coherent], std[coherent], coherence[coherent], length[coherent],
+        omitted,
+        tuple(r.length for r in window_responses), signals.duration, signals.speed, notes, names,
     )  # fmt: skip
 
 
-def _told(H: Complex, std: Array, coherence: Array, freedom: Array) -> NDArray[np.bool_]:
+def _coherent_points(H: Complex, std: Array, coherence: Array, freedom: Array) -> NDArray[np.bool_]:
     """(frequencies,) which points tell something, judged with their neighbours."""
     by_chance = 1.0 - CHANCE ** (1.0 / np.maximum(freedom, 1.0))  # all but CHANCE of coherences of nothing lie below
     spare = np.stack([coherence - np.maximum(INCOHERENT, by_chance), WORST * np.abs(H) - std])
     return np.asarray(np.all(median_filter(spare, (1, BESIDE)) >= 0.0, axis=0) & (std <= np.abs(H)))
 
 
-def _bias(found: Sequence[WindowResponse], part: slice) -> Array:
+def _bias(window_responses: Sequence[WindowResponse], part: slice) -> Array:
     """(lengths, frequencies) what the window's shape may still do to each response.
 
     Where it was taken off, what is left goes with its square; where not, it is that of the next shorter window less
     by length squared.
     """
     biases = []
-    for k, r in enumerate(found):
-        told = next((f for f in found[k:] if f.shift is not None), None)
-        if told is None or told.shift is None:
+    for k, r in enumerate(window_responses):
+        shifted_response = next((f for f in window_responses[k:] if f.shift is not None), None)
+        if shifted_response is None or shifted_response.shift is None:
             biases.append(np.zeros(r.H[part].shape))
             continue
-        shift = uniform_filter1d(told.shift, BESIDE)[part] * (told.length / r.length) ** 2
-        share = np.minimum(LEFT_OVER * shift**2, MOST_LEFT * shift) if told is r else shift
+        shift = uniform_filter1d(shifted_response.shift, BESIDE)[part] * (shifted_response.length / r.length) ** 2
+        share = np.minimum(LEFT_OVER * shift**2, MOST_LEFT * shift) if shifted_response is r else shift
         biases.append(np.minimum(share, 1.0) * np.abs(r.H[part]))
     return np.stack(biases)
 
 
-def _notes(signals: Signals, found: Sequence[WindowResponse], power: Array) -> list[str]:
+def _notes(signals: Signals, window_responses: Sequence[WindowResponse], power: Array) -> list[str]:
     notes = []
     noise = signals.noise**2 * signals.step / np.maximum(power, 1e-300)
     if np.any(noise > NOISY_INPUT):
@@ -257,7 +256,7 @@ def _notes(signals: Signals, found: Sequence[WindowResponse], power: Array) -> l
             f"{100 * float(noise.max()):.0f} % low where the "
             "control moved least"
         )
-    if not any(r.corrected for r in found):
+    if not any(r.corrected for r in window_responses):
         notes.append(
             "too few windows to correct for their shape: a lightly damped peak comes out low and broad, by up to "
             "6.6 (decay time / window)^2; "

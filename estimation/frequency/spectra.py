@@ -25,9 +25,8 @@ from scipy.signal import czt
 from scipy.stats import t as student
 
 from estimation.frequency.records import DetrendedStretch
-from estimation.signals.fourier import Complex
-
-Array = NDArray[np.float64]
+from estimation.signals.curves import Complex
+from groundstation.flight import Array
 
 OVERLAP = 0.8  # of a window, as CIFER takes (Tischler and Remple, chapter 7)
 MOST_WINDOWS = 1000  # of one length: beyond, they are spread wider, down to half overlap and less
@@ -87,10 +86,10 @@ def respond(stretches: Sequence[DetrendedStretch], length: float, grid: Frequenc
     X = np.concatenate([p.X for p in parts], axis=1)
     Y = np.concatenate([p.Y for p in parts])
     R = _blocks([p.R for p in parts])
-    plain, corrected = _solved(X[:1], Y, R, length), _solved(X, Y, R, length)
-    if corrected is None or plain is None:
-        return plain
-    return replace(corrected, shift=np.abs(1.0 - plain.H / corrected.H))
+    direct_response, corrected = _solved(X[:1], Y, R, length), _solved(X, Y, R, length)
+    if corrected is None or direct_response is None:
+        return direct_response
+    return replace(corrected, shift=np.abs(1.0 - direct_response.H / corrected.H))
 
 
 def windows(stretch: DetrendedStretch, length: float, most: int = MOST_WINDOWS) -> tuple[int, NDArray[np.intp]]:
@@ -103,8 +102,8 @@ def windows(stretch: DetrendedStretch, length: float, most: int = MOST_WINDOWS) 
 
 def tapers(size: int) -> Array:
     """(3, size) Hann window and its first two derivatives by time in units of the window's length."""
-    at = 2 * np.pi * np.arange(size) / (size - 1)
-    return np.stack([0.5 * (1 - np.cos(at)), np.pi * np.sin(at), 2 * np.pi**2 * np.cos(at)])
+    angles = 2 * np.pi * np.arange(size) / (size - 1)
+    return np.stack([0.5 * (1 - np.cos(angles)), np.pi * np.sin(angles), 2 * np.pi**2 * np.cos(angles)])
 
 
 def _transforms(stretch: DetrendedStretch, length: float, grid: FrequencyGrid, most: int) -> _Transforms:
@@ -115,29 +114,31 @@ def _transforms(stretch: DetrendedStretch, length: float, grid: FrequencyGrid, m
     ratio, begin = np.exp(-1j * grid.spacing * stretch.step), np.exp(1j * grid.first * stretch.step)
     count = int(grid.chosen[-1]) + 1
     unit = np.sqrt(stretch.step / float(np.sum(shapes[0] ** 2)))  # power becomes that of a spectral density
-    turned = unit * np.exp(-1j * grid.omega * stretch.step * starts[:, None])  # referred to the stretch's first sample
-    found = []
+    phased_unit = unit * np.exp(
+        -1j * grid.omega * stretch.step * starts[:, None]
+    )  # referred to the stretch's first sample
+    transforms = []
     for shape in shapes:
         zoomed = czt(shape[:, None] * cut, m=count, w=ratio, a=begin, axis=1)
-        found.append(zoomed[:, grid.chosen] * turned[:, :, None])
-    X = np.stack(found)[..., :-1]
-    return _Transforms(X, found[0][..., -1], _overlap(shapes[0], starts))
+        transforms.append(zoomed[:, grid.chosen] * phased_unit[:, :, None])
+    X = np.stack(transforms)[..., :-1]
+    return _Transforms(X, transforms[0][..., -1], _overlap(shapes[0], starts))
 
 
 def _overlap(taper: Array, starts: NDArray[np.intp]) -> Array:
     """(windows, windows) correlation that white noise has between windows."""
-    whole = np.correlate(taper, taper, "full")[taper.size - 1 :] / float(np.sum(taper**2))
+    autocorrelation = np.correlate(taper, taper, "full")[taper.size - 1 :] / float(np.sum(taper**2))
     lag = np.abs(starts[:, None] - starts[None, :])
-    return np.where(lag < taper.size, whole[np.minimum(lag, taper.size - 1)], 0.0)
+    return np.where(lag < taper.size, autocorrelation[np.minimum(lag, taper.size - 1)], 0.0)
 
 
 def _blocks(parts: Sequence[Array]) -> Array:
     size = sum(len(p) for p in parts)
-    whole, at = np.zeros((size, size)), 0
+    block_matrix, row_start = np.zeros((size, size)), 0
     for p in parts:
-        whole[at : at + len(p), at : at + len(p)] = p
-        at += len(p)
-    return whole
+        block_matrix[row_start : row_start + len(p), row_start : row_start + len(p)] = p
+        row_start += len(p)
+    return block_matrix
 
 
 def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse | None:
@@ -153,16 +154,16 @@ def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse |
     inverse = np.linalg.inv(G)
     H = (inverse @ (star @ y[..., None]))[..., 0]
     v = y - (A @ H[..., None])[..., 0]
-    shared, twice = star @ (R @ A), star @ (R @ (R @ A))
+    shared, shared_twice = star @ (R @ A), star @ (R @ (R @ A))
     PR = inverse @ shared
-    left = count - np.trace(PR, axis1=1, axis2=2).real
-    spread = float(np.sum(R * R)) - 2 * np.trace(inverse @ twice, axis1=1, axis2=2).real
+    residual_freedom = count - np.trace(PR, axis1=1, axis2=2).real
+    spread = float(np.sum(R * R)) - 2 * np.trace(inverse @ shared_twice, axis1=1, axis2=2).real
     spread = spread + np.trace(PR @ PR, axis1=1, axis2=2).real
-    freedom = left**2 / np.maximum(spread, 1e-12)
-    if not np.all(freedom >= FEWEST_FREEDOM) or not np.all(left > 0.1):
+    freedom = residual_freedom**2 / np.maximum(spread, 1e-12)
+    if not np.all(freedom >= FEWEST_FREEDOM) or not np.all(residual_freedom > 0.1):
         return None
     rest = np.sum(np.abs(v) ** 2, axis=1)
-    variance = rest / left * (PR @ inverse)[:, 0, 0].real
+    variance = rest / residual_freedom * (PR @ inverse)[:, 0, 0].real
     explained = np.abs(H[:, 0]) ** 2 / inverse[:, 0, 0].real
     first = size[:, 0, 0]
     std = np.sqrt(0.5 * variance) * student.ppf(0.975, 2 * freedom) / NORMAL

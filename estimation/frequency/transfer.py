@@ -20,9 +20,8 @@ from estimation.errors import DataError, EstimationError
 from estimation.frequency.forms import TransferForm, form_for, general_forms
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.spectra import tapers
-from estimation.signals.fourier import Complex
-
-Array = NDArray[np.float64]
+from estimation.signals.curves import Complex
+from groundstation.flight import Array
 
 GOOD = 0.6  # coherence from which a point is fitted (Tischler and Remple, chapter 7)
 PHASE_WEIGHT = 0.01745  # of one degree squared against one dB squared
@@ -91,37 +90,40 @@ def fit_transfer(response: FrequencyResponse, form: str | TransferForm = "auto")
 
     Raises EstimationError for an unknown form, DataError where fewer points are coherent than the form has unknowns.
     """
-    good = response.coherence >= GOOD
+    coherent = response.coherence >= GOOD
     if form == "auto" and form_for(response.input, response.output) is None:
-        return min((_fitted(response, good, f) for f in general_forms()), key=_information)
-    chosen = form if isinstance(form, TransferForm) else form_for(response.input, response.output, form)
-    if chosen is None:
+        return min((_fitted(response, coherent, f) for f in general_forms()), key=_information)
+    transfer_form = form if isinstance(form, TransferForm) else form_for(response.input, response.output, form)
+    if transfer_form is None:
         raise EstimationError(f"form {form!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
-    return _fitted(response, good, chosen)
+    return _fitted(response, coherent, transfer_form)
 
 
-def _information(found: TransferFunction) -> float:
+def _information(transfer_function: TransferFunction) -> float:
     """Bayes's criterion: misfit and what every unknown must earn."""
-    return 2.0 * found.points * found.misfit**2 + len(found.parameters) * math.log(2.0 * found.points)
+    return 2.0 * transfer_function.points * transfer_function.misfit**2 + len(transfer_function.parameters) * math.log(
+        2.0 * transfer_function.points
+    )
 
 
-def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: TransferForm) -> TransferFunction:
+def _fitted(response: FrequencyResponse, coherent: NDArray[np.bool_], form: TransferForm) -> TransferFunction:
     names = form.names
-    if 2 * int(good.sum()) < len(names) + SPARE:
+    if 2 * int(coherent.sum()) < len(names) + SPARE:
         raise DataError(
-            f"{int(good.sum())} frequencies with a coherence of {GOOD:g} or more cannot settle the {len(names)} "
+            f"{int(coherent.sum())} frequencies with a coherence of {GOOD:g} or more cannot settle the {len(names)} "
             f"unknowns of form {form.name}: "
             "fly longer or with more input, or fit a smaller form"
         )
-    omega, H, g2 = response.omega[good], response.H[good], response.coherence[good]
-    std = np.maximum(response.std[good], 1e-9 * np.abs(H).max())
-    classic = _best(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
-    likely = least_squares(lambda x: _errors(form, x, omega, H, std), classic.x, x_scale=_scale(classic.x))
-    covariance, misfit = _covariance(likely.jac, likely.fun, omega, response.length[good])
+    omega, H, g2 = response.omega[coherent], response.H[coherent], response.coherence[coherent]
+    std = np.maximum(response.std[coherent], 1e-9 * np.abs(H).max())
+    classic = _best_search(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
+    likelihood_fit = least_squares(lambda x: _errors(form, x, omega, H, std), classic.x, x_scale=_scale(classic.x))
+    covariance, misfit = _covariance(likelihood_fit.jac, likelihood_fit.fun, omega, response.length[coherent])
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     units = form.units
     parameters = {
-        n: FittedNumber(float(v), float(s), u) for n, v, s, u in zip(names, likely.x, spread, units, strict=True)
+        n: FittedNumber(float(v), float(s), u)
+        for n, v, s, u in zip(names, likelihood_fit.x, spread, units, strict=True)
     }
     return TransferFunction(
         form,
@@ -129,7 +131,7 @@ def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Transfer
         dict(zip(names, classic.x.tolist(), strict=True)),
         float(np.sum(classic.fun**2)),
         misfit,
-        int(good.sum()),
+        int(coherent.sum()),
         (float(omega[0]), float(omega[-1])),
         covariance,
     )
@@ -139,18 +141,18 @@ def _scale(x: Array) -> Array:
     return np.maximum(np.abs(x), 1e-3)
 
 
-def _best(form: TransferForm, omega: Array, H: Complex, residuals: Any) -> Any:
+def _best_search(form: TransferForm, omega: Array, H: Complex, residuals: Any) -> Any:
     """The best of searches from several delays."""
-    begun = []
+    starts = []
     for delay in DELAYS:
         begin = form.from_polynomials(*_levy(form, omega, H * np.exp(1j * omega * delay)), delay)
         if np.all(np.isfinite(begin)) and np.all(np.isfinite(residuals(begin))):
-            begun.append((float(np.sum(residuals(begin) ** 2)), begin))
-    if not begun:
+            starts.append((float(np.sum(residuals(begin) ** 2)), begin))
+    if not starts:
         raise DataError(f"form {form.name}: no start was found; try another form")
-    begun.sort(key=lambda b: b[0])
-    found = [least_squares(residuals, begin, x_scale=_scale(begin)) for _, begin in begun[:SEARCHES]]
-    return min(found, key=lambda f: float(f.cost))
+    starts.sort(key=lambda b: b[0])
+    fits = [least_squares(residuals, begin, x_scale=_scale(begin)) for _, begin in starts[:SEARCHES]]
+    return min(fits, key=lambda f: float(f.cost))
 
 
 def _levy(form: TransferForm, omega: Array, H: Complex) -> tuple[Array, Array]:
@@ -188,12 +190,12 @@ def _navfit(form: TransferForm, x: Array, omega: Array, H: Complex, coherence: A
 
 
 def _errors(form: TransferForm, x: Array, omega: Array, H: Complex, std: Array) -> Array:
-    off = (form.response(x, omega) - H) / std
-    return np.concatenate([off.real, off.imag])
+    scaled_error = (form.response(x, omega) - H) / std
+    return np.concatenate([scaled_error.real, scaled_error.imag])
 
 
-def _covariance(jacobian: Array, off: Array, omega: Array, length: Array) -> tuple[Array, float]:
-    """(covariance of the unknowns, rms of `off`). Neighbouring points share noise as far as their windows cannot
+def _covariance(jacobian: Array, scaled_errors: Array, omega: Array, length: Array) -> tuple[Array, float]:
+    """(covariance of the unknowns, rms of `scaled_errors`). Neighbouring points share noise as far as their windows cannot
     tell them apart."""
     size = np.maximum(np.linalg.norm(jacobian, axis=0), SMALLEST_STEP)
     J = jacobian / size
@@ -201,8 +203,8 @@ def _covariance(jacobian: Array, off: Array, omega: Array, length: Array) -> tup
     half = len(omega)
     middle = J[:half].T @ shared @ J[:half] + J[half:].T @ shared @ J[half:]
     inverse = np.linalg.pinv(J.T @ J, rcond=1e-10)
-    misfit = math.sqrt(float(np.mean(off**2)))
-    freedom = off.size / max(off.size - len(size), 1)
+    misfit = math.sqrt(float(np.mean(scaled_errors**2)))
+    freedom = scaled_errors.size / max(scaled_errors.size - len(size), 1)
     return inverse @ middle @ inverse * max(1.0, misfit**2 * freedom) / np.outer(size, size), misfit
 
 
@@ -211,7 +213,7 @@ def _shared_noise(omega: Array, length: Array) -> Array:
     mean = np.sqrt(length[:, None] * length[None, :])
     phase = np.abs(omega[:, None] - omega[None, :]) * mean
     taper = tapers(201)[0] ** 2
-    at = np.linspace(-0.5, 0.5, 201)
+    window_time = np.linspace(-0.5, 0.5, 201)
     table = np.linspace(0.0, 60.0, 601)
-    values = np.abs(np.exp(-1j * np.outer(table, at)) @ taper) / taper.sum()
+    values = np.abs(np.exp(-1j * np.outer(table, window_time)) @ taper) / taper.sum()
     return np.interp(phase, table, values, right=0.0)

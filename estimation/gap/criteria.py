@@ -153,9 +153,6 @@ class Criteria:
     full_fits: int = criterion(10, "hypotheses", "best by linear theory that get a full fit")
     always_fitted: int = criterion(4, "hypotheses", "best by linear theory that get one however weak they are")
     in_sight: float = criterion(0.15, "best gain", "a hypothesis linear in its unknowns that gains less gets none")
-    fitted_tie: float = criterion(0.9, "|cos|",
-        "a hypothesis closer to the very best gets one too",
-        "by hand; the benchmark's classes of effects use the same")
     common_inflation: float = criterion(2.0, "common inflation", "rivals share one unless their own is larger than this")
     prior_width: float = criterion(1.5, "usual sizes", "scale of Student's t, by which an effect's size is believed")
     prior_tail: float = criterion(3.0, "degrees of freedom",
@@ -241,7 +238,7 @@ class Criteria:
         "false alarm of the nominal threshold, shown beside that of the nulls",
         "theory: Bonferroni, two-sided normal")
     tie: float = criterion(0.9, "|cos|",
-        "signatures closer than that are listed as tied",
+        "signatures closer than that are tied: listed so, and fitted where one of them is the very best",
         "by hand; the benchmark's classes of effects use the same")
     migrated_bounds: float = criterion(3.0, "bounds",
         "a derivative that moves by more had absorbed part of the effect",

@@ -34,7 +34,7 @@ from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
 from estimation.gap.significance.nulls import input_errors, with_errors
 from estimation.models.base import Model
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from groundstation.flight import Flight
 
 

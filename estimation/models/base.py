@@ -23,7 +23,7 @@ from estimation.models.consistency import check_model
 from estimation.models.expressions import names_in
 from estimation.models.parts import TRANSFORM_KINDS, InputTransform, ModelParts, Parameter, ParameterRole, Signal
 
-__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "ParameterRole", "Signal"]
+__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "ParameterRole", "Signal", "joint_model"]
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Model(ModelParts):
             self._apply_output(definitions, output, expression)
         equations = [f"{symbol} = {expression}" for symbol, expression in definitions.items()] + list(lines)
         fresh = {p.name: p for p in parameters}
-        kept = tuple(fresh.pop(p.name, p) for p in self.parameters)
+        parameters_before = tuple(fresh.pop(p.name, p) for p in self.parameters)
         return replace(
             self,
             name=name or self.name,
@@ -88,7 +88,7 @@ class Model(ModelParts):
             states=self.states + tuple(states),
             inputs=self.inputs + tuple(inputs),
             outputs=self.outputs + tuple(observed),
-            parameters=kept + tuple(fresh.values()),
+            parameters=parameters_before + tuple(fresh.values()),
             equations=tuple(equations),
             transforms=self.transforms + tuple(transforms),
             output_delays={**self.output_delays, **(output_delays or {})},
@@ -162,13 +162,14 @@ class Model(ModelParts):
 
         values: numbers at which initial values are held. Raises ModelError for a name that is no state's.
         """
-        given = dict(values or {})
-        wanted = (*(names or (() if given else self.state_names)), *given)
-        for name in wanted:
+        held_values = dict(values or {})
+        state_list = (*(names or (() if held_values else self.state_names)), *held_values)
+        for name in state_list:
             if name not in self.state_names:
                 raise ModelError(f"model {self.name}: no state {name!r}; it has {', '.join(self.state_names)}")
         states = tuple(
-            replace(s, held=held, start=given.get(s.name, s.start)) if s.name in wanted else s for s in self.states
+            replace(s, held=held, start=held_values.get(s.name, s.start)) if s.name in state_list else s
+            for s in self.states
         )
         return replace(self, states=states)
 
@@ -207,13 +208,13 @@ class Model(ModelParts):
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "Model":
         """Inverse of `to_dict`; ModelError names the key that does not fit."""
-        known = {
+        known_keys = {
             "name", "title", "description", "states", "inputs", "outputs", "parameters", "transforms",
             "constants", "output_delays", "equations", "flown",
         }  # fmt: skip
-        unknown = sorted(set(data) - known)
+        unknown = sorted(set(data) - known_keys)
         if unknown:
-            raise ModelError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known))}")
+            raise ModelError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known_keys))}")
         for key in ("name", "states", "outputs", "parameters", "equations"):
             if key not in data:
                 raise ModelError(f"key {key!r} is missing")
@@ -221,21 +222,31 @@ class Model(ModelParts):
             name=file_name(str(data["name"])),
             title=one_line(str(data.get("title", ""))),
             description=str(data.get("description", "")),
-            states=tuple(plain.signal("states", d) for d in plain.listed(data, "states")),
-            inputs=tuple(plain.signal("inputs", d) for d in plain.listed(data, "inputs")),
-            outputs=tuple(plain.signal("outputs", d) for d in plain.listed(data, "outputs")),
-            parameters=tuple(plain.parameter(d) for d in plain.listed(data, "parameters")),
-            transforms=tuple(plain.transform(d) for d in plain.listed(data, "transforms")),
-            constants={str(k): plain.number(v, f"constants.{k}") for k, v in plain.table(data, "constants").items()},
-            output_delays={str(k): str(v) for k, v in plain.table(data, "output_delays").items()},
-            equations=plain.lines(data["equations"]),
-            flown={str(k): plain.ends(v, f"flown.{k}") for k, v in plain.table(data, "flown").items()},
+            states=tuple(plain.read_signal("states", d) for d in plain.read_list(data, "states")),
+            inputs=tuple(plain.read_signal("inputs", d) for d in plain.read_list(data, "inputs")),
+            outputs=tuple(plain.read_signal("outputs", d) for d in plain.read_list(data, "outputs")),
+            parameters=tuple(plain.read_parameter(d) for d in plain.read_list(data, "parameters")),
+            transforms=tuple(plain.read_transform(d) for d in plain.read_list(data, "transforms")),
+            constants={
+                str(k): plain.read_number(v, f"constants.{k}") for k, v in plain.read_table(data, "constants").items()
+            },
+            output_delays={str(k): str(v) for k, v in plain.read_table(data, "output_delays").items()},
+            equations=plain.read_lines(data["equations"]),
+            flown={str(k): plain.read_ends(v, f"flown.{k}") for k, v in plain.read_table(data, "flown").items()},
         )
 
     @cached_property
     def digest(self) -> str:
         """Digest of the whole model, values included: names it in lineages and reports."""
         return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def joint_model(model: Model) -> Model:
+    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
+
+    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
+    """
+    return model.with_local(*model.free_of(ParameterRole.CONSTANT))
 
 
 def _has(definitions: Mapping[str, str]) -> str:

@@ -11,7 +11,7 @@ from estimation.models.parts import TRANSFORM_KINDS, ModelParts
 
 def check_model(model: ModelParts) -> None:
     """Raise ModelError naming the first thing that does not fit."""
-    where = f"model {model.name}"
+    prefix = f"model {model.name}"
     symbols: dict[str, str] = {}
     for kind, names in (
         ("state", model.state_names),
@@ -19,31 +19,31 @@ def check_model(model: ModelParts) -> None:
         ("parameter", model.parameter_names),
     ):
         for name in names:
-            check_name(name, f"{where}: {kind}")
+            check_name(name, f"{prefix}: {kind}")
             if name in symbols:
-                raise ModelError(f"{where}: {name!r} is both {symbols[name]} and {kind}")
+                raise ModelError(f"{prefix}: {name!r} is both {symbols[name]} and {kind}")
             symbols[name] = kind
     if len(set(model.output_names)) < len(model.output_names):
-        twice = next(n for n in model.output_names if model.output_names.count(n) > 1)
-        raise ModelError(f"{where}: output {twice!r} stands there twice")
+        repeated = next(n for n in model.output_names if model.output_names.count(n) > 1)
+        raise ModelError(f"{prefix}: output {repeated!r} stands there twice")
     lines = [split_line(line) for line in model.equations]
     defined: set[str] = set()
     for symbol, _ in lines:
         if symbol in defined or symbol in symbols:
-            raise ModelError(f"{where}: {symbol!r} is defined twice ({symbols.get(symbol, 'equation')} and equation)")
+            raise ModelError(f"{prefix}: {symbol!r} is defined twice ({symbols.get(symbol, 'equation')} and equation)")
         defined.add(symbol)
     for state in model.state_names:
         if f"{state}_dot" not in defined:
-            raise ModelError(f"{where}: state {state!r} has no line '{state}_dot = ...'")
-    known = defined | set(symbols) | set(model.constants)
+            raise ModelError(f"{prefix}: state {state!r} has no line '{state}_dot = ...'")
+    defined_names = defined | set(symbols) | set(model.constants)
     for output in model.output_names:
-        if output not in known and f"{output}_measured" not in defined:
-            raise ModelError(f"{where}: output {output!r} has no line '{output} = ...'")
+        if output not in defined_names and f"{output}_measured" not in defined:
+            raise ModelError(f"{prefix}: output {output!r} has no line '{output} = ...'")
     for symbol, expression in lines:
-        for name in sorted(names_in(expression) - known):
-            raise ModelError(f"{where}: {name!r} in the line of {symbol!r} is defined nowhere")
+        for name in sorted(names_in(expression) - defined_names):
+            raise ModelError(f"{prefix}: {name!r} in the line of {symbol!r} is defined nowhere")
     if not model.states or not model.outputs:
-        raise ModelError(f"{where}: at least one state and one output are needed")
+        raise ModelError(f"{prefix}: at least one state and one output are needed")
     _check_circles(model, dict(lines))
     _check_parameters(model)
     _check_transforms(model)
@@ -61,9 +61,9 @@ def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
         while path:
             symbol = next(rest[-1], None) if path[-1] not in depth else None
             if symbol is None:
-                done = path.pop()
+                symbol_done = path.pop()
                 rest.pop()
-                depth.setdefault(done, 1 + max((depth[u] for u in uses[done]), default=0))
+                depth.setdefault(symbol_done, 1 + max((depth[u] for u in uses[symbol_done]), default=0))
             elif symbol in path:
                 raise ModelError(
                     f"model {model.name}: definitions run in a circle: {' -> '.join((*path[-10:], symbol))}"
@@ -80,24 +80,24 @@ def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
 
 def _check_parameters(model: ModelParts) -> None:
     for p in model.parameters:
-        where = f"model {model.name}: parameter {p.name}"
+        prefix = f"model {model.name}: parameter {p.name}"
         if not p.lower <= p.start <= p.upper:
-            raise ModelError(f"{where}: start {p.start} lies outside its limits {p.lower} .. {p.upper}")
+            raise ModelError(f"{prefix}: start {p.start} lies outside its limits {p.lower} .. {p.upper}")
         if not math.isfinite(p.start):
-            raise ModelError(f"{where}: start {p.start} is not a finite number")
+            raise ModelError(f"{prefix}: start {p.start} is not a finite number")
         if (p.prior_mean is None) != (p.prior_std is None) or (p.prior_std is not None and not p.prior_std > 0):
-            raise ModelError(f"{where}: a prior needs a mean and a standard deviation greater than zero")
+            raise ModelError(f"{prefix}: a prior needs a mean and a standard deviation greater than zero")
 
 
 def _check_transforms(model: ModelParts) -> None:
     for t in model.transforms:
-        where = f"model {model.name}: transform {t.kind} of {t.input}"
+        prefix = f"model {model.name}: transform {t.kind} of {t.input}"
         if t.kind not in TRANSFORM_KINDS:
-            raise ModelError(f"{where}: no such kind; known are {', '.join(TRANSFORM_KINDS)}")
+            raise ModelError(f"{prefix}: no such kind; known are {', '.join(TRANSFORM_KINDS)}")
         if t.input not in model.input_names:
-            raise ModelError(f"{where}: the model has no such input")
+            raise ModelError(f"{prefix}: the model has no such input")
         if len(t.parameters) != TRANSFORM_KINDS[t.kind]:
-            raise ModelError(f"{where}: {TRANSFORM_KINDS[t.kind]} parameter(s) needed, {len(t.parameters)} given")
+            raise ModelError(f"{prefix}: {TRANSFORM_KINDS[t.kind]} parameter(s) needed, {len(t.parameters)} given")
         for name in t.parameters:
             model.parameter(name)
     for output, name in model.output_delays.items():

@@ -31,21 +31,21 @@ _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 
 
-def check_name(name: str, what: str) -> str:
+def check_name(name: str, kind: str) -> str:
     """`name` if it can stand in an equation; ModelError otherwise."""
     if not _NAME.match(name) or name in FUNCTIONS or name in NUMBERS:
         raise ModelError(
-            f"{what} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name"
+            f"{kind} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name"
         )
     return name
 
 
 def split_line(line: str) -> tuple[str, str]:
     """(`name`, `expression`) of an equation line."""
-    left, sign, right = line.partition("=")
+    name, sign, right = line.partition("=")
     if not sign or not right.strip() or right.lstrip().startswith("="):
         raise ModelError(f"equation {line.strip()!r}: write it as 'name = expression'")
-    return check_name(left.strip(), f"left side of {line.strip()!r}:"), right.strip()
+    return check_name(name.strip(), f"left side of {line.strip()!r}:"), right.strip()
 
 
 @lru_cache(maxsize=4096)
@@ -70,23 +70,23 @@ def parse(expression: str) -> ast.expr:
 @lru_cache(maxsize=4096)
 def names_in(expression: str) -> frozenset[str]:
     """Names an expression refers to, functions and pi left out."""
-    called = {
+    functions = {
         n.func.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
     }
-    used = {n.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Name)}
-    return frozenset(used - called - set(NUMBERS))
+    names = {n.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Name)}
+    return frozenset(names - functions - set(NUMBERS))
 
 
 @lru_cache(maxsize=4096)
 def products_in(expression: str) -> tuple[frozenset[str], ...]:
     """Names that stand together in a product, for every product of an expression without a sum inside."""
-    found = []
+    products = []
     for node in ast.walk(parse(expression)):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
             inner = list(ast.walk(node))
             if not any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in inner):
-                found.append(frozenset(n.id for n in inner if isinstance(n, ast.Name)))
-    return tuple(found)
+                products.append(frozenset(n.id for n in inner if isinstance(n, ast.Name)))
+    return tuple(products)
 
 
 def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:

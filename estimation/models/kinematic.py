@@ -9,7 +9,7 @@ Source: kinematic equations of a rigid body over a flat earth; factors as in The
 Table 2.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from daq.contract.constants import GRAVITY
@@ -101,31 +101,59 @@ def compatibility_model(
     Raises ModelError for a factor that does not exist, and for IMU and vane positions along the same axis, because the
     kinematics hold for any point of the body: only the difference between the two shows.
     """
-    wanted, measured = tuple(factors), tuple(outputs)
-    given = dict(known or {})
-    unknown = [f for f in (*wanted, *given) if f not in FACTORS]
+    free, measured = tuple(factors), tuple(outputs)
+    fixed = dict(known or {})
+    unknown = [f for f in (*free, *fixed) if f not in FACTORS]
     if unknown:
         raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {', '.join(FACTORS)}")
     for axis in "xyz":
-        if f"{axis}_imu" in wanted and f"{axis}_vane" in wanted:
+        if f"{axis}_imu" in free and f"{axis}_vane" in free:
             raise ModelError(
                 f"compatibility: {axis}_imu and {axis}_vane cannot be told from each other, only their difference shows; "
                 f"measure one and give it, like {axis}_imu=0.06"
             )
 
+    errors = [(a, e) for a in ATTITUDE for e in FILTER_ERRORS] if filtered_attitude else []
+    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in free or n in fixed)
+    delayed = {FACTORS[f].late: f for f in free if FACTORS[f].late}
+    return Model(
+        name="compatibility",
+        title="flight-path kinematics",
+        states=(
+            Signal("u", "m/s", "velocity forward"),
+            Signal("v", "m/s", "velocity right"),
+            Signal("w", "m/s", "velocity down"),
+            *(MEASUREMENTS[a] for a in ATTITUDE),
+            *(Signal(f"{a}_{e}", "rad", f"{e} error of the measured {a}") for a, e in errors),
+        ),
+        inputs=(
+            *(Signal(n, "m/s2") for n in ("ax", "ay", "az")),
+            *(Signal(n, "rad/s") for n in "pqr"),
+            *(Signal(f"{n}_dot", "rad/s2") for n in "pqr" if lever),
+        ),
+        outputs=tuple(MEASUREMENTS[n] for n in measured),
+        parameters=tuple(FACTORS[f].parameter for f in free),
+        equations=_equations(free, fixed, lever, errors),
+        constants={"g": GRAVITY},
+        output_delays=delayed,
+    )
+
+
+def _equations(
+    free: Collection[str], fixed: Mapping[str, float], lever: Collection[str], errors: Collection[tuple[str, str]]
+) -> tuple[str, ...]:
+    """lever: positions of the IMU that are asked for; errors: (angle, kind) of an attitude filter."""
+
     def value(name: str, neutral: float) -> str:
-        return name if name in wanted else f"({given.get(name, neutral)!r})"
+        return name if name in free else f"({fixed.get(name, neutral)!r})"
 
     def less(name: str, bias: str) -> str:
-        return f"({name} - {value(bias, 0.0)})" if bias in wanted or bias in given else name
-
-    errors = [(a, e) for a in ATTITUDE for e in FILTER_ERRORS] if filtered_attitude else []
+        return f"({name} - {value(bias, 0.0)})" if bias in free or bias in fixed else name
 
     def wandering(angle: str) -> str:
         return "".join(f" + {a}_{e}" for a, e in errors if a == angle)
 
     p, q, r = (less(n, f"d{n}") for n in "pqr")
-    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in wanted or n in given)
     ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
     if lever:
         X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))
@@ -134,7 +162,7 @@ def compatibility_model(
         ay = f"({ay} - (r_dot*{X} - p_dot*{Z} + {q}*({p}*{X} + {r}*{Z}) - ({p}^2 + {r}^2)*{Y}))"
         az = f"({az} - (p_dot*{Y} - q_dot*{X} + {r}*({p}*{X} + {q}*{Y}) - ({p}^2 + {q}^2)*{Z}))"
     vane = {n: value(n, 0.0) for n in ("x_vane", "y_vane", "z_vane")}
-    equations = (
+    return (
         f"u_dot = {r}*v - {q}*w - g*sin(theta) + {ax}",
         f"v_dot = {p}*w - {r}*u + g*cos(theta)*sin(phi) + {ay}",
         f"w_dot = {q}*u - {p}*v + g*cos(theta)*cos(phi) + {az}",
@@ -152,26 +180,4 @@ def compatibility_model(
         f"theta_measured = theta + {value('dtheta', 0.0)}{wandering('theta')}",
         f"psi_measured = psi{wandering('psi')}",
         *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
-    )
-    delayed = {FACTORS[f].late: f for f in wanted if FACTORS[f].late}
-    return Model(
-        name="compatibility",
-        title="flight-path kinematics",
-        states=(
-            Signal("u", "m/s", "velocity forward"),
-            Signal("v", "m/s", "velocity right"),
-            Signal("w", "m/s", "velocity down"),
-            *(MEASUREMENTS[a] for a in ATTITUDE),
-            *(Signal(f"{a}_{e}", "rad", f"{e} error of the measured {a}") for a, e in errors),
-        ),
-        inputs=(
-            *(Signal(n, "m/s2") for n in ("ax", "ay", "az")),
-            *(Signal(n, "rad/s") for n in "pqr"),
-            *(Signal(f"{n}_dot", "rad/s2") for n in "pqr" if lever),
-        ),
-        outputs=tuple(MEASUREMENTS[n] for n in measured),
-        parameters=tuple(FACTORS[f].parameter for f in wanted),
-        equations=equations,
-        constants={"g": GRAVITY},
-        output_delays=delayed,
     )

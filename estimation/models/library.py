@@ -104,11 +104,11 @@ def stated_terms(model: Model, aircraft: Aircraft) -> Model:
     """
     terms: dict[str, str] = {}
     parameters = []
-    known = {*model.state_names, *model.input_names, *model.definitions}
+    symbols = {*model.state_names, *model.input_names, *model.definitions}
     for name, prior in aircraft.derivatives.items():
         line, _, ending = name.partition("_")
         regressor = MOTION.get(ending)
-        if name in model.parameter_names or line not in model.definitions or regressor not in known:
+        if name in model.parameter_names or line not in model.definitions or regressor not in symbols:
             continue
         terms[line] = f"{terms[line]} + {name}*{regressor}" if line in terms else f"{name}*{regressor}"
         (parameter,) = aerodynamic_parameters((name,), aircraft)
@@ -243,9 +243,4 @@ def six_dof(aircraft: Aircraft) -> Model:
 WHOLE = ("lateral", "longitudinal", "six-dof")
 """Models that take every derivative of the general linear model; `lateral-simple` is the paper's and stays so."""
 
-BUILDERS = {
-    "lateral": lateral,
-    "lateral-simple": lateral_simple,
-    "longitudinal": longitudinal,
-    "six-dof": six_dof,
-}
+BUILDERS = {"lateral": lateral, "lateral-simple": lateral_simple, "longitudinal": longitudinal, "six-dof": six_dof}

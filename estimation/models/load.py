@@ -13,7 +13,7 @@ from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
 from estimation.models.library import BUILDERS, WHOLE, stated_terms
-from estimation.own_code import MISTAKES, named, said
+from estimation.own_code import MISTAKES, import_named, mistake_text
 
 
 def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None = None) -> Model:
@@ -31,8 +31,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     if text in BUILDERS:
         craft = _named(aircraft, f"model {text}")
         built = BUILDERS[text](craft)
-        whole = stated_terms(built, craft) if text in WHOLE else built
-        return _with_known_constants(whole, craft, f"model {text}")
+        extended = stated_terms(built, craft) if text in WHOLE else built
+        return _with_known_constants(extended, craft, f"model {text}")
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:
@@ -42,21 +42,21 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     )
 
 
-def _named(aircraft: Aircraft | str | None, what: str) -> Aircraft:
+def _named(aircraft: Aircraft | str | None, purpose: str) -> Aircraft:
     if aircraft is None:
         raise ModelError(
-            f"{what} takes mass and geometry of an aircraft and was given none; name a built-in one"
+            f"{purpose} takes mass and geometry of an aircraft and was given none; name a built-in one"
             f" ({', '.join(built_in_aircraft())}), or write a file with: sideslip aircraft new NAME"
         )
     return aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft)
 
 
-def _with_known_constants(model: Model, aircraft: Aircraft | None, what: str) -> Model:
+def _with_known_constants(model: Model, aircraft: Aircraft | None, purpose: str) -> Model:
     """The model without constants its aircraft does not know; AircraftError where an equation uses one of them."""
     unknown = {name for name, value in model.constants.items() if math.isnan(value)}
     if aircraft is None or not unknown:
         return model
-    aircraft.need(sorted(frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))), what)
+    aircraft.need(sorted(frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))), purpose)
     return replace(model, constants={n: v for n, v in model.constants.items() if n not in unknown})
 
 
@@ -112,10 +112,10 @@ def _plain(value: Any) -> Any:
 
 
 def _import_class(text: str) -> type:
-    found = named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
-    if not isinstance(found, type):
-        raise ModelError(f"model {text!r}: that is {type(found).__name__}, not a class")
-    return found
+    imported = import_named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
+    if not isinstance(imported, type):
+        raise ModelError(f"model {text!r}: that is {type(imported).__name__}, not a class")
+    return imported
 
 
 def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
@@ -125,4 +125,4 @@ def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
     try:
         return _with_known_constants(model_from_class(cls, craft), craft, f"model class {cls.__name__}")
     except MISTAKES as error:
-        raise ModelError(f"model class {cls.__name__}: {said(error)}") from error
+        raise ModelError(f"model class {cls.__name__}: {mistake_text(error)}") from error

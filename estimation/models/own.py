@@ -19,7 +19,7 @@ A class whose constructor takes an argument is given the aircraft.
 
 import inspect
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Self
 
 from estimation.aircraft import Aircraft
@@ -35,6 +35,15 @@ _NUMPY = {
     "maximum": "max", "less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=",
 }  # fmt: skip
 SHORT = 12  # characters below which an expression used twice is written twice
+
+
+def _infix(operator: str, swapped: bool = False) -> Callable[["Symbol", object], "Symbol"]:
+    """An operator as a method; swapped: of what stands on its right."""
+
+    def apply(self: "Symbol", other: object) -> "Symbol":
+        return Symbol(operator, symbol(other), self) if swapped else Symbol(operator, self, symbol(other))
+
+    return apply
 
 
 class Symbol:
@@ -55,37 +64,10 @@ class Symbol:
             raise ModelError(f"numpy.{ufunc.__name__} has no place in an equation; known are {', '.join(_NUMPY)}")
         return Symbol(_NUMPY[ufunc.__name__], *(symbol(value) for value in inputs))
 
-    def __add__(self, other: object) -> "Symbol":
-        return Symbol("+", self, symbol(other))
-
     def __radd__(self, other: object) -> "Symbol":
         if isinstance(other, int) and other == 0:  # where sum() begins
             return self
         return Symbol("+", symbol(other), self)
-
-    def __sub__(self, other: object) -> "Symbol":
-        return Symbol("-", self, symbol(other))
-
-    def __rsub__(self, other: object) -> "Symbol":
-        return Symbol("-", symbol(other), self)
-
-    def __mul__(self, other: object) -> "Symbol":
-        return Symbol("*", self, symbol(other))
-
-    def __rmul__(self, other: object) -> "Symbol":
-        return Symbol("*", symbol(other), self)
-
-    def __truediv__(self, other: object) -> "Symbol":
-        return Symbol("/", self, symbol(other))
-
-    def __rtruediv__(self, other: object) -> "Symbol":
-        return Symbol("/", symbol(other), self)
-
-    def __pow__(self, other: object) -> "Symbol":
-        return Symbol("**", self, symbol(other))
-
-    def __rpow__(self, other: object) -> "Symbol":
-        return Symbol("**", symbol(other), self)
 
     def __neg__(self) -> "Symbol":
         return Symbol("neg", self)
@@ -96,17 +78,9 @@ class Symbol:
     def __abs__(self) -> "Symbol":
         return Symbol("abs", self)
 
-    def __lt__(self, other: object) -> "Symbol":
-        return Symbol("<", self, symbol(other))
-
-    def __le__(self, other: object) -> "Symbol":
-        return Symbol("<=", self, symbol(other))
-
-    def __gt__(self, other: object) -> "Symbol":
-        return Symbol(">", self, symbol(other))
-
-    def __ge__(self, other: object) -> "Symbol":
-        return Symbol(">=", self, symbol(other))
+    __add__, __sub__, __mul__, __truediv__, __pow__ = (_infix(o) for o in ("+", "-", "*", "/", "**"))
+    __lt__, __le__, __gt__, __ge__ = (_infix(o) for o in ("<", "<=", ">", ">="))
+    __rsub__, __rmul__, __rtruediv__, __rpow__ = (_infix(o, swapped=True) for o in ("-", "*", "/", "**"))
 
 
 def symbol(value: object) -> Symbol:
@@ -163,10 +137,10 @@ class Names:
 
 def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     """The `Model` that a class as in the module head describes; ModelError says what it lacks."""
-    for needed in ("states", "measured", "parameters", "derivatives", "outputs"):
-        if not hasattr(cls, needed):
+    for attribute in ("states", "measured", "parameters", "derivatives", "outputs"):
+        if not hasattr(cls, attribute):
             raise ModelError(
-                f"model class {cls.__name__}: no {needed!r}; see 'A model of one's own' in docs/estimation.md"
+                f"model class {cls.__name__}: no {attribute!r}; see 'A model of one's own' in docs/estimation.md"
             )
     instance = _instance(cls, aircraft)
     states = tuple(_signal(n, v, "state") for n, v in instance.states.items())
@@ -176,11 +150,11 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     x, u = Names("state", [s.name for s in states]), Names("input", [s.name for s in inputs])
     p, xdot = Names("parameter", [q.name for q in parameters]), Names("state", [s.name for s in states], "_dot")
     rates = _in_order(instance.derivatives(x, u, p), [s.name for s in states], f"{cls.__name__}.derivatives")
-    shown = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
+    output_values = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
     targets = [(f"{s.name}_dot", r) for s, r in zip(states, rates, strict=True)]
-    taken = {*(s.name for s in (*states, *inputs)), *(q.name for q in parameters)} | {t for t, _ in targets}
-    for output, value in zip(measured, shown, strict=True):
-        name = f"{output.name}_measured" if output.name in taken else output.name
+    reserved = {*(s.name for s in (*states, *inputs)), *(q.name for q in parameters)} | {t for t, _ in targets}
+    for output, value in zip(measured, output_values, strict=True):
+        name = f"{output.name}_measured" if output.name in reserved else output.name
         if not (value.operator == "leaf" and value.arguments == (output.name,)):
             targets.append((name, value))
     return Model(
@@ -223,20 +197,20 @@ def _parameter(name: str, value: object) -> Parameter:
     if isinstance(value, str):
         return Parameter(name, value, role=usual_role(name))
     if isinstance(value, tuple) and 1 <= len(value) <= 4:
-        given = [float(v) for v in value[1:]]
-        start, lower, upper = (*given, *(0.0, -math.inf, math.inf)[len(given) :])
+        numbers = [float(v) for v in value[1:]]
+        start, lower, upper = (*numbers, *(0.0, -math.inf, math.inf)[len(numbers) :])
         return Parameter(name, str(value[0]), start, lower, upper, role=usual_role(name))
     raise ModelError(f"parameter {name!r}: give a unit, (unit, start), (unit, start, lower, upper) or a Parameter")
 
 
-def _in_order(value: object, names: list[str], what: str) -> list[Symbol]:
+def _in_order(value: object, names: list[str], method: str) -> list[Symbol]:
     if isinstance(value, Mapping):
         if set(value) != set(names):
-            raise ModelError(f"{what}: gives {', '.join(map(str, value))}; needed are {', '.join(names)}")
+            raise ModelError(f"{method}: gives {', '.join(map(str, value))}; needed are {', '.join(names)}")
         value = [value[n] for n in names]
     values = [symbol(v) for v in (value if isinstance(value, Iterable) else [value])]
     if len(values) != len(names):
-        raise ModelError(f"{what}: gives {len(values)} values for {len(names)} names ({', '.join(names)})")
+        raise ModelError(f"{method}: gives {len(values)} values for {len(names)} names ({', '.join(names)})")
     return values
 
 
@@ -271,13 +245,18 @@ class _Writer:
         if node.operator == "leaf":
             text = str(node.arguments[0])
             return (f"({text})", 9) if text.startswith("-") else (text, 9)
-        written, level = self._operation(node)
-        if not top and self.uses[id(node)] > 1 and len(written) > SHORT and node.operator not in ("<", "<=", ">", ">="):
+        expression, level = self._operation(node)
+        if (
+            not top
+            and self.uses[id(node)] > 1
+            and len(expression) > SHORT
+            and node.operator not in ("<", "<=", ">", ">=")
+        ):
             name = f"common_{len(self.names) + 1}"
             self.names[id(node)] = name
-            self.made.append(f"{name} = {written}")
+            self.made.append(f"{name} = {expression}")
             return name, 9
-        return written, level
+        return expression, level
 
     def _operation(self, node: Symbol) -> tuple[str, int]:
         parts = [self._text(a) for a in node.arguments if isinstance(a, Symbol)]

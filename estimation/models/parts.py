@@ -11,16 +11,9 @@ from functools import cached_property
 from estimation.errors import ModelError
 from estimation.models.expressions import split_line
 
-TRANSFORM_KINDS: Mapping[str, int] = {
-    "delay": 1,
-    "lag": 1,
-    "deadzone": 1,
-    "backlash": 1,
-    "rate_limit": 1,
-    "bend": 1,
-    "scale": 1,
-    "bias": 1,
-}
+TRANSFORM_KINDS: Mapping[str, int] = dict.fromkeys(
+    ("delay", "lag", "deadzone", "backlash", "rate_limit", "bend", "scale", "bias"), 1
+)
 """Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for dead zone, backlash and
 bias, seconds per unit of the input for the rate limit (0: none); bend: share of each step by which the input is beyond the
 straight line half-way between two samples."""

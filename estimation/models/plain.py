@@ -19,24 +19,24 @@ def without_defaults(item: Any) -> dict[str, Any]:
     return {k: list(v) if isinstance(v, tuple) else v.value if isinstance(v, Enum) else v for k, v in data.items()}
 
 
-def number(value: object, key: str) -> float:
+def read_number(value: object, key: str) -> float:
     """A number, or ModelError naming the key."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ModelError(f"{key} = {value!r} is not a number")
     return float(value)
 
 
-def ends(value: object, key: str) -> tuple[float, float]:
+def read_ends(value: object, key: str) -> tuple[float, float]:
     """Two rising numbers, or ModelError naming the key."""
     if not isinstance(value, list) or len(value) != 2:
         raise ModelError(f"{key} = {value!r} must be two numbers, [least, greatest]")
-    low, high = number(value[0], key), number(value[1], key)
+    low, high = read_number(value[0], key), read_number(value[1], key)
     if not low <= high:
         raise ModelError(f"{key} = {value!r}: the first must not be the greater")
     return low, high
 
 
-def listed(data: Mapping[str, Any], key: str) -> list[Any]:
+def read_list(data: Mapping[str, Any], key: str) -> list[Any]:
     """The list under a key (empty where it is not there), or ModelError."""
     value = data.get(key, [])
     if not isinstance(value, list):
@@ -44,7 +44,7 @@ def listed(data: Mapping[str, Any], key: str) -> list[Any]:
     return value
 
 
-def table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def read_table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """The table under a key (empty where it is not there), or ModelError."""
     value = data.get(key, {})
     if not isinstance(value, Mapping):
@@ -52,16 +52,16 @@ def table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     return value
 
 
-def signal(key: str, data: object) -> Signal:
+def read_signal(key: str, data: object) -> Signal:
     """A state, input or output from a table, or from its name alone."""
     if isinstance(data, Mapping):
         for name in sorted(set(data) & set(Signal.__dataclass_fields__)):
             value = data[name]
             kind = _KINDS.get(name, str)
             if not isinstance(value, kind):
-                wanted = "true or false" if kind is bool else "text" if kind is str else "text or a number"
-                raise ModelError(f"{key} {data.get('name')!r}: {name} = {value!r} must be {wanted}")
-    return item(Signal, key, _floats(data))  # type: ignore[no-any-return]
+                expected = "true or false" if kind is bool else "text" if kind is str else "text or a number"
+                raise ModelError(f"{key} {data.get('name')!r}: {name} = {value!r} must be {expected}")
+    return read_item(Signal, key, _floats(data))  # type: ignore[no-any-return]
 
 
 def _floats(data: object) -> object:
@@ -72,16 +72,12 @@ def _floats(data: object) -> object:
 
 
 _KINDS: Mapping[str, Any] = {
-    "control": bool,
-    "servo": bool,
-    "optional": bool,
-    "held": bool,
-    "computed": bool,
+    **dict.fromkeys(("control", "servo", "optional", "held", "computed"), bool),
     "start": (str, int, float),
 }
 
 
-def lines(value: object) -> tuple[str, ...]:
+def read_lines(value: object) -> tuple[str, ...]:
     """Equation lines without comments and blanks, from a list or from one text."""
     rows = value.splitlines() if isinstance(value, str) else value
     if not isinstance(rows, list) or not all(isinstance(r, str) for r in rows):
@@ -90,7 +86,7 @@ def lines(value: object) -> tuple[str, ...]:
     return tuple(row for row in bare if row)
 
 
-def item(cls: type[Any], key: str, data: object) -> Any:
+def read_item(cls: type[Any], key: str, data: object) -> Any:
     """A part from a table, or from its name alone."""
     if isinstance(data, str):
         data = {"name": data}
@@ -98,14 +94,16 @@ def item(cls: type[Any], key: str, data: object) -> Any:
         raise ModelError(f"{key}: each entry is a table with at least a name, not {data!r}")
     if not isinstance(data["name"], str):
         raise ModelError(f"{key}: name = {data['name']!r} must be text")
-    allowed = set(cls.__dataclass_fields__)
-    unknown = sorted(set(data) - allowed)
+    known_keys = set(cls.__dataclass_fields__)
+    unknown = sorted(set(data) - known_keys)
     if unknown:
-        raise ModelError(f"{key} {data['name']!r}: unknown key {unknown[0]!r}; known are {', '.join(sorted(allowed))}")
+        raise ModelError(
+            f"{key} {data['name']!r}: unknown key {unknown[0]!r}; known are {', '.join(sorted(known_keys))}"
+        )
     return cls(**data)
 
 
-def parameter(data: object) -> Parameter:
+def read_parameter(data: object) -> Parameter:
     """A parameter from a table, or from its name alone."""
     if isinstance(data, Mapping):
         texts = {"name", "unit", "reference_source", "description", "role"}
@@ -114,12 +112,12 @@ def parameter(data: object) -> Parameter:
             if key in texts - {"name", "role"} and not isinstance(value, str):  # those two are looked at by themselves
                 raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be text")
             if key in Parameter.__dataclass_fields__ and key not in texts | flags:
-                number(value, f"parameter {data.get('name')!r}: {key}")
+                read_number(value, f"parameter {data.get('name')!r}: {key}")
             if key in flags and not isinstance(value, bool):
                 raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be true or false")
-    made: Parameter = item(Parameter, "parameters", _floats(data))
-    stated = data.get("role") if isinstance(data, Mapping) else None
-    return replace(made, role=usual_role(made.name) if stated is None else _role(made.name, stated))
+    built: Parameter = read_item(Parameter, "parameters", _floats(data))
+    role = data.get("role") if isinstance(data, Mapping) else None
+    return replace(built, role=usual_role(built.name) if role is None else _role(built.name, role))
 
 
 def _role(name: str, value: object) -> ParameterRole:
@@ -128,7 +126,7 @@ def _role(name: str, value: object) -> ParameterRole:
     return ParameterRole(str(value))
 
 
-def transform(data: object) -> InputTransform:
+def read_transform(data: object) -> InputTransform:
     """An input transform from a table."""
     if not isinstance(data, Mapping) or set(data) != {"kind", "input", "parameters"}:
         raise ModelError(f"transforms: each entry has kind, input and parameters, not {data!r}")

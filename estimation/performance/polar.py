@@ -7,6 +7,8 @@ with what such instruments are usually off by as prior. Bounds are corrected for
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +17,11 @@ from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.estimators.coloured import ResidualSegment, score_covariance
-from estimation.performance.samples import PolarSamples
+from estimation.performance.samples import PolarSamples, Usable
+from estimation.report.drawing.figures import MEASURED, Picture, picture, save_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 OFFSET = math.radians(0.3)  # standard deviation of what an aligned vane and accelerometer are off by together
 SURE = 2.0  # bounds from zero below which a coefficient is not known
@@ -79,27 +85,27 @@ def fitted(stretches: Sequence[PolarSamples]) -> Polar:
             "no stretch of any flight has lift and drag with thrust known; fly glides with the throttle off"
         )
     rows = [np.column_stack([np.ones(s.V.size), s.smooth_CL**2, s.smooth_CL]) / s.scatter[:, None] for s in stretches]
-    seen = [s.CD / s.scatter for s in stretches]
+    scaled_drag = [s.CD / s.scatter for s in stretches]
     # the prior's weight is in units of the noise, which is raised by what residuals are larger than it
     values, scale = np.zeros(3), 1.0
     for _ in range(3):
         inverse = _inverse(rows, scale)
-        values = inverse @ np.sum([J.T @ y for J, y in zip(rows, seen, strict=True)], axis=0) / scale**2
-        left = [y - J @ values for J, y in zip(rows, seen, strict=True)]
-        scale = max(math.sqrt(float(np.mean(np.concatenate(left) ** 2))), 1e-9)
+        values = inverse @ np.sum([J.T @ y for J, y in zip(rows, scaled_drag, strict=True)], axis=0) / scale**2
+        residuals = [y - J @ values for J, y in zip(rows, scaled_drag, strict=True)]
+        scale = max(math.sqrt(float(np.mean(np.concatenate(residuals) ** 2))), 1e-9)
     inverse = _inverse(rows, scale)
     pieces = [
         ResidualSegment((e / scale)[:, None], J / scale, np.zeros((e.size, 0)), np.ones((e.size, 1), bool))
-        for e, J in zip(left, rows, strict=True)
+        for e, J in zip(residuals, rows, strict=True)
     ]
     products = score_covariance(pieces, inverse, [np.zeros((0, 0))] * len(pieces))
     products[2, 2] += 1.0 / OFFSET**2
     covariance = inverse @ products @ inverse
     lift = np.concatenate([s.smooth_CL for s in stretches])
-    off = np.concatenate([e * s.scatter for e, s in zip(left, stretches, strict=True)])
+    drag_residuals = np.concatenate([e * s.scatter for e, s in zip(residuals, stretches, strict=True)])
     density = float(np.mean(np.concatenate([s.rho for s in stretches])))
     low, high = (float(v) for v in np.quantile(lift, EDGES))
-    return Polar(values, covariance, (low, high), float(np.sqrt(np.mean(off**2))), density)
+    return Polar(values, covariance, (low, high), float(np.sqrt(np.mean(drag_residuals**2))), density)
 
 
 def _inverse(rows: Sequence[Array], scale: float) -> Array:
@@ -156,3 +162,55 @@ def curve(polar: Polar, aircraft: Aircraft) -> tuple[PolarPoint, ...]:
         sink, power = (Bounded(drag.estimate * f, drag.std * f) for f in (float(V) / weight, float(V)))
         points.append(PolarPoint(float(V), float(CL), drag, sink, power))
     return tuple(points)
+
+
+SHOWN = 4000  # samples in the figure: more would be one dark spot
+COLOUR = "#0072B2"
+SIZE = (6.4, 7.6)  # inches
+DPI = 150
+
+
+def draw_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint], axes: Any) -> None:
+    stretches = [s for f in flights for s in f.stretches]
+    CL, CD = (np.concatenate([getattr(s, n) for s in stretches]) for n in ("smooth_CL", "CD"))
+    decimation = max(1, CL.size // SHOWN)
+    axes[0].plot(CD[::decimation], CL[::decimation], ".", color=MEASURED, markersize=1.5, label="samples")
+    lift = np.linspace(*polar.lift, 60)
+    drag = polar.values[0] + polar.values[1] * lift**2
+    rows = np.column_stack([np.ones(60), lift**2])
+    band = BOUNDS * np.sqrt(np.einsum("ij,jk,ik->i", rows, polar.covariance[:2, :2], rows))
+    axes[0].fill_betweenx(lift, drag - band, drag + band, color=COLOUR, alpha=0.3, linewidth=0)
+    axes[0].plot(drag, lift, color=COLOUR, label="polar")
+    axes[0].set_xlabel("CD")
+    axes[0].set_ylabel("CL")
+    axes[0].legend(loc="lower right")
+    for ax, name, label in ((axes[1], "sink", "sink, motor off [m/s]"), (axes[2], "power", "power required [W]")):
+        _banded(ax, [p.V for p in curve], [getattr(p, name) for p in curve])
+        ax.set_xlabel("airspeed [m/s]")
+        ax.set_ylabel(label)
+
+
+def _banded(ax: Any, speed: Sequence[float], values: Sequence[Bounded]) -> None:
+    middle, band = np.array([v.estimate for v in values]), BOUNDS * np.array([v.std for v in values])
+    ax.fill_between(speed, middle - band, middle + band, color=COLOUR, alpha=0.3, linewidth=0)
+    ax.plot(speed, middle, color=COLOUR)
+
+
+def _figure(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint]) -> "Figure":
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=SIZE, layout="constrained")
+    draw_performance(flights, polar, curve, figure.subplots(3))
+    return figure
+
+
+def performance_picture(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint]) -> Picture:
+    with styled():
+        figure = _figure(flights, polar, curve)
+    caption = "Samples of lift and drag with the polar; sink with the motor off and power required; bands hold 95 %."
+    return picture(figure, "performance", caption, points=SHOWN)
+
+
+def write_performance(flights: Sequence[Usable], polar: Polar, curve: Sequence[PolarPoint], path: Path) -> None:
+    with styled():
+        save_figure(_figure(flights, polar, curve), path, DPI)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.engine.derived import bridged, with_derived
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
-from estimation.signals.preprocess import denoise, noise_level
+from estimation.prepare.columns import bridge_gaps, with_derived
+from estimation.signals.denoise import denoise, noise_level
 from groundstation.flight import Flight
 
 NEEDED = ("V", "alpha", "ax", "az", "rho")
@@ -48,7 +48,6 @@ class Usable:
 
     @property
     def used(self) -> int:
-        """Samples that are used."""
         return sum(s.V.size for s in self.stretches)
 
 
@@ -58,28 +57,28 @@ def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
     Raises DataError where thrust is unknown and not off, or a column is missing.
     """
     flight = with_derived(flight, ["rho"])
-    lacking = [n for n in NEEDED if not flight.measured(n)]
-    if lacking:
+    missing_columns = [n for n in NEEDED if not flight.measured(n)]
+    if missing_columns:
         way = (
             "; 'sideslip reconstruct' makes angle of attack and airspeed from the others"
-            if {"V", "alpha"} & set(lacking)
+            if {"V", "alpha"} & set(missing_columns)
             else ""
         )
-        raise DataError(f"{flight.name}: lift and drag need {', '.join(lacking)}, which it has not{way}")
+        raise DataError(f"{flight.name}: lift and drag need {', '.join(missing_columns)}, which it has not{way}")
     thrust, words = _thrust(flight, throttle_off)
-    told = np.isfinite(thrust)
+    thrust_known = np.isfinite(thrust)
     for name in NEEDED:
-        told &= np.isfinite(flight[name])
-    told &= np.nan_to_num(flight["V"]) > 0.0
-    pieces = [piece for s in flight.segments for piece in _runs(told, s.start, s.stop)]
+        thrust_known &= np.isfinite(flight[name])
+    thrust_known &= np.nan_to_num(flight["V"]) > 0.0
+    pieces = [piece for s in flight.segments for piece in _runs(thrust_known, s.start, s.stop)]
     if not pieces:
         raise DataError(
             f"{flight.name}: no {LEAST} samples in a row have {words} and {', '.join(NEEDED)}; fly longer glides with the"
             " throttle off"
         )
     noise = (
-        max(noise_level(bridged(flight["ax"])), LEAST_NOISE[0]),
-        max(noise_level(bridged(flight["alpha"])), LEAST_NOISE[1]),
+        max(noise_level(bridge_gaps(flight["ax"])), LEAST_NOISE[0]),
+        max(noise_level(bridge_gaps(flight["alpha"])), LEAST_NOISE[1]),
     )
     return Usable(flight.name, len(flight), tuple(_stretch(flight, p, thrust, aircraft, noise) for p in pieces), words)
 
@@ -113,9 +112,9 @@ def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
     return closed & (time - last_open > RUNS_OUT)
 
 
-def _runs(told: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
+def _runs(usable: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
     """Stretches of enough samples in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], told[start:stop], [False]]).astype(int)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[start:stop], [False]]).astype(int)))
     return [slice(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]
 
 
@@ -126,17 +125,16 @@ def _stretch(
     rho, alpha = flight["rho"][piece], flight["alpha"][piece]
     pressure = 0.5 * rho * V**2 * aircraft.area / aircraft.mass
     ax, az = flight["ax"][piece] - thrust[piece] / aircraft.mass, flight["az"][piece]
-    CL, CD = _turned(ax, az, alpha, pressure)
-    smooth, _ = _turned(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
+    CL, CD = _rotated(ax, az, alpha, pressure)
+    smooth, _ = _rotated(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
     scatter = np.hypot(noise[0], az * noise[1]) / pressure
     return PolarSamples(CL, CD, smooth, scatter, V, np.asarray(rho, float))
 
 
-def _turned(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
+def _rotated(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
     sine, cosine = np.sin(alpha), np.cos(alpha)
     return (ax * sine - az * cosine) / pressure, (-ax * cosine - az * sine) / pressure
 
 
-def together(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
-    """All stretches of all flights."""
+def all_stretches(flights: Sequence[Usable]) -> tuple[PolarSamples, ...]:
     return tuple(s for f in flights for s in f.stretches)

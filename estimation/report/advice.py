@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from estimation.estimators.uncertainty import companions
+from estimation.estimators.uncertainty import inputs_beside
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
@@ -33,23 +33,25 @@ class Untold:
     told: tuple[str, ...]
 
 
-def untold(session: "EstimationSession") -> list[Untold]:
+def untold_parameters(session: "EstimationSession") -> list[Untold]:
     """One entry a parameter, method and reason."""
-    found: dict[tuple[str, str, str], list[str]] = {}
+    flights_by_reason: dict[tuple[str, str, str], list[str]] = {}
     sources = [(f.flight.name, m, r) for f in session.flights for m, r in f.results.items()]
     sources += [("joint", m, r) for m, r in session.joint.items()]
-    for who, method, result in sources:
+    for source, method, result in sources:
         for name, e in result.parameters.items():
             if not e.identifiable:
-                found.setdefault((name, method, e.why), []).append(who)
+                flights_by_reason.setdefault((name, method, e.why), []).append(source)
     entries = []
-    for (name, method, why), where in found.items():
-        told = tuple(
+    for (name, method, reason), sources_named in flights_by_reason.items():
+        joint_methods = tuple(
             m
             for m, r in session.joint.items()
             if m == method and name in r.parameters and r.parameters[name].identifiable
         )
-        entries.append(Untold(name, method, tuple(where), why, manoeuvre(session.model, name, why), told))
+        entries.append(
+            Untold(name, method, tuple(sources_named), reason, manoeuvre(session.model, name, reason), joint_methods)
+        )
     order = list(session.model.parameter_names)
     return sorted(entries, key=lambda u: (order.index(u.parameter), session.methods.index(u.method)))
 
@@ -69,41 +71,40 @@ class AdviceGroup:
 
 def grouped(entries: Sequence[Untold]) -> list[AdviceGroup]:
     """One entry a manoeuvre: what to fly next, and all that it would tell."""
-    by: dict[str, list[Untold]] = {}
+    entries_by_manoeuvre: dict[str, list[Untold]] = {}
     for entry in entries:
-        by.setdefault(entry.manoeuvre, []).append(entry)
+        entries_by_manoeuvre.setdefault(entry.manoeuvre, []).append(entry)
     return [
         AdviceGroup(
-            _once(u.parameter for u in found),
-            _once(u.method for u in found),
-            _once(w for u in found for w in u.where),
-            _once(short(u.why) for u in found),
+            _distinct(u.parameter for u in manoeuvre_entries),
+            _distinct(u.method for u in manoeuvre_entries),
+            _distinct(w for u in manoeuvre_entries for w in u.where),
+            _distinct(reason_without_numbers(u.why) for u in manoeuvre_entries),
             fly,
-            _once(u.parameter for u in found if u.told),
+            _distinct(u.parameter for u in manoeuvre_entries if u.told),
         )
-        for fly, found in by.items()
+        for fly, manoeuvre_entries in entries_by_manoeuvre.items()
     ]
 
 
-def short(why: str) -> str:
+def reason_without_numbers(why: str) -> str:
     """A reason without its numbers, which differ from flight to flight, and without what the other columns say."""
     return re.sub(r": this data cannot tell.*", "", re.sub(r"(?<![\w])[+-]?\d+(\.\d+)?(e[+-]?\d+)?", "…", why))
 
 
-def _once(items: Iterable[str]) -> tuple[str, ...]:
+def _distinct(items: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(items))
 
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:
-    """A manoeuvre that would tell a parameter."""
-    for control in sorted(companions(model, parameter)):
+    for control in sorted(inputs_beside(model, parameter)):
         if control in CONTROL_WORDS:
             word = CONTROL_WORDS[control]
             return f"{word} doublet or 3-2-1-1 of 5 deg and more, not in step with another control"
-    by = parameter.rpartition("_")[2]
-    if by in MOTION_ADVICE:
-        return MOTION_ADVICE[by]
-    if by == "0":
+    regressor = parameter.rpartition("_")[2]
+    if regressor in MOTION_ADVICE:
+        return MOTION_ADVICE[regressor]
+    if regressor == "0":
         return "ten seconds of trimmed straight flight before the manoeuvre"
     return (
         "a manoeuvre in which its term of the equations moves on its own"

@@ -1,25 +1,116 @@
-"""The page of `sideslip check`: Table 2 beside the paper's, Figure 7, and what is wrong with the data."""
+"""What `sideslip check` shows: page, lines and figure; Table 2 beside the paper's, Figure 7, what is wrong with the data."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
-from estimation.compatibility.result import Compatibility, ReconstructedFlight
+from estimation.compatibility.reconstruction import Compatibility, FactorEstimate, ReconstructedFlight
+from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
-from estimation.report.compatibility_tables import fit_of
-from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
-from estimation.report.flight_card import flight_card
-from estimation.report.markup.html import write_page
+from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, save_figure, styled
+from estimation.report.flight_tables import collected, flight_card, notes_table, provenance_table
 from estimation.report.names import face, literal, tex
-from estimation.report.notes import collected, notes_table
-from estimation.report.provenance import provenance_table
-from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant, write_all
+from estimation.report.page import Page, Section, box, coloured, free_table
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, significant
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
-    from groundstation.flight.quality.report import Finding
+    from groundstation.flight.findings import Finding
+
+_SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
+_TITLES = {
+    "V": "V [m/s]",
+    "alpha": "α [deg]",
+    "beta": "β [deg]",
+    "phi": "φ [deg]",
+    "theta": "θ [deg]",
+    "psi": "ψ [deg]",
+}
+
+
+def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
+    """One column a flight, as in Table 2 of the paper: estimate (bound corrected for coloured innovations)."""
+    names = list(results[0][1].factors)
+    width = max(21, *(len(n) + 2 for n, _ in results))
+    yield f"{'factor':<10}{'unit':<7}" + "".join(f"{name:>{width}}" for name, _ in results)
+    for name in names:
+        cells = [_cell(r.factors[name]) for _, r in results]
+        yield f"{name:<10}{results[0][1].factors[name].unit:<7}" + "".join(f"{c:>{width}}" for c in cells)
+    for name, result in results:
+        yield f"{name}: {result.text}; turbulence {result.turbulence:.3f} m/s per root second"
+        for factor in result.factors.values():
+            if not factor.identifiable:
+                yield f"{name}: {factor.name}: {factor.why}"
+        for note in result.flights[0].notes if len(result.flights) == 1 else ():
+            yield f"{name}: {note}"
+
+
+def published_lines() -> Iterator[str]:
+    flights = published.published_flights()
+    yield "published (bounds of output error, without the noise of the inertial sensors)"
+    yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)
+    for factor in STANDARD_FACTORS:
+        published_factors = [published.compatibility_factor(flight, factor) for flight in flights]
+        yield f"{factor:<17}" + "".join(f"{_published(s):>21}" for s in published_factors)
+
+
+def _published(number_and_bound: tuple[float, float] | None) -> str:
+    return "" if number_and_bound is None else f"{number_and_bound[0]:+.4f} ({number_and_bound[1]:.4f})"
+
+
+def _cell(factor: FactorEstimate) -> str:
+    if not np.isfinite(factor.estimate):
+        return "not measured"
+    if not factor.identifiable:
+        return "cannot tell"
+    return f"{factor.estimate:+.4f} ({factor.std_coloured:.4f})"
+
+
+def fit_of(flight: ReconstructedFlight) -> Mapping[str, Mapping[str, float]]:
+    """Per output: rms of measured less reconstructed, coefficient of determination, whiteness."""
+    table = {}
+    for j, name in enumerate(flight.outputs):
+        both_known = np.isfinite(flight.measured[:, j]) & np.isfinite(flight.reconstructed[:, j])
+        if not both_known.any():
+            continue
+        z, residual = flight.measured[both_known, j], (flight.measured - flight.reconstructed)[both_known, j]
+        spread = float(np.sum((z - z.mean()) ** 2))
+        r2 = 1.0 - float(np.sum(residual**2)) / spread if spread > 0 else 0.0
+        rms = float(np.sqrt(np.mean(residual**2)))
+        table[name] = {"rms": rms, "r2": r2, "noise": flight.noise[name], "whiteness": flight.whiteness[name]}
+    return table
+
+
+def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
+    """Measured and reconstructed motion, one column a flight (Figure 7 of the paper)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    names = flights[0].outputs
+    figure = Figure(figsize=(5.2 * len(flights) + 0.8, 1.55 * len(names) + 0.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(names), len(flights), squeeze=False, sharex="col")
+    for column, flight in enumerate(flights):
+        gaps = np.concatenate([[False], np.diff(flight.time) > 1.0])
+        for row, name in enumerate(names):
+            axis = axes[row][column]
+            scale = 1.0 if name == "V" else float(np.degrees(1.0))
+            for values, colour, width, label in (
+                (flight.measured[:, row], "0.45", 0.7, "measured"),
+                (flight.reconstructed[:, row], "#0072B2", 1.2, "reconstructed"),
+            ):
+                unbroken_values = np.where(gaps, np.nan, scale * values)
+                axis.plot(flight.time, unbroken_values, color=colour, linewidth=width, label=label)
+            axis.set_ylabel(_TITLES[name])
+            axis.grid(alpha=0.25)
+        axes[0][column].set_title(literal(flight.name))
+        axes[-1][column].set_xlabel("time [s]")
+    axes[0][0].legend(loc="upper right", fontsize="small", ncols=2)
+    save_figure(figure, path, dpi=110)
+
 
 UNITS = {"V": "m/s"}
 RECONSTRUCTED = "#0072B2"
@@ -36,66 +127,90 @@ def write_check_report(
 
     results: one a flight, in the order of `flights`, then the joint one where there is one.
     """
-    own = [r for _, r in results[: len(flights)]]
-    tables = {
-        "factors": factor_table(results, flights),
-        "fit": _fit_table(own),
-        "provenance": provenance_table(flights),
-        "card": flight_card(flights),
-    }
-    findings = [(f.name, list(found)) for f, found in zip(flights, quality, strict=True)]
-    told = [r.flights[0] for r in own]
-    write_all(list(tables.values()), folder / "tables")
-    counts = [f.verdict for _, found in findings for f in found]
-    return write_page(
-        folder / "index.html",
-        "check.html.j2",
-        title="Data compatibility",
-        lead=f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "
-        "Do accelerations, rates, attitude and air data tell the same story?",
-        tables=tables,
-        figures=motion_figures(told),
-        findings=findings,
-        unclear=_unclear(results),
-        status=[(n, r.converged, r.text, r.turbulence) for n, r in results],
-        notes=notes_table((t.name, note) for t in told for note in t.notes),
-        fails=counts.count("fail"),
-        warns=counts.count("warn"),
+    reconstructed = [r.flights[0] for _, r in results[: len(flights)]]
+    counts = [finding.severity for findings in quality for finding in findings]
+    notes = notes_table((flight.name, note) for flight in reconstructed for note in flight.notes)
+    sections = [
+        Section("", "", [_status_box(results, counts.count("fail"), counts.count("warn"))]),
+        Section("card", "Flight card", [flight_card(flights)], "Flight card"),
+        Section("factors", "Instrument factors", [factor_table(results, flights), _unclear(results)], "Factors"),
+        Section(
+            "motion",
+            "Measured and reconstructed motion",
+            [*motion_figures(reconstructed), _fit_table(reconstructed)],
+            "Motion",
+        ),
+        Section("quality", "Data quality", [*_findings(flights, quality), notes], "Quality"),
+        Section("provenance", "Provenance", [provenance_table(flights)], "Provenance"),
+    ]
+    lead = (
+        f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "
+        "Do accelerations, rates, attitude and air data tell the same story?"
     )
+    return Page("Data compatibility", lead, sections).write(folder / "index.html", folder / "tables")
+
+
+def _status_box(results: Sequence[tuple[str, Compatibility]], fails: int, warns: int) -> Markup:
+    """How the data is, and how each reconstruction ended."""
+    if fails:
+        verdict = coloured(f"{fails} checks failed", "fail") + (f", {warns} warned" if warns else "")
+    elif warns:
+        verdict = coloured(f"{warns} checks warn", "warn") + ", none failed"
+    else:
+        verdict = coloured("every check passed", "ok")
+    lines = [Markup("<p>Data quality: {}.</p>").format(verdict)]
+    line = Markup('<p>{}: <span class="{}">{}</span>; turbulence {:.3f} m/s per √s.</p>')
+    lines += [line.format(n, "ok" if r.converged else "fail", r.text, r.turbulence) for n, r in results]
+    return box(lines, warn=bool(fails or warns))
+
+
+def _findings(flights: Sequence["Flight"], quality: Sequence[Sequence["Finding"]]) -> Iterator[Markup]:
+    """Under the name of each flight a row for each check of its data."""
+    for flight, findings in zip(flights, quality, strict=True):
+        yield Markup("<h3>{}</h3>").format(flight.name)
+        head = [("", "verdict"), ("text", "check"), ("text", "finding")]
+        rows = [[(f"verdict {f.severity}", f.severity), ("text", f.kind), ("text", f.text)] for f in findings]
+        yield free_table(head, rows, "findings", labels=(None, "", ""))
 
 
 def _unclear(results: Sequence[tuple[str, Compatibility]]) -> ReportTable | None:
     """What these flights cannot tell of the factors, each reason once."""
-    found = collected(
+    flights_by_reason = collected(
         (f"{f.name}: {f.why}", flight) for flight, r in results for f in r.factors.values() if not f.identifiable
     )
-    if not found:
+    if not flights_by_reason:
         return None
-    rows = tuple((*what.split(": ", 1), ", ".join(flights)) for what, flights in found.items())
-    return ReportTable("unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2))
+    rows = tuple((*reason.split(": ", 1), ", ".join(flights)) for reason, flights in flights_by_reason.items())
+    return ReportTable(
+        "unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2), filed=False
+    )
 
 
 def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> ReportTable:
     """Table 2: factor, estimate and bound a flight; the published columns where all flights are of the CDFP."""
     ours = all(published.is_of(f.provenance.aircraft) for f in flights)
-    others = published.published_flights() if ours else ()
+    published_flights = published.published_flights() if ours else ()
     rows = []
     for name, first in results[0][1].factors.items():
         row = [name, first.unit]
         for _, r in results:
             factor = r.factors[name]
             row.append(_with_bound(factor.estimate, factor.std_coloured) if factor.identifiable else CANNOT_TELL)
-        for flight in others:
-            said = published.compatibility_factor(flight, name)
-            row.append("" if said is None else f"{number(said[0])} ({significant(said[1], 2)})")
+        for flight in published_flights:
+            published_factor = published.compatibility_factor(flight, name)
+            row.append(
+                ""
+                if published_factor is None
+                else f"{number(published_factor[0])} ({significant(published_factor[1], 2)})"
+            )
         rows.append(tuple(row))
     groups = [("", 2), ("estimate (bound)", len(results))] + (
-        [("published, estimate (bound)", len(others))] if others else []
+        [("published, estimate (bound)", len(published_flights))] if published_flights else []
     )
     return ReportTable(
         "table2_compatibility",
         "Instrument factors found by flight-path reconstruction, with one-sigma bounds",
-        ("factor", "unit", *(n for n, _ in results), *others),
+        ("factor", "unit", *(n for n, _ in results), *published_flights),
         tuple(rows),
         tuple(groups),
         note="Conventions: measured = true + bias for accelerations and rates, measured = K true + bias for β (and α, V). "
@@ -105,14 +220,13 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
 
 
 def _with_bound(value: float, bound: float) -> str:
-    shown, said = rounded(value, bound)
-    return f"{shown} ({said})" if said else shown
+    value_text, bound_text = rounded(value, bound)
+    return f"{value_text} ({bound_text})" if bound_text else value_text
 
 
-def _fit_table(results: Sequence[Compatibility]) -> ReportTable:
+def _fit_table(flights: Sequence[ReconstructedFlight]) -> ReportTable:
     rows = []
-    for r in results:
-        flight = r.flights[0]
+    for flight in flights:
         for name, fit in fit_of(flight).items():
             factor, unit = face(name, UNITS.get(name, "rad"))
             rows.append((flight.name, name, unit, significant(factor * fit["rms"]), significant(factor * fit["noise"]),
@@ -138,28 +252,28 @@ def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[Recons
     return [flights[start : start + COLUMNS] for start in range(0, len(flights), COLUMNS)]
 
 
-def motion_figure(shown: Sequence[ReconstructedFlight], number: int) -> Picture:
-    """One part of Figure 7, the number-th from 0; shown: the flights beside each other."""
+def motion_figure(flights: Sequence[ReconstructedFlight], number: int) -> Picture:
+    """One part of Figure 7, the number-th from 0; flights: the flights beside each other."""
     from matplotlib.figure import Figure
 
-    names = shown[0].outputs
+    names = flights[0].outputs
     with styled():
         figure = Figure(figsize=(11.6, 1.25 * len(names) + 0.7), layout="constrained")
-        axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
-        for column, flight in enumerate(shown):
+        axes = figure.subplots(len(names), len(flights), squeeze=False, sharex="col")
+        for column, flight in enumerate(flights):
             for row, name in enumerate(names):
                 axis = axes[row][column]
                 factor, unit = face(name, UNITS.get(name, "rad"))
                 if np.isfinite(flight.measured[:, row]).any():
                     measured = broken_at_gaps(flight.time, factor * flight.measured[:, row])
                     axis.plot(flight.time, measured, color=MEASURED, lw=1.6, label="measured")
-                again = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
-                axis.plot(flight.time, again, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
+                reconstructed = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
+                axis.plot(flight.time, reconstructed, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
                 axis.set_ylabel(f"${tex(name)}$ [{unit}]")
             axes[0][column].set_title(literal(flight.name), loc="left")
             axes[-1][column].set_xlabel("time [s]")
         axes[0][0].legend(ncols=2, **ABOVE)
         figure.align_ylabels()
-    caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in shown)} (Figure 7 of the paper)."
-    points = sum(2 * f.time.size * len(names) for f in shown)
+    caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in flights)} (Figure 7 of the paper)."
+    points = sum(2 * f.time.size * len(names) for f in flights)
     return picture(figure, f"figure7_{number + 1}", caption, points)

@@ -39,9 +39,13 @@ def conventions(session: "EstimationSession") -> Iterator[tuple[str, str]]:
     yield "axes", AXES if built_in else OWN
     yield "units", UNITS if built_in else OWN
     yield "signs", SIGNS if built_in else OWN
-    known = session.model.constants
-    told = [f"{n} {known[n]:.6g} {unit}" for n, unit in CONSTANTS.items() if n in known and math.isfinite(known[n])]
-    yield "constants", ", ".join(told) or "none"
+    constants = session.model.constants
+    constant_texts = [
+        f"{n} {constants[n]:.6g} {unit}"
+        for n, unit in CONSTANTS.items()
+        if n in constants and math.isfinite(constants[n])
+    ]
+    yield "constants", ", ".join(constant_texts) or "none"
     yield "CG", _centre(session)
     yield "aircraft", session.aircraft.title or session.aircraft.name
     yield "beliefs before", _sources(session)
@@ -59,8 +63,8 @@ def _sources(session: "EstimationSession") -> str:
     parameters = session.model.parameters
     sources = dict.fromkeys(p.reference_source for p in parameters if p.reference is not None and p.reference_source)
     priors = [f"{p.name} {p.prior_mean:g} +- {p.prior_std:g}" for p in parameters if p.prior_std is not None]
-    beside = f"{', '.join(sources)} (beside the estimates; they do not enter)" if sources else "none"
-    return beside + (f"; entering the fit as priors: {', '.join(priors)}" if priors else "")
+    source_text = f"{', '.join(sources)} (beside the estimates; they do not enter)" if sources else "none"
+    return source_text + (f"; entering the fit as priors: {', '.join(priors)}" if priors else "")
 
 
 def conventions_table(session: "EstimationSession") -> ReportTable:
@@ -77,6 +81,6 @@ def conventions_table(session: "EstimationSession") -> ReportTable:
 
 def conventions_lines(session: "EstimationSession") -> Iterator[str]:
     """The same in print."""
-    for what, how in conventions(session):
-        if how != OWN or what == "units":
-            yield f"  {what}: {how}"
+    for subject, meaning in conventions(session):
+        if meaning != OWN or subject == "units":
+            yield f"  {subject}: {meaning}"

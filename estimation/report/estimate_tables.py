@@ -1,5 +1,7 @@
 """Tables 3 to 5 of the paper for one's own flights, beside the published columns."""
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from estimation.report import published
@@ -7,7 +9,7 @@ from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, 
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
-    from estimation.estimators.result import Estimate
+    from estimation.estimators.result import Result
     from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
 
@@ -22,74 +24,73 @@ def is_published(session: "EstimationSession") -> bool:
     return published.is_of(session.aircraft.name) and "CY_beta" in session.model.free_names
 
 
-def _believed(session: "EstimationSession") -> bool:
-    """Whether anything is believed of the parameters before flying."""
-    return any(p.reference is not None for p in session.model.parameters)
+ColumnGroup = tuple[str, tuple[str, ...], Callable[[str], list[str]]]
+"""Label of columns beside each other, their heads, and what fills them for a parameter."""
 
 
-def _head(
-    session: "EstimationSession", methods: list[str], columns: tuple[str, ...]
-) -> tuple[list[tuple[str, int]], list[str]]:
-    """Groups and head of a table of parameters by methods."""
-    before, value = ([("before flying", 2)], ["value", "source"]) if _believed(session) else ([], [])
-    groups = [("", 1), *before, *((m, len(columns)) for m in methods)]
-    return groups, ["", *value, *(c for _ in methods for c in columns)]
+def grouped_table(
+    name: str, caption: str, parameters: Iterable[str], groups: Sequence[ColumnGroup], note: str
+) -> ReportTable:
+    """A row for each parameter, with the columns of each group."""
+    rows = tuple((n, *(cell for _, _, cells in groups for cell in cells(n))) for n in parameters)
+    head = ("", *(word for _, heads, _ in groups for word in heads))
+    spans = (("", 1), *((label, len(heads)) for label, heads, _ in groups))
+    return ReportTable(name, caption, head, rows, spans, note=note)
+
+
+def _beliefs(session: "EstimationSession") -> list[ColumnGroup]:
+    """What is believed of the parameters before flying, where anything is."""
+    if all(p.reference is None for p in session.model.parameters):
+        return []
+    return [("before flying", ("value", "source"), partial(_belief_cells, session))]
+
+
+def _estimates(results: "Mapping[str, Result]") -> list[ColumnGroup]:
+    """Estimates of each method with both bounds."""
+    heads = ("estimate", "bound", "corrected")
+    return [(method, heads, partial(_estimate_cells, result)) for method, result in results.items()]
+
+
+def published_cells(numbers: Callable[[str], tuple[float, float] | None]) -> Callable[[str], list[str]]:
+    """A published number and its bound or scatter."""
+
+    def cells(name: str) -> list[str]:
+        pair = numbers(name)
+        return ["", ""] if pair is None else [number(pair[0]), significant(pair[1], 2)]
+
+    return cells
+
+
+def _truth(session: "EstimationSession") -> list[ColumnGroup]:
+    """What simulated flights were flown with, where that is known."""
+    return [("simulated", ("truth",), lambda name: [number(session.truth.get(name))])] if session.truth else []
 
 
 def estimate_table(session: "EstimationSession", flight: "FlightEstimates") -> ReportTable:
     """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
-    beside = published.counterpart(flight.flight.name) if is_published(session) else None
-    methods = list(flight.results)
-    rows = []
-    for name in next(iter(flight.results.values())).parameters:
-        row = [name, *_before(session, name)]
-        for method in methods:
-            row += _three(flight.results[method].parameters.get(name))
-        for other in ("ml", "ngn") if beside else ():
-            said = published.estimate(str(beside), other, name)
-            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
-        rows.append(tuple(row))
-    groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
-    if beside:
-        groups += [(f"{beside}, {m} (published)", 2) for m in ("ml", "ngn")]
-        head += ["estimate", "bound"] * 2
-    note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if beside else "")
-    caption = f"Estimates of {flight.flight.name}{_best(flight.verdict)}"
-    return ReportTable(
-        f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows), tuple(groups), note=note
-    )
+    twin = published.counterpart(flight.flight.name) if is_published(session) else None
+    groups = [*_beliefs(session), *_estimates(flight.results)]
+    for method in ("ml", "ngn") if twin else ():
+        cells = published_cells(partial(published.estimate, str(twin), method))
+        groups.append((f"{twin}, {method} (published)", ("estimate", "bound"), cells))
+    name = "".join(c if c.isalnum() or c in "-_" else "_" for c in flight.flight.name)
+    caption = f"Estimates of {flight.flight.name}{_recommended_method(flight.verdict)}"
+    note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if twin else "")
+    parameters = next(iter(flight.results.values())).parameters
+    return grouped_table(f"estimates_{name}", caption, parameters, groups, note)
 
 
 def joint_table(session: "EstimationSession") -> ReportTable | None:
-    """The joint estimate over all flights."""
     if not session.joint:
         return None
-    methods = list(session.joint)
-    rows = []
-    for name in session.joint[methods[0]].parameters:
-        row = [name, *_before(session, name)]
-        for method in methods:
-            row += _three(session.joint[method].parameters.get(name))
-        if session.truth:
-            row.append(number(session.truth[name]) if name in session.truth else "")
-        rows.append(tuple(row))
-    groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
-    if session.truth:
-        groups.append(("simulated", 1))
-        head.append("truth")
-    return ReportTable(
-        "estimates_joint",
-        f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
-        tuple(head),
-        tuple(rows),
-        tuple(groups),
-        note=_recommended(session.verdict)
-        + BOUNDS
-        + " Constant coefficients are each flight's own: their line is the mean over flights.",
-    )
+    caption = f"Joint estimate over {len(session.flights)} flights{_recommended_method(session.verdict)}"
+    constants = " Constant coefficients are each flight's own: their line is the mean over flights."
+    note = _recommended(session.verdict) + BOUNDS + constants
+    groups = [*_beliefs(session), *_estimates(session.joint), *_truth(session)]
+    return grouped_table("estimates_joint", caption, next(iter(session.joint.values())).parameters, groups, note)
 
 
-def _best(verdict: "Verdict | None") -> str:
+def _recommended_method(verdict: "Verdict | None") -> str:
     """The recommended method, for a caption: heads are names of columns in CSV, which stay as they are."""
     return "" if verdict is None else f" (recommended: {verdict.recommended.method})"
 
@@ -103,36 +104,58 @@ def mean_table(session: "EstimationSession") -> ReportTable | None:
     """Table 5: mean and scatter over the flights that can tell, against their bounds."""
     if len(session.flights) < 2:
         return None
-    methods, ours = list(session.mean), is_published(session)
-    rows = []
-    for name in session.model.free_names:
-        if not any(name in session.mean[m] for m in methods):
-            continue
-        row = [name, *_before(session, name)]
-        for method in methods:
-            s = session.mean[method].get(name)
-            row += [CANNOT_TELL, "", "", ""] if s is None else [*_to_bound(s.mean, s.std, s.bound), str(s.count)]
-        for other in ("ml", "ngn") if ours else ():
-            said = published.mean(other, name)
-            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
-        if session.truth:
-            row.append(number(session.truth[name]) if name in session.truth else "")
-        rows.append(tuple(row))
-    groups, head = _head(session, methods, ("mean", "scatter", "bound", "flights"))
-    if ours:
-        groups += [(f"{m} (published)", 2) for m in ("ml", "ngn")]
-        head += ["mean", "scatter"] * 2
-    if session.truth:
-        groups.append(("simulated", 1))
-        head.append("truth")
-    return ReportTable(
+
+    def cells(method: str, name: str) -> list[str]:
+        s = session.mean[method].get(name)
+        return [CANNOT_TELL, "", "", ""] if s is None else [*_bound_cells(s.mean, s.std, s.bound), str(s.count)]
+
+    groups = _beliefs(session)
+    for method in session.mean:
+        groups.append((method, ("mean", "scatter", "bound", "flights"), partial(cells, method)))
+    for method in ("ml", "ngn") if is_published(session) else ():
+        groups.append((f"{method} (published)", ("mean", "scatter"), published_cells(partial(published.mean, method))))
+    parameters = [n for n in session.model.free_names if any(n in means for means in session.mean.values())]
+    note = "scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
+    return grouped_table(
         "table5_means",
         "Mean and scatter over the flights that can tell",
-        tuple(head),
+        parameters,
+        [*groups, *_truth(session)],
+        note + (published.COMPARISON if is_published(session) else ""),
+    )
+
+
+def match_table(
+    name: str,
+    caption: str,
+    head: tuple[str, ...],
+    outputs: Sequence[str],
+    proofs: Iterable[tuple[tuple[str, ...], Sequence[tuple[float | None, float | None]]]],
+    limit: float,
+    more: str = "",
+) -> ReportTable:
+    """Proofs of match. head: of the first columns; proofs: (first cells, (r2, Theil) of each output, None where there is none);
+    limit: of Theil's coefficient; more: of the note."""
+    rows: list[tuple[str, ...]] = []
+    failed: set[tuple[int, int]] = set()
+    for first, fits in proofs:
+        failed_outputs = [k for k, (_, theil) in enumerate(fits) if theil is not None and not theil <= limit]
+        columns = [
+            *(len(head) + 1 + 2 * k for k in failed_outputs),
+            *([len(head) + 2 * len(outputs)] if failed_outputs else []),
+        ]
+        failed |= {(len(rows), column) for column in columns}
+        cells = [number(value, 3) for fit in fits for value in fit]
+        rows.append((*first, *cells, "FAIL" if failed_outputs else "pass"))
+    return ReportTable(
+        name,
+        caption,
+        (*head, *(h for _ in outputs for h in ("r²", "Theil")), "match"),
         tuple(rows),
-        tuple(groups),
-        note="scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
-        + (published.COMPARISON if ours else ""),
+        (("", len(head)), *((o, 2) for o in outputs), ("", 1)),
+        symbols=False,
+        failed=frozenset(failed),
+        note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.{more}",
     )
 
 
@@ -169,27 +192,22 @@ def _fit_cells(fit: object) -> list[str]:
     )
 
 
-def _before(session: "EstimationSession", name: str) -> list[str]:
-    if not _believed(session):
-        return []
+def _belief_cells(session: "EstimationSession", name: str) -> list[str]:
     parameter = session.model.parameter(name)
     if parameter.reference is None:
         return ["", ""]
     return [number(parameter.reference), parameter.reference_source.replace("engineering estimate", "guess")]
 
 
-def _three(e: "Estimate | None") -> list[str]:
+def _estimate_cells(result: "Result", name: str) -> list[str]:
+    e = result.parameters.get(name)
     if e is None:
         return ["", "", ""]
-    said = _to_bound(e.estimate, e.std, e.std_coloured)
-    return said if e.identifiable else [*said[:2], CANNOT_TELL]
+    cells = _bound_cells(e.estimate, e.std, e.std_coloured)
+    return cells if e.identifiable else [*cells[:2], CANNOT_TELL]
 
 
-def _to_bound(value: float, other: float, bound: float) -> list[str]:
+def _bound_cells(value: float, other: float, bound: float) -> list[str]:
     """Value, another spread and the bound to be believed: the value to the second figure of that bound."""
-    text, said = rounded(value, bound)
-    return [text, rounded(other, other)[1], said]
-
-
-def _safe(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)
+    text, bound_text = rounded(value, bound)
+    return [text, rounded(other, other)[1], bound_text]

@@ -1,13 +1,18 @@
 """The front page of a folder of reports: key numbers and figures, what was hidden where that is known, links to each page."""
 
 import json
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from estimation.report import published
 from estimation.report.drawing.figures import Picture, file_picture
-from estimation.report.markup.html import MARK, link_back, write_page
-from estimation.report.tables import CANNOT_TELL, ReportTable, number, pair, rounded, significant
+from estimation.report.estimate_tables import ColumnGroup, grouped_table, match_table, published_cells
+from estimation.report.page import MARK, Page, Section, box, bullets, link_back, paragraph
+from estimation.report.tables import CANNOT_TELL, ReportTable, number, rounded, value_and_bound
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 PAGES = (
@@ -43,21 +48,58 @@ def write_front_page(folder: Path) -> Path:
     truth.json, of simulated flights: {"derivatives": {name: value},
     "hidden": {"name": effect, "parameters": {name: [value, unit]}}}.
     """
-    found = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
-    there = [(n, title, about) for n, title, about in PAGES if (folder / n / "index.html").is_file()]
-    truth = found["truth"] or {}
-    page = write_page(
-        folder / "index.html", "front.html.j2", mark=MARK, back="",
-        title="Flight-test report", lead=_lead(found["estimate"], found["check"]),
-        links=[(f"{n}/index.html", title, about) for n, title, about in there], keys=_keys(found),
-        derivatives=_derivatives(found["estimate"], truth.get("derivatives", {})), match=_match(found["match"]),
-        hidden=_hidden(found["gap"], truth.get("hidden")), gap_table=_gap_table(found["gap"]),
-        match_figure=_match_figure(folder), gap=found["gap"], verdict=WORDS.get((found["gap"] or {}).get("verdict", ""), ""),
-        files=[f"{n}.json" for n, data in found.items() if data is not None],
-    )  # fmt: skip
-    for name, *_ in there:
+    contents = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
+    links = [(n, title, description) for n, title, description in PAGES if (folder / n / "index.html").is_file()]
+    files = [f"{name}.json" for name, data in contents.items() if data is not None]
+    sections = [
+        Section("", "", [_key_numbers(contents), _contents(links)]),
+        *_gap_section(contents["gap"], (contents["truth"] or {}).get("hidden")),
+    ]
+    derivatives = _derivatives(contents["estimate"], (contents["truth"] or {}).get("derivatives", {}))
+    if derivatives is not None:
+        sections.append(Section("aerodynamic", "Aerodynamic derivatives", [derivatives]))
+    match = _match(contents["match"])
+    if match is not None:
+        sections.append(Section("proof", "Proof of match", [match, _match_figure(folder)]))
+    if files:
+        sections.append(Section("files", "Files", [_file_links(files)]))
+    lead = _lead(contents["estimate"], contents["check"])
+    navigation = [(f"{name}/index.html", title) for name, title, _ in links]
+    page = Page("Flight-test report", lead, sections, navigation, back="", mark=MARK)
+    page_path = page.write(folder / "index.html")
+    for name, *_ in links:
         link_back(folder / name / "index.html")
-    return page
+    return page_path
+
+
+def _key_numbers(contents: dict[str, dict[str, Any] | None]) -> Markup | None:
+    """Numbers in large letters, red where they are beyond their limit."""
+    keys = [
+        Markup('<div class="key"><b{}>{}</b><span>{}</span></div>').format(
+            Markup(' class="fail"') if failed else "", value, label
+        )
+        for value, label, failed in _keys(contents)
+    ]
+    return Markup('<div class="figures">{}</div>').format(Markup().join(keys)) if keys else None
+
+
+def _contents(links: Sequence[tuple[str, str, str]]) -> Markup | None:
+    entry = Markup('<a href="{}/index.html"><b>{}</b></a>: {}')
+    return bullets(entry.format(*link) for link in links) if links else None
+
+
+def _gap_section(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> list[Section]:
+    """The answer of the gap workflow, and what was hidden where that is known."""
+    if not gap:
+        return []
+    text = box([paragraph(gap["text"])]) if gap["text"] else None
+    title = f"Gap: {WORDS.get(gap.get('verdict', ''), '')}"
+    return [Section("gap_answer", title, [text, _hidden(gap, hidden), _gap_table(gap)])]
+
+
+def _file_links(files: Sequence[str]) -> Markup:
+    links = Markup(", ").join(Markup('<a href="{}">{}</a>').format(file, file) for file in files)
+    return paragraph(Markup("The same results for a program: {}.").format(links))
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -65,10 +107,10 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _lead(estimate: dict[str, Any] | None, check: dict[str, Any] | None) -> str:
-    some = estimate or check
-    if some is None:
+    source = estimate or check
+    if source is None:
         return "No results in this folder yet."
-    names = ", ".join(f["name"] for f in some["flights"])
+    names = ", ".join(f["name"] for f in source["flights"])
     craft = f"Aircraft {estimate['aircraft']}, model {estimate['model']}. " if estimate else ""
     return f"{craft}Flights: {names}."
 
@@ -78,16 +120,20 @@ def _limit(match: dict[str, Any]) -> float:
     return float(match.get("limit", THEIL_LIMIT))
 
 
-def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
+def _keys(contents: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
     """(value, what it is, whether it is beyond its limit)."""
     keys = []
-    if (check := found["check"]) is not None:
+    if (check := contents["check"]) is not None:
         verdicts = [q["verdict"] for f in check["flights"] for q in f["quality"]]
-        bad = f"{verdicts.count('fail')} failed, {verdicts.count('warn')} warned"
+        failed_counts = f"{verdicts.count('fail')} failed, {verdicts.count('warn')} warned"
         keys.append(
-            (f"{verdicts.count('ok')} of {len(verdicts)}", f"data quality checks passed ({bad})", "fail" in verdicts)
+            (
+                f"{verdicts.count('ok')} of {len(verdicts)}",
+                f"data quality checks passed ({failed_counts})",
+                "fail" in verdicts,
+            )
         )
-    if (match := found["match"]) is not None:
+    if (match := contents["match"]) is not None:
         theil = [c["theil"] for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
         if theil:
             keys.append(
@@ -97,13 +143,13 @@ def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]
                     max(theil) > _limit(match),
                 )
             )
-    if (gap := found["gap"]) is not None:
+    if (gap := contents["gap"]) is not None:
         keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow", False))
         for step in gap["steps"][:2]:
             closed = (step["holdout"] or step["gap"])["closed"]
-            where = "on the held-out flight" if step["holdout"] else "on the training flights"
+            flights_text = "on the held-out flight" if step["holdout"] else "on the training flights"
             if closed is not None:
-                keys.append((f"{closed:.0%}", f"of the gap closed by {step['effect']} {where}", False))
+                keys.append((f"{closed:.0%}", f"of the gap closed by {step['effect']} {flights_text}", False))
     return keys
 
 
@@ -112,97 +158,59 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
     means."""
     if not data:
         return None
-    source = data["joint"] or {}
-    methods = list(source or data["mean"])
-    names = (
-        list(next(iter((source[m]["parameters"] if source else data["mean"][m]) for m in methods))) if methods else []
-    )
+    joint = data["joint"] or {}
+    tables = {m: fit["parameters"] for m, fit in joint.items()} or data["mean"]
+    methods = list(tables)
+    recommended = data.get("recommended", {}).get("method") if joint else None
+    groups: list[ColumnGroup] = []
+    for method, entries in tables.items():
+        label = f"{method} (recommended)" if method == recommended else method
+        cells = partial(_estimate_cells, entries)
+        groups.append((label, ("estimate", "bound" if joint else "scatter"), cells))
+    if truth:
+        groups.append(("simulated", ("truth", "error [bounds]"), partial(_truth_cells, joint, methods, truth)))
     ours = published.is_of(data["aircraft"])
-    rows = []
-    for name in names:
-        row = [name]
-        for method in methods:
-            row += (
-                _pair(source[method]["parameters"].get(name)) if source else _mean_pair(data["mean"][method].get(name))
-            )
-        if truth:
-            row += [number(truth.get(name)), _off(source, methods, name, truth.get(name))]
-        if ours:
-            said = published.mean("ml", name)
-            row += [
-                number(published.wind_tunnel(name)),
-                number(said[0] if said else None),
-                significant(said[1] if said else None, 2),
-            ]
-        rows.append(tuple(row))
-    spread = "bound" if source else "scatter"
-    best = data.get("recommended", {}).get("method") if source else None
-    told = ("truth", "error [bounds]") if truth else ()
-    head = [
-        "",
-        *(h for _ in methods for h in ("estimate", spread)),
-        *told,
-        *(("value", "mean", "scatter") if ours else ()),
-    ]
-    titles = [f"{m} (recommended)" if m == best else m for m in methods]
-    groups = [
-        ("", 1),
-        *((t, 2) for t in titles),
-        *((("simulated", 2),) if truth else ()),
-        *((("wind tunnel", 1), ("published, ml", 2)) if ours else ()),
-    ]
+    if ours:
+        groups.append(("wind tunnel", ("value",), lambda name: [number(published.wind_tunnel(name))]))
+        groups.append(("published, ml", ("mean", "scatter"), published_cells(partial(published.mean, "ml"))))
     notes = [ERROR.format(methods[0])] if truth and methods else []
     notes += [published.COMPARISON] if ours else []
-    what = (
-        "Joint estimates over all flights, bounds corrected for coloured residuals"
-        if source
-        else "Means over the flights"
-    )
-    return ReportTable("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes))
+    caption = "Means over the flights"
+    if joint:
+        caption = "Joint estimates over all flights, bounds corrected for coloured residuals"
+    parameters = list(next(iter(tables.values()), ()))
+    return grouped_table("derivatives", f"{caption} [1/rad]", parameters, groups, " ".join(notes))
 
 
-def _off(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
-    """How far the first method's joint estimate is from the truth, in its bounds."""
-    entry = source[methods[0]]["parameters"].get(name) if source else None
+def _truth_cells(joint: dict[str, Any], methods: list[str], truth: dict[str, float], name: str) -> list[str]:
+    """The true value, and how far the first method's joint estimate is from it, in its bounds."""
+    entry = joint[methods[0]]["parameters"].get(name) if joint else None
+    true = truth.get(name)
     if true is None or entry is None or name.endswith("_0") or not entry["identifiable"] or not entry["std_coloured"]:
-        return ""
-    return f"{(entry['estimate'] - true) / entry['std_coloured']:+.1f}"
+        return [number(true), ""]
+    return [number(true), f"{(entry['estimate'] - true) / entry['std_coloured']:+.1f}"]
 
 
-def _pair(entry: dict[str, Any] | None) -> list[str]:
+def _estimate_cells(entries: dict[str, Any], name: str) -> list[str]:
+    """An estimate and its bound, or a mean and its scatter."""
+    entry = entries.get(name)
     if entry is None:
         return ["", ""]
-    if not entry["identifiable"]:
-        return [pair(entry["estimate"], entry["std_coloured"])[0], CANNOT_TELL]
-    return pair(entry["estimate"], entry["std_coloured"])
-
-
-def _mean_pair(entry: dict[str, Any] | None) -> list[str]:
-    return ["", ""] if entry is None else pair(entry["mean"], entry["std"])
+    if "mean" in entry:
+        return value_and_bound(entry["mean"], entry["std"])
+    cells = value_and_bound(entry["estimate"], entry["std_coloured"])
+    return cells if entry["identifiable"] else [cells[0], CANNOT_TELL]
 
 
 def _match(data: dict[str, Any] | None) -> ReportTable | None:
     if not data or not data["flights"]:
         return None
-    channels, limit = list(data["flights"][0]["fit"]), _limit(data)
-    rows: list[tuple[str, ...]] = []
-    failed: set[tuple[int, int]] = set()
-    for flight in data["flights"]:
-        fits = [flight["fit"].get(channel, {}) for channel in channels]
-        beyond = [k for k, fit in enumerate(fits) if fit.get("theil") is not None and fit["theil"] > limit]
-        failed |= {(len(rows), 2 + 2 * k) for k in beyond} | ({(len(rows), 1 + 2 * len(channels))} if beyond else set())
-        cells = [c for fit in fits for c in (number(fit.get("r2"), 3), number(fit.get("theil"), 3))]
-        rows.append((flight["name"], *cells, "FAIL" if beyond else "pass"))
-    return ReportTable(
-        "match",
-        "Proof of match: flights predicted with parameters frozen",
-        ("flight", *(h for _ in channels for h in ("r²", "Theil")), "match"),
-        tuple(rows),
-        (("", 1), *((c, 2) for c in channels), ("", 1)),
-        symbols=False,
-        failed=frozenset(failed),
-        note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.",
-    )
+    channels = list(data["flights"][0]["fit"])
+    fits = [[flight["fit"].get(channel, {}) for channel in channels] for flight in data["flights"]]
+    pairs = [[(fit.get("r2"), fit.get("theil")) for fit in flight] for flight in fits]
+    proofs = zip([(flight["name"],) for flight in data["flights"]], pairs, strict=True)
+    caption = "Proof of match: flights predicted with parameters frozen"
+    return match_table("match", caption, ("flight",), channels, proofs, _limit(data))
 
 
 def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
@@ -211,13 +219,10 @@ def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
         return None
     rows = []
     for step in data["steps"]:
-        held = step["holdout"] or {}
+        holdout_gap = step["holdout"] or {}
         cells = [number(step["gap"][k], 2) for k in ("before", "after", "floor")]
-        cells += [number(held.get(k), 2) for k in ("before", "after")]
-        size = "; ".join(
-            f"{n} = {' ± '.join(t for t in rounded(e['estimate'], e['std']) if t)} {_unit(e)}".strip()
-            for n, e in step["parameters"].items()
-        )
+        cells += [number(holdout_gap.get(k), 2) for k in ("before", "after")]
+        size = "; ".join(_size(name, e) for name, e in step["parameters"].items())
         rows.append((step["effect"], step["title"], size, number(step["confidence"], 2), *cells))
     return ReportTable(
         "gap",
@@ -231,13 +236,10 @@ def _gap_table(data: dict[str, Any] | None) -> ReportTable | None:
 
 
 def _size(name: str, entry: dict[str, Any]) -> str:
+    """`Cn_da = -0.0102 ± 0.0006 1/rad`."""
     value = " ± ".join(text for text in rounded(entry["estimate"], entry["std"]) if text)
-    return f"{name} = {value} {_unit(entry)}".strip()
-
-
-def _unit(entry: dict[str, Any]) -> str:
     unit = str(entry.get("unit", ""))
-    return "" if unit == "1" else unit
+    return f"{name} = {value} {'' if unit == '1' else unit}".strip()
 
 
 def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> ReportTable | None:
@@ -245,22 +247,17 @@ def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Report
     if not gap or not hidden:
         return None
     step = next((s for s in gap["steps"] if hidden["name"] in (s["effect"], *(m["effect"] for m in s["set"]))), None)
-    found = {} if step is None else step["parameters"]
+    parameters = {} if step is None else step["parameters"]
     if step is None:
-        said = "not found"
+        verdict = "not found"
     else:
-        said = "named" if step["effect"] == hidden["name"] else f"among those that {step['effect']} stands for"
+        verdict = "named" if step["effect"] == hidden["name"] else f"among those that {step['effect']} stands for"
     rows = []
     for name, (value, unit) in hidden["parameters"].items():
-        estimate, bound = pair(*((found[name]["estimate"], found[name]["std"]) if name in found else (None, None)))
-        said = (
-            "not found"
-            if step is None
-            else "named"
-            if step["effect"] == hidden["name"]
-            else f"among those that {step['effect']} stands for"
+        estimate, bound = value_and_bound(
+            *((parameters[name]["estimate"], parameters[name]["std"]) if name in parameters else (None, None))
         )
-        rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", said))
+        rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", verdict))
     return ReportTable(
         "hidden",
         "The hidden effect",

@@ -33,7 +33,6 @@ class ModelRow:
 
 
 def model_rows(model: Model) -> list[ModelRow]:
-    """The parameters of a model in its order."""
     return [
         ModelRow(p.name, p.start, p.unit, p.prior_std, p.reference, p.reference_std, p.reference_source)
         for p in model.parameters
@@ -132,9 +131,9 @@ def latex_table(rows: Sequence[ModelRow]) -> str:
     ]
     for row in rows:
         value, bound = rounded(row.value, row.std) if row.told else ("", "")
-        before = "" if row.reference is None else f"{row.reference:.4g}"
+        belief = "" if row.reference is None else f"{row.reference:.4g}"
         cells = [_math(text) for text in (value, bound)] if row.told else [r"\multicolumn{2}{c}{cannot tell}"]
-        cells.append(_math(before) + (f" ({row.source})" if before and row.source else ""))
+        cells.append(_math(belief) + (f" ({row.source})" if belief and row.source else ""))
         lines.append(rf"${tex(row.name)}$ & {' & '.join(cells)} \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 

@@ -15,10 +15,10 @@ from daq.contract.constants import SEA_LEVEL_DENSITY
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
+from estimation.prepare.columns import with_derived
 from estimation.report.tables import ReportTable, rounded, significant
-from groundstation.flight import Flight
+from groundstation.flight import Array, Flight
 
-Array = NDArray[np.float64]
 DRAWS = 300
 AT_REST = ("beta", "p", "q", "r", "phi", "delta_a", "delta_r", "V_dot", "alpha_dot", "beta_dot", "ay")
 
@@ -44,7 +44,8 @@ def state_matrix(model: Model, values: Mapping[str, float], state: Array, inputs
 
 
 def trim(model: Model, flight: Flight) -> tuple[Array, Array]:
-    """State (nx,) and inputs (nu,) of straight flight: medians of the measured columns."""
+    """State (nx,) and inputs (nu,) of straight flight: medians of the measured columns, density from air data or height."""
+    flight = with_derived(flight, ("rho",))
 
     def usual(name: str, source: str) -> float:
         return 0.0 if name in AT_REST or not flight.measured(source) else float(np.nanmedian(flight[source]))
@@ -61,8 +62,10 @@ def modes(A: Array, states: tuple[str, ...]) -> list[EigenMode]:
     pairs = sorted((z for z in roots if z.imag > 1e-9), key=lambda z: -abs(z))
     real = sorted((float(z.real) for z in roots if abs(z.imag) <= 1e-9), key=lambda x: -abs(x))
     pair_names, real_names = _names(states, len(pairs), len(real))
-    found = [EigenMode(n, float(abs(z)), float(-z.real / abs(z))) for n, z in zip(pair_names, pairs, strict=True)]
-    return found + [EigenMode(n, -x, math.nan) for n, x in zip(real_names, real, strict=True)]
+    oscillations = [
+        EigenMode(n, float(abs(z)), float(-z.real / abs(z))) for n, z in zip(pair_names, pairs, strict=True)
+    ]
+    return oscillations + [EigenMode(n, -x, math.nan) for n, x in zip(real_names, real, strict=True)]
 
 
 def _names(states: tuple[str, ...], pairs: int, real: int) -> tuple[list[str], list[str]]:
@@ -87,13 +90,16 @@ def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) 
     """Modes at the estimates and over draws from their corrected covariance; undetermined parameters stay put."""
     model = result.model
     state, inputs = trim(model, flight)
-    best = modes(state_matrix(model, result.values, state, inputs), model.state_names)
-    draws: dict[str, list[EigenMode]] = {m.name: [] for m in best}
+    nominal_modes = modes(state_matrix(model, result.values, state, inputs), model.state_names)
+    draws: dict[str, list[EigenMode]] = {m.name: [] for m in nominal_modes}
     bound = np.array([result.parameters[n].std_coloured for n in result.names])
     root = _square_root(result.covariance_coloured, np.isfinite(bound))
     for _ in range(DRAWS):
-        moved = root @ rng.standard_normal(len(bound))
-        values = {**result.values, **{n: result.values[n] + float(d) for n, d in zip(result.names, moved, strict=True)}}
+        perturbation = root @ rng.standard_normal(len(bound))
+        values = {
+            **result.values,
+            **{n: result.values[n] + float(d) for n, d in zip(result.names, perturbation, strict=True)},
+        }
         for m in modes(state_matrix(model, values, state, inputs), model.state_names):
             draws.setdefault(m.name, []).append(m)
     return [
@@ -103,18 +109,18 @@ def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) 
             _half_width([d.damping for d in draws[m.name]]),
             _unstable(draws[m.name]),
         )
-        for m in best
+        for m in nominal_modes
     ]
 
 
-def _unstable(drawn: list[EigenMode]) -> float:
+def _unstable(draws: list[EigenMode]) -> float:
     """Share of draws that diverge."""
-    bad = sum((d.speed if math.isnan(d.damping) else d.damping) < 0 for d in drawn)
-    return bad / len(drawn) if drawn else math.nan
+    unstable_count = sum((d.speed if math.isnan(d.damping) else d.damping) < 0 for d in draws)
+    return unstable_count / len(draws) if draws else math.nan
 
 
-def _square_root(covariance: Array, told: NDArray[np.bool_]) -> Array:
-    safe = np.where(told[:, None] & told[None, :] & np.isfinite(covariance), covariance, 0.0)
+def _square_root(covariance: Array, identifiable: NDArray[np.bool_]) -> Array:
+    safe = np.where(identifiable[:, None] & identifiable[None, :] & np.isfinite(covariance), covariance, 0.0)
     values, vectors = np.linalg.eigh(0.5 * (safe + safe.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
@@ -129,17 +135,16 @@ def _half_width(values: list[float]) -> float:
 def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> ReportTable:
     """entries: (whose estimates, method, modes)."""
     rows = []
-    for who, method, found in entries:
-        for m in found:
-            aperiodic = math.isnan(m.mode.damping)
-            period = (
-                ""
-                if aperiodic or m.mode.damping >= 1
-                else significant(2 * math.pi / (m.mode.speed * math.sqrt(1 - m.mode.damping**2)))
-            )
-            rows.append((who, method, m.mode.name, "" if aperiodic else _pm(m.mode.speed, m.speed_spread),
-                         "" if aperiodic else _pm(m.mode.damping, m.damping_spread), period,
-                         _pm(-m.mode.speed, m.speed_spread) if aperiodic else "", _percent(m.unstable)))  # fmt: skip
+    for source, method, spread_modes in entries:
+        for m in spread_modes:
+            speed, damping = m.mode.speed, m.mode.damping
+            if math.isnan(damping):
+                cells = ["", "", "", _pm(-speed, m.speed_spread)]
+            else:
+                period = "" if damping >= 1 else significant(2 * math.pi / (speed * math.sqrt(1 - damping**2)))
+                cells = [_pm(speed, m.speed_spread), _pm(damping, m.damping_spread), period, ""]
+            unstable = "" if math.isnan(m.unstable) else f"{100 * m.unstable:.0f} %"
+            rows.append((source, method, m.mode.name, *cells, unstable))
     return ReportTable(
         "modes", "Natural modes at the flights' median speed and incidence",
         ("estimates of", "method", "mode", "natural frequency [rad/s]", "damping ratio", "period [s]", "eigenvalue [1/s]",
@@ -147,10 +152,6 @@ def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> ReportTable:
         note=f"± is half the middle 68 % over {DRAWS} draws from the corrected covariance of the derivatives. Measured inputs "
         "are held: a model that is driven by dynamic pressure or sideslip shows its own modes, not all those of the aircraft.",
     )  # fmt: skip
-
-
-def _percent(share: float) -> str:
-    return "" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
 def _pm(value: float, spread: float) -> str:

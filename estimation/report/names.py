@@ -23,13 +23,13 @@ _FACTOR = re.compile(r"^(d|K_|tau_)(ax|ay|az|p|q|r|alpha|beta|V|phi|theta|psi)$"
 
 def tex(name: str) -> str:
     """LaTeX (without dollars) of a parameter or signal name; unknown names are set upright."""
-    if found := _DERIVATIVE.match(name):
-        axis, by = found.groups()
-        return f"C_{{{axis[1:]}_{{{_by_tex(by)}}}}}"
-    if found := _FACTOR.match(name):
-        kind, what = found.groups()
+    if match := _DERIVATIVE.match(name):
+        axis, regressor = match.groups()
+        return f"C_{{{axis[1:]}_{{{_by_tex(regressor)}}}}}"
+    if match := _FACTOR.match(name):
+        kind, signal = match.groups()
         letter = {"d": r"\Delta", "K_": "K", "tau_": r"\tau"}[kind]
-        return f"{letter}_{{{_by_tex(what)}}}"
+        return f"{letter}_{{{_by_tex(signal)}}}"
     if name in _GREEK:
         return rf"\{name}"
     if name in ("delta_e", "delta_a", "delta_r"):
@@ -53,13 +53,13 @@ def _by_tex(by: str) -> str:
 
 def html(name: str) -> Markup:
     """HTML of a parameter or signal name."""
-    if found := _DERIVATIVE.match(name):
-        axis, by = found.groups()
-        return Markup("<i>C</i><sub><i>{}</i>&thinsp;{}</sub>").format(axis[1:], _by_html(by))
-    if found := _FACTOR.match(name):
-        kind, what = found.groups()
+    if match := _DERIVATIVE.match(name):
+        axis, regressor = match.groups()
+        return Markup("<i>C</i><sub><i>{}</i>&thinsp;{}</sub>").format(axis[1:], _by_html(regressor))
+    if match := _FACTOR.match(name):
+        kind, signal = match.groups()
         letter = {"d": "Δ", "K_": "K", "tau_": "τ"}[kind]
-        return Markup("<i>{}</i><sub>{}</sub>").format(letter, _by_html(what))
+        return Markup("<i>{}</i><sub>{}</sub>").format(letter, _by_html(signal))
     return Markup("<i>{}</i>").format(_GREEK[name]) if name in _GREEK else escape(name)
 
 

@@ -38,14 +38,13 @@ def wind_tunnel(name: str) -> float | None:
 
 
 def published_flights() -> tuple[str, ...]:
-    """UFP_LD1 .. UFP_LD4."""
     return tuple(_data()["estimates"])
 
 
 def counterpart(flight: str) -> str | None:
     """The published flight of the same number, for a flight named like `cdfp_ld2`."""
-    found = re.search(r"ld([1-4])(?!\d)", flight, re.IGNORECASE)
-    return f"UFP_LD{found.group(1)}" if found else None
+    match = re.search(r"ld([1-4])(?!\d)", flight, re.IGNORECASE)
+    return f"UFP_LD{match.group(1)}" if match else None
 
 
 def estimate(flight: str, method: str, name: str) -> tuple[float, float] | None:

@@ -1,8 +1,8 @@
-"""A table as data: the same rows become HTML in the page, CSV and LaTeX beside it."""
+"""A table as data: the same rows become HTML on a page, folded to a sheet, and CSV and LaTeX beside it."""
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,8 @@ CANNOT_TELL = "cannot tell"
 class ReportTable:
     """name: of its files. groups: (label, columns spanned) over `head`, or empty. The first cell of a row is a parameter
     or signal name where `symbols`. note: what the reader must know of the columns. texts: columns of sentences, which may
-    break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone."""
+    break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone. filed: whether it is also
+    written beside the page."""
 
     name: str
     caption: str
@@ -28,6 +29,7 @@ class ReportTable:
     note: str = ""
     texts: tuple[int, ...] = ()
     failed: frozenset[tuple[int, int]] = frozenset()
+    filed: bool = True
 
     def write(self, folder: Path) -> None:
         """<name>.csv and <name>.tex in `folder`."""
@@ -39,18 +41,23 @@ class ReportTable:
         write_text(folder / f"{self.name}.tex", self.latex())
 
     def _flat_head(self) -> list[str]:
-        above = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)
-        return [f"{a} {h}".strip() for a, h in zip(above, self.head, strict=True)]
+        group_labels = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)
+        return [f"{a} {h}".strip() for a, h in zip(group_labels, self.head, strict=True)]
 
     def latex(self) -> str:
         """A booktabs tabular with its caption."""
-        lines = [r"\begin{table}", r"\centering", rf"\caption{{{_plain(self.caption)}}}", rf"\label{{tab:{self.name}}}"]
+        lines = [
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{_latex_text(self.caption)}}}",
+            rf"\label{{tab:{self.name}}}",
+        ]
         lines += [rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule"]
         if self.groups:
-            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_plain(g)}}}" for g, n in self.groups) + r" \\")
-        lines += [" & ".join(_plain(h) for h in self.head) + r" \\", r"\midrule"]
+            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_latex_text(g)}}}" for g, n in self.groups) + r" \\")
+        lines += [" & ".join(_latex_text(h) for h in self.head) + r" \\", r"\midrule"]
         for row in self.rows:
-            first = f"${tex(row[0])}$" if self.symbols else _plain(row[0])
+            first = f"${tex(row[0])}$" if self.symbols else _latex_text(row[0])
             lines.append(" & ".join([first, *self._latex_cells(row)]) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
@@ -58,15 +65,15 @@ class ReportTable:
         """Cells after the first. A group of columns that ends in `cannot tell` says only that: a number printed in a thesis is
         believed, whatever stands beside it."""
         cells: list[str] = []
-        at = 1
+        position = 1
         for _, span in self.groups[1:] or [("", 1)] * (len(row) - 1):
-            group = row[at : at + span]
-            at += span
+            group = row[position : position + span]
+            position += span
             if span > 1 and group and group[-1] == CANNOT_TELL:
                 cells.append(rf"\multicolumn{{{span}}}{{c}}{{{CANNOT_TELL}}}")
             else:
-                cells += [_plain(c) for c in group]
-        return [*cells, *(_plain(c) for c in row[at:])]
+                cells += [_latex_text(c) for c in group]
+        return [*cells, *(_latex_text(c) for c in row[position:])]
 
 
 def _no_formula(cell: str) -> str:
@@ -82,7 +89,7 @@ _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
 }  # fmt: skip
 
 
-def _plain(text: str) -> str:
+def _latex_text(text: str) -> str:
     return "".join(_ESCAPES.get(c, c) for c in visible(text))
 
 
@@ -112,12 +119,107 @@ def _unsigned_zero(text: str) -> str:
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 
 
-def pair(value: float | None, bound: float | None) -> list[str]:
+def value_and_bound(value: float | None, bound: float | None) -> list[str]:
     """Two cells: a value and its bound, both to the second figure of the bound; empty where they are not there."""
     return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
 
 
-def write_all(tables: Sequence[ReportTable], folder: Path) -> None:
-    """Every table as CSV and LaTeX."""
-    for table in tables:
-        table.write(folder)
+# Where a table is too wide for a sheet: it is cut between groups of columns, and each piece repeats the first column.
+#
+# Widths are counted from the characters of a column, for the widest of the fonts that the style sheet names (DejaVu Sans).
+
+SHEET = 1124
+"""Width of a page's text [CSS pixels]: 1180 less its margins, as in style.css; fits a window of 1280."""
+
+PORTRAIT = 840
+"""A table wider than this [CSS pixels of the screen] is printed on a sheet laid across: A4 upright has 703 of them, and print
+is set 0.83 times as large."""
+
+LETTER, MARGIN = (
+    7.6,
+    14.0,
+)  # a letter of DejaVu Sans at 13.2 px, digits, signs and points together; both margins of a cell
+SMALL_LETTER, SMALL_MARGIN = 6.8, 10.0  # at 12 px, the class `wide`
+SENTENCE = 24  # characters that a column of sentences is given
+SHORT = 16  # rows of a table that a printed page keeps in one piece
+
+
+@dataclass(frozen=True, slots=True)
+class TableSlice:
+    """Columns of a table that go beside each other. groups: (label, columns spanned); wide: to be set small."""
+
+    columns: tuple[int, ...]
+    groups: tuple[tuple[str, int], ...]
+    wide: bool
+    short: bool
+
+
+def table_width(table: ReportTable, columns: Sequence[int], *, small: bool = False) -> float:
+    """Width of some columns of a table [CSS pixels]."""
+    letter, margin = (SMALL_LETTER, SMALL_MARGIN) if small else (LETTER, MARGIN)
+    return sum(letter * _letters(table, c) + margin for c in columns)
+
+
+def _letters(table: ReportTable, column: int) -> int:
+    longest_word = max((len(word) for word in table.head[column].split()), default=0)
+    if column in table.texts:
+        return max(longest_word, SENTENCE)
+    return max(longest_word, *(len(row[column]) for row in table.rows), 1)
+
+
+def table_slices(table: ReportTable) -> list[TableSlice]:
+    """The table in as few pieces as fit the sheet; one that has no groups stays whole."""
+    columns = tuple(range(len(table.head)))
+    groups = _spans(table)
+    if table_width(table, columns) <= SHEET or len(groups) < 3:
+        return [_piece(table, groups)]
+    first, rest = groups[0], groups[1:]
+    parts: list[list[tuple[str, tuple[int, ...]]]] = [[]]
+    for group in rest:
+        columns_together = [c for _, span in (first, *parts[-1], group) for c in span]
+        if parts[-1] and table_width(table, columns_together, small=True) > SHEET:
+            parts.append([])
+        parts[-1].append(group)
+    return [_piece(table, [first, *part]) for part in parts]
+
+
+def _spans(table: ReportTable) -> list[tuple[str, tuple[int, ...]]]:
+    """Groups with the columns that they span; all in one without groups."""
+    if not table.groups:
+        return [("", tuple(range(len(table.head))))]
+    spans, position = [], 0
+    for label, count in table.groups:
+        spans.append((label, tuple(range(position, position + count))))
+        position += count
+    return spans
+
+
+def _piece(table: ReportTable, groups: Sequence[tuple[str, tuple[int, ...]]]) -> TableSlice:
+    columns = tuple(c for _, span in groups for c in span)
+    named_groups = tuple((label, len(span)) for label, span in groups) if table.groups else ()
+    return TableSlice(columns, named_groups, table_width(table, columns) > SHEET, len(table.rows) <= SHORT)
+
+
+def word_columns(table: ReportTable) -> frozenset[int]:
+    """Columns that hold no number: they are read from the left."""
+    return frozenset(
+        c
+        for c in range(len(table.head))
+        if not any(ch.isdigit() for row in table.rows for ch in row[c].strip("+-−(.")[:1])
+    ) - _without_words(table)
+
+
+def _without_words(table: ReportTable) -> frozenset[int]:
+    """Columns that are empty, or say of a number that it cannot be told."""
+    return frozenset(c for c in range(len(table.head)) if {row[c] for row in table.rows} <= {"", CANNOT_TELL})
+
+
+def cell_label(table: ReportTable, column: int) -> str:
+    """What a cell is called where the head of its table is not in sight: group and head."""
+    group_label = next((g for g, span in _spans(table) if column in span), "")
+    return f"{group_label} {table.head[column]}".strip()
+
+
+def needs_width(tables: Iterable[ReportTable]) -> bool:
+    """Whether any of the tables of a page is better printed across."""
+    return any(table_width(t, p.columns, small=p.wide) > PORTRAIT for t in tables for p in table_slices(t))

@@ -1,4 +1,4 @@
-"""What in an aircraft file is missing, doubtful, or enough for which method."""
+"""What in an aircraft file is missing, doubtful, or enough for which method; what of that speaks against an estimate."""
 
 import math
 from collections.abc import Iterator
@@ -7,6 +7,9 @@ from typing import Literal
 
 from estimation.aircraft import Aircraft
 from estimation.errors import AircraftError
+from estimation.models.base import Model
+from estimation.models.expressions import names_in
+from estimation.models.library import BUILDERS, not_in_model
 
 Verdict = Literal["ok", "warn", "fail"]
 
@@ -42,7 +45,7 @@ class ReviewNote:
         return {"check": self.check, "verdict": self.verdict, "text": self.text}
 
 
-def review(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
+def review_aircraft(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
     """Notes on geometry, inertia, beliefs and each method. A "fail" is what no aircraft can be, or no method can do with."""
     return (*_geometry(aircraft), *_inertia(aircraft), *_signs(aircraft), *_places(aircraft), *_methods(aircraft))
 
@@ -50,9 +53,9 @@ def review(aircraft: Aircraft) -> tuple[ReviewNote, ...]:
 def _geometry(a: Aircraft) -> Iterator[ReviewNote]:
     filled = a.area / (a.span * a.chord)
     if math.isfinite(filled) and not FILLED[0] <= filled <= FILLED[1]:
-        told = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
-        about = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
-        yield ReviewNote("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?", about)
+        text = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
+        constants = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
+        yield ReviewNote("geometry", "warn", f"{text}: another unit, or not the mean aerodynamic chord?", constants)
     loading = a.mass / a.area
     if math.isfinite(loading) and not 0.5 <= loading <= 1000.0:
         yield ReviewNote(
@@ -71,9 +74,9 @@ def _inertia(a: Aircraft) -> Iterator[ReviewNote]:
         reach = getattr(a, length) * (0.5 if length == "span" else 1.0)
         ratio = math.sqrt(getattr(a, name) / a.mass) / reach
         if math.isfinite(ratio) and not low <= ratio <= high:
-            of = "half span" if length == "span" else length
-            told = f"{name}: radius of gyration is {ratio:.2g} of the {of}, usual are {low} to {high}"
-            yield ReviewNote("inertia", "warn", told, (name,))
+            reference = "half span" if length == "span" else length
+            text = f"{name}: radius of gyration is {ratio:.2g} of the {reference}, usual are {low} to {high}"
+            yield ReviewNote("inertia", "warn", text, (name,))
 
 
 def _signs(a: Aircraft) -> Iterator[ReviewNote]:
@@ -124,3 +127,36 @@ def _simulation(a: Aircraft) -> ReviewNote:
     if missing:
         return ReviewNote("sideslip fly", "ok", f"not for simulation: no {', '.join(missing)}")
     return ReviewNote("sideslip fly", "ok", "servos, engine and speeds are there")
+
+
+@dataclass(frozen=True)
+class AircraftObjections:
+    """impossible: sentences on constants of the model; dropped: stated derivatives that the model has no term for; span,
+    area, chord [m, m2, m]: NaN where not stated."""
+
+    impossible: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
+    aspect: float = float("nan")
+
+
+NOTHING = AircraftObjections()
+
+
+def aircraft_objections(aircraft: Aircraft, model: Model) -> AircraftObjections:
+    """What the review of an aircraft says of the constants that a model takes from it."""
+    from_file = {n for n, v in aircraft.constants().items() if model.constants.get(n) == v}
+    names = frozenset[str]().union(*(names_in(text) for text in model.definitions.values())) & from_file
+    if "q_dot" not in model.definitions:  # without pitch it only couples, by what q and r or p and q do together
+        names = names - {"Iyy"}
+    notes = [n for n in review_aircraft(aircraft) if _concerns(n, names)] if names else []
+    impossible = tuple(f"aircraft {aircraft.name}: {n.text} (sideslip aircraft check)" for n in notes)
+    built_in = model.name in BUILDERS
+    unused = not_in_model(model, aircraft) if built_in else ()
+    return AircraftObjections(impossible, unused, aircraft.span**2 / aircraft.area)
+
+
+def _concerns(note: ReviewNote, names: frozenset[str]) -> bool:
+    """Whether a note doubts what a model takes; that three moments do not go together, only where it takes all of them."""
+    if len(note.about) == 3 and note.check == "inertia":
+        return names.issuperset(note.about)
+    return bool(names.intersection(note.about))

@@ -1,16 +1,20 @@
-"""Numbers that tell whether something drives an aircraft that the model does not know of: read off residuals of results."""
+"""Numbers that bear on an estimate: process noise, scatter over flights, and what a reconstructed airspeed may be off.
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+A coefficient is a force over rho V^2 S / 2, so a derivative is wrong by twice the relative error of V (those by a rate by up to
+once more or less, which is left out); no residual shows it, so it is counted in the corrected bounds. Pitot and wind have errors
+that last for a flight and may last for a day: flights of a joint estimate are taken to share them.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.estimators.result import Result
-from estimation.models.base import Model
-from estimation.models.driven import force_states
-
-Array = NDArray[np.float64]
+from estimation.estimators.result import Estimate, Result
+from estimation.models.base import Model, ParameterRole
+from estimation.models.dependence import force_states
+from groundstation.flight import RECONSTRUCTED, Array, Flight
 
 CHANCE = 0.999  # probability at which a gain is believed
 FEWEST = 20  # samples of a channel from which its residuals tell anything
@@ -49,17 +53,17 @@ def gain_of_filter(ml: Result, fem: Result) -> FilterErrorGain:
 
     total, values = 0.0, 0
     for a, b in _channels(ml, fem):
-        known = np.isfinite(a) & np.isfinite(b)
-        count = int(known.sum())
+        measured = np.isfinite(a) & np.isfinite(b)
+        count = int(measured.sum())
         if count >= FEWEST:
-            ratio = float(np.mean(a[known] ** 2) / max(float(np.mean(b[known] ** 2)), 1e-300))
+            ratio = float(np.mean(a[measured] ** 2) / max(float(np.mean(b[measured] ** 2)), 1e-300))
             total += count * float(np.log(max(ratio, 1e-300)))
             values += count
     gains = sum(len(row) for row in fem.extra.get("gain", {}).values())
     return FilterErrorGain(total, float(chi2.ppf(CHANCE, max(gains, 1))), total / max(values, 1))
 
 
-def driven(model: Model) -> frozenset[str]:
+def driven_outputs(model: Model) -> frozenset[str]:
     """Outputs in which process noise shows: all but states that only kinematics moves, such as attitude.
 
     Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in any air, by the slow errors of the
@@ -71,33 +75,114 @@ def driven(model: Model) -> frozenset[str]:
 
 def _channels(a: Result, b: Result) -> Iterator[tuple[Array, Array]]:
     """Residuals of both results, channel by channel over all flights, of the outputs that process noise drives."""
-    told = driven(a.model)
-    for c in (c for c, name in enumerate(a.model.output_names) if name in told):
+    outputs = driven_outputs(a.model)
+    for c in (c for c, name in enumerate(a.model.output_names) if name in outputs):
         yield (
             np.concatenate([f.residuals[:, c] for f in a.flights]),
             np.concatenate([f.residuals[:, c] for f in b.flights]),
         )
 
 
-def neighbours(result: Result) -> dict[str, float]:
+def neighbour_correlations(result: Result) -> dict[str, float]:
     """Output -> correlation of neighbouring residuals."""
-    found = {}
+    correlations = {}
     for c, name in enumerate(result.model.output_names):
         products, power, pairs = 0.0, 0.0, 0
         for f in result.flights:
             r = f.residuals[:, c]
-            both = np.isfinite(r[1:]) & np.isfinite(r[:-1])
-            first, second = r[:-1][both], r[1:][both]
+            measured = np.isfinite(r[1:]) & np.isfinite(r[:-1])
+            first, second = r[:-1][measured], r[1:][measured]
             products += float(first @ second)
             power += 0.5 * float(first @ first + second @ second)
-            pairs += int(both.sum())
+            pairs += int(measured.sum())
         if pairs >= FEWEST and power > 0.0:
-            found[name] = products / power
-    return found
+            correlations[name] = products / power
+    return correlations
 
 
 def predictability(result: Result) -> float:
     """Mean of -log(1 - rho^2) over driven outputs: what the sample before would take off the log variance of residuals."""
-    told = driven(result.model)
-    rho = np.clip(np.array([v for n, v in neighbours(result).items() if n in told]), -0.999, 0.999)
+    outputs = driven_outputs(result.model)
+    rho = np.clip(np.array([v for n, v in neighbour_correlations(result).items() if n in outputs]), -0.999, 0.999)
     return float(np.mean(-np.log(1.0 - rho**2))) if rho.size else 0.0
+
+
+POWER = 2.0
+"""Of V in the dynamic pressure."""
+
+
+def with_airspeed_error(result: Result, flights: Sequence[Flight]) -> Result:
+    """The result with the common error of reconstructed airspeeds in the corrected bounds of derivatives."""
+    share = float(np.mean([_share(f) for f in flights])) if flights else 0.0
+    if share == 0.0:
+        return result
+    derivatives = set(result.model.free_of(ParameterRole.DERIVATIVE))
+    wider = {n: _wider(e, share) if n in derivatives else e for n, e in result.parameters.items()}
+    return replace(result, parameters=wider)
+
+
+def _wider(estimate: Estimate, share: float) -> Estimate:
+    return replace(estimate, std_coloured=math.hypot(estimate.std_coloured, share * estimate.estimate))
+
+
+def _share(flight: Flight) -> float:
+    """Relative 1 sigma of every derivative by the airspeed of a flight; 0 where it was measured, or nothing is stated."""
+    if "V" not in flight.reconstructed or not flight.measured("V"):
+        return 0.0
+    detail = flight.provenance.detail.get(RECONSTRUCTED)
+    stds = detail.get("std") if isinstance(detail, Mapping) else None
+    std = stds.get("V") if isinstance(stds, Mapping) else None
+    if not isinstance(std, int | float) or not 0.0 < std < math.inf:
+        return 0.0
+    return POWER * float(std) / float(np.nanmedian(flight["V"]))
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """One parameter over flights. std: sample standard deviation; bound: rms of the flights' corrected bounds;
+    ratio: std/bound; probability: of a chi-square as large, were the bounds right (None with fewer than two flights)."""
+
+    mean: float
+    std: float
+    bound: float
+    ratio: float
+    probability: float | None
+    count: int
+    trim: bool = False  # a constant that differs from flight to flight with trim and sensor offsets
+
+    @property
+    def text(self) -> str:
+        """The verdict on the bounds, empty where scatter and bounds agree."""
+        if self.trim or self.probability is None or self.probability > 0.01:
+            return ""
+        return f"scatter over {self.count} flights is {self.ratio:.1f} times the bounds: these bounds are too small"
+
+
+def parameter_scatter(results: Sequence[Result]) -> dict[str, Scatter]:
+    """Mean and scatter of each parameter over the flights that could tell it, against their bounds."""
+    from scipy.special import chdtrc  # here: whoever only describes a session needs no scipy
+
+    table = {}
+    for name in results[0].parameters:
+        usable = [r.parameters[name] for r in results if r.converged and name in r.parameters]
+        identifiable = [e for e in usable if e.identifiable]
+        if not identifiable:
+            continue
+        x = np.array([e.estimate for e in identifiable])
+        bounds = np.array([e.std_coloured for e in identifiable])
+        std = float(np.std(x, ddof=1)) if x.size > 1 else math.nan
+        bound = float(np.sqrt(np.mean(bounds**2)))
+        probability = None
+        if x.size > 1 and np.all(bounds > 0):
+            weighted = np.sum(x / bounds**2) / np.sum(1 / bounds**2)
+            probability = float(chdtrc(x.size - 1, np.sum(((x - weighted) / bounds) ** 2)))
+        table[name] = Scatter(
+            float(x.mean()),
+            std,
+            bound,
+            std / bound if bound > 0 else math.nan,
+            probability,
+            x.size,
+            results[0].model.parameter(name).role is ParameterRole.CONSTANT,
+        )
+    return table

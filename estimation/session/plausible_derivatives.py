@@ -33,7 +33,7 @@ MARGIN = (-0.4, 1.5)  # of the chord: static margin of canards and relaxed stabi
 CONTROLS = {"da": "delta_a", "dr": "delta_r", "de": "delta_e"}
 
 
-def implausible(result: Result, aspect: float = math.nan) -> Iterator[str]:
+def implausible_derivatives(result: Result, aspect: float = math.nan) -> Iterator[str]:
     """Sentences on derivatives of a built-in model that no aeroplane has; aspect: ratio of the wing."""
     if result.model.name not in BUILDERS:
         return

@@ -4,14 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from estimation.aircraft import load_aircraft
-from estimation.engine.derived import DERIVED
 from estimation.estimators import registry
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
+from estimation.prepare.columns import DERIVED
 from estimation.session.verdict import TRUSTED_RECONSTRUCTED
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import Contradiction, contradictions
-from groundstation.flight.quality.rates import too_slow
+from groundstation.flight.quality.noise import too_slow
 
 RECONSTRUCTION = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "vn", "ve", "vd")
 """Needed for `sideslip reconstruct`, with one of AIRSPEED."""
@@ -73,23 +73,25 @@ class Recipe:
 
     def lines(self) -> list[str]:
         """For a person."""
-        said = [f"measured: {', '.join(self.measured)}"]
+        lines = [f"measured: {', '.join(self.measured)}"]
         for word, columns in (("computed", self.computed), ("assumed", self.assumed)):
             if columns:
-                said.append(f"{word}, not measured: {', '.join(f'{n} ({origin})' for n, origin in columns.items())}")
-        said.append(f"air data: {self.air}")
-        said += [f"contradiction: {c.text}{f' (moves {c.moves})' if c.moves else ''}" for c in self.contradictions]
+                lines.append(f"{word}, not measured: {', '.join(f'{n} ({origin})' for n, origin in columns.items())}")
+        lines.append(f"air data: {self.air}")
+        lines += [f"contradiction: {c.text}{f' (moves {c.moves})' if c.moves else ''}" for c in self.contradictions]
         for m in self.models:
             if not m.able:
-                why = [f"{', '.join(m.missing)} missing"] if m.missing else []
-                said.append(f"{m.model}: not possible: {'; '.join([*why, *([m.slow] if m.slow else [])])}")
+                reasons = [f"{', '.join(m.missing)} missing"] if m.missing else []
+                lines.append(f"{m.model}: not possible: {'; '.join([*reasons, *([m.slow] if m.slow else [])])}")
                 continue
-            by = f" after 'sideslip reconstruct' ({', '.join(m.reconstructed)})" if m.reconstructed else ""
-            without = f"; {', '.join(m.silent)} not compared" if m.silent else ""
+            condition = f" after 'sideslip reconstruct' ({', '.join(m.reconstructed)})" if m.reconstructed else ""
+            silent = f"; {', '.join(m.silent)} not compared" if m.silent else ""
             trust = f"; {BELIEVE}" if m.reconstructed else ""
-            said.append(f"{m.model}: possible{by} with {', '.join(m.methods)}{without}{trust}")
-        said += [f"one more: {sensor} would make possible: {', '.join(models)}" for sensor, models in self.adds.items()]
-        return said
+            lines.append(f"{m.model}: possible{condition} with {', '.join(m.methods)}{silent}{trust}")
+        lines += [
+            f"one more: {sensor} would make possible: {', '.join(models)}" for sensor, models in self.adds.items()
+        ]
+        return lines
 
     def to_json(self) -> dict[str, object]:
         """The same as data."""
@@ -124,19 +126,19 @@ def recipe(flight: Flight) -> Recipe:
     have = frozenset(c for c in flight.known_columns if flight.measured(c))
     aircraft = load_aircraft("cdfp")  # for the names in the models only
     models = [build(aircraft) for build in BUILDERS.values()]
-    found = tuple(_possible(m, have, flight) for m in models)
-    able = {p.model for p in found if p.able}
+    possible = tuple(_possible(m, have, flight) for m in models)
+    able = {p.model for p in possible if p.able}
     adds = {}
     for sensor, columns in SENSORS.items():
-        more = have | set(columns)
-        gained = tuple(m.name for m in models if m.name not in able and _possible(m, more, flight).able)
+        columns_with_sensor = have | set(columns)
+        gained = tuple(m.name for m in models if m.name not in able and _possible(m, columns_with_sensor, flight).able)
         if gained:
             adds[sensor] = gained
     by_kind = {kind: _of_kind(flight, kind) for kind in ("computed", "assumed")}
     unmeasured = {*by_kind["computed"], *by_kind["assumed"]}
     measured = tuple(c for c in flight.columns if c in have and c not in unmeasured)
     return Recipe(
-        measured, found, adds, _air(have), by_kind["computed"], by_kind["assumed"], contradictions(flight)
+        measured, possible, adds, _air(have), by_kind["computed"], by_kind["assumed"], contradictions(flight)
     )  # fmt: skip
 
 
@@ -154,22 +156,22 @@ def _air(have: frozenset[str]) -> str:
         return "measured"
     if _can_reconstruct(have):
         return "no vanes for all of it; 'sideslip reconstruct' makes V, alpha, beta and wind, with their uncertainty"
-    lacking = [c for c in RECONSTRUCTION if c not in have]
+    missing = [c for c in RECONSTRUCTION if c not in have]
     if have.isdisjoint(AIRSPEED):
-        lacking.append("an airspeed by a pitot (V, p_dynamic or V_cas)")
-    return f"incomplete, and to reconstruct it this is missing: {', '.join(lacking)}"
+        missing.append("an airspeed by a pitot (V, p_dynamic or V_cas)")
+    return f"incomplete, and to reconstruct it this is missing: {', '.join(missing)}"
 
 
 def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
-    made = tuple(n for n in AIR if n not in have) if _can_reconstruct(have) else ()
-    all_there = have | set(made)
-    needed = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
-    missing = tuple(dict.fromkeys(n for n in needed if not _there(n, all_there)))
-    used = {s.source for s in (*model.inputs, *model.outputs)}
+    reconstructed = tuple(n for n in AIR if n not in have) if _can_reconstruct(have) else ()
+    all_there = have | set(reconstructed)
+    required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
+    missing = tuple(dict.fromkeys(n for n in required if not _there(n, all_there)))
+    model_columns = {s.source for s in (*model.inputs, *model.outputs)}
     silent = tuple(s.source for s in model.outputs if s.source not in all_there)
-    slow = too_slow(flight, used)
-    methods = () if missing or slow else registry.names()
-    return Possible(model.name, missing, tuple(n for n in made if n in used), silent, methods, slow)
+    slow = too_slow(flight, model_columns)
+    methods = () if missing or slow else registry.estimator_names()
+    return Possible(model.name, missing, tuple(n for n in reconstructed if n in model_columns), silent, methods, slow)
 
 
 def _there(column: str, have: frozenset[str] | Sequence[str]) -> bool:

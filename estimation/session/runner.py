@@ -6,25 +6,23 @@ from dataclasses import replace
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.errors import AircraftError, DataError, EstimationError
-from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
+from estimation.estimators.arithmetic import NumericalFailure, mark_not_finite, numerical_failures
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
-from estimation.estimators.registry import check_extras, find, names
+from estimation.estimators.registry import check_extras, estimator_names, find_estimator
 from estimation.estimators.result import Result
-from estimation.models.base import Model
-from estimation.session.airspeed_error import with_airspeed_error
-from estimation.session.flights import unique_names
-from estimation.session.joint import joint_model
-from estimation.session.of_aircraft import of_aircraft
-from estimation.session.scatter import scatter
+from estimation.models.base import Model, joint_model
+from estimation.prepare.stretches import unique_names
+from estimation.session.aircraft_review import aircraft_objections
+from estimation.session.evidence import parameter_scatter, with_airspeed_error
 from estimation.session.session import EstimationSession, FlightEstimates
-from estimation.session.structured import StructureWish, structured
+from estimation.session.structured import StructureWish, with_structure_tests
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import contradictions
+from groundstation.flight.quality.noise import too_slow
 from groundstation.flight.quality.plausibility import suspicions
-from groundstation.flight.quality.rates import too_slow
-from groundstation.flight.quality.same_record import one_record_twice
+from groundstation.flight.quality.repeats import one_record_twice
 
 Outcome = Result | UserError | NumericalFailure
 """What a method leaves of one flight: an answer, or why there is none."""
@@ -50,70 +48,77 @@ def estimate(
     flight cannot feed the model.
     """
     if not methods:
-        raise EstimationError(f"no method given; choose from {', '.join(names())}")
-    chosen = [find(m) for m in methods]
-    _check(extras, model, chosen)
-    for e in chosen:
+        raise EstimationError(f"no method given; choose from {', '.join(estimator_names())}")
+    estimators = [find_estimator(m) for m in methods]
+    _check(extras, model, estimators)
+    for e in estimators:
         if e.needs_aircraft:
             _refuse_unknown(aircraft, e)
     flights = unique_names(flights)
-    if joint and (same := one_record_twice(flights)) is not None:
-        first, second = (flights[k].name for k in same)
+    if joint and (duplicates := one_record_twice(flights)) is not None:
+        first, second = (flights[k].name for k in duplicates)
         raise DataError(
             f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
         )
     model, flights = without_sensor(model, flights)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
-    session = _fitted(task, chosen, joint)
+    session = _fitted(task, estimators, joint)
     if structure is not StructureWish.OFF:
-        plain = task.plain or model
-        session = structured(
-            session, task, structure, lambda more: _fitted(replace(task, model=more, plain=plain), chosen, joint)
+        base_model = task.plain or model
+        session = with_structure_tests(
+            session,
+            task,
+            structure,
+            lambda more: _fitted(replace(task, model=more, plain=base_model), estimators, joint),
         )
     return _judged(session)
 
 
-def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> EstimationSession:
+def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
-    found = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in chosen}
-    for flight, outcomes in zip(flights, zip(*found.values(), strict=True), strict=True):
+    outcomes_by_method = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in estimators}
+    for flight, outcomes in zip(flights, zip(*outcomes_by_method.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
-    together: dict[str, Outcome] = {}
-    for e in chosen if joint else ():
+    joint_outcomes: dict[str, Outcome] = {}
+    for e in estimators if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        plain = None if task.plain is None else joint_model(task.plain)
-        joined = _tried(e, replace(task, number=len(flights), model=joint_model(task.model), plain=plain))
-        together[e.name] = _with_airspeed_errors([joined], [flights])[0]
-    done = []
+        base_model = None if task.plain is None else joint_model(task.plain)
+        joined = _tried(e, replace(task, number=len(flights), model=joint_model(task.model), plain=base_model))
+        joint_outcomes[e.name] = _with_airspeed_errors([joined], [flights])[0]
+    estimates = []
     for i, flight in enumerate(flights):
-        results, failures = _split({m: outcomes[i] for m, outcomes in found.items()})
-        done.append(FlightEstimates(flight, results, failures))
-    mean = {m: scatter(r) for m, outcomes in found.items() if (r := [o for o in outcomes if isinstance(o, Result)])}
-    results, failures = _split(together)
+        results, failures = _split({m: outcomes[i] for m, outcomes in outcomes_by_method.items()})
+        estimates.append(FlightEstimates(flight, results, failures))
+    mean = {
+        m: parameter_scatter(r)
+        for m, outcomes in outcomes_by_method.items()
+        if (r := [o for o in outcomes if isinstance(o, Result)])
+    }
+    results, failures = _split(joint_outcomes)
     return EstimationSession(
-        task.aircraft, task.model, tuple(found), tuple(done), results, mean, joint_failures=failures
+        task.aircraft, task.model, tuple(outcomes_by_method), tuple(estimates), results, mean, joint_failures=failures
     )
 
 
 def _with_airspeed_errors(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
     """Outcomes with what the airspeeds of their flights may be off in the bounds."""
     pairs = zip(outcomes, flights, strict=True)
-    return [with_airspeed_error(o, of) if isinstance(o, Result) else o for o, of in pairs]
+    return [with_airspeed_error(o, members) if isinstance(o, Result) else o for o, members in pairs]
 
 
 def _judged(session: EstimationSession) -> EstimationSession:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
-    found = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
+    reconstructed = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
-    craft = of_aircraft(session.aircraft, session.model)
+    craft = aircraft_objections(session.aircraft, session.model)
     flights = tuple(
         replace(
             f,
             verdict=verdict(
                 f.results,
                 f.failures,
-                reconstructed=found[f.flight.name],
+                reconstructed=reconstructed[f.flight.name],
                 odd=odd[f.flight.name],
                 craft=craft,
                 structure=f.structure,
@@ -123,34 +128,34 @@ def _judged(session: EstimationSession) -> EstimationSession:
     )
     if not session.joint and not session.joint_failures:
         return replace(session, flights=flights)
-    any_of = tuple(sorted(set().union(*found.values())))
+    any_of = tuple(sorted(set().union(*reconstructed.values())))
     members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
-    every = [f"{name}: {text}" for name, texts in odd.items() for text in texts]
-    said = verdict(
+    all_odd = [f"{name}: {text}" for name, texts in odd.items() for text in texts]
+    joint_verdict = verdict(
         session.joint,
         session.joint_failures,
         members,
         any_of,
-        every,
+        all_odd,
         craft=craft,
         structure=session.structure,
         odd_flights=session.odd,
     )
-    return replace(session, flights=flights, verdict=said)
+    return replace(session, flights=flights, verdict=joint_verdict)
 
 
 def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
     """Flow angles of the model that `sideslip reconstruct` has put into the flight."""
-    used = {s.source for s in (*model.inputs, *model.outputs, *model.states)}
-    return tuple(sorted(used & set(flight.reconstructed) & {"alpha", "beta"}))
+    model_columns = {s.source for s in (*model.inputs, *model.outputs, *model.states)}
+    return tuple(sorted(model_columns & set(flight.reconstructed) & {"alpha", "beta"}))
 
 
 def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
     """What the record of a flight itself shows of columns of the model that are of another unit or sign, and the contradictions
     in it that move derivatives."""
-    used = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
-    odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
-    slow = too_slow(flight, used)
+    model_columns = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
+    odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if model_columns & set(s.columns))
+    slow = too_slow(flight, model_columns)
     return (
         *odd,
         *([slow] if slow else []),
@@ -162,7 +167,7 @@ def _tried(estimator: Estimator, task: Task) -> Outcome:
     """One fit; where it fails, why: the results of other methods and flights stand."""
     try:
         with numerical_failures():
-            return believable(estimator.fit(task.for_estimator(estimator)))
+            return mark_not_finite(estimator.fit(task.for_estimator(estimator)))
     except (UserError, NumericalFailure) as error:
         return error
 
@@ -174,7 +179,7 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
         try:
             with numerical_failures():
-                return [believable(r) for r in estimator.fit_each(task.for_estimator(estimator))]
+                return [mark_not_finite(r) for r in estimator.fit_each(task.for_estimator(estimator))]
         except (UserError, NumericalFailure):
             pass  # one of them cannot be used: which one shows when each is tried by itself
     results = []
@@ -207,14 +212,14 @@ def run_method(
 ) -> Result:
     """One method over one flight or several together; NumericalFailure where its arithmetic fails."""
     with numerical_failures():
-        return believable(find(method).fit(Task(model, flights, aircraft, extras, device)))
+        return mark_not_finite(find_estimator(method).fit(Task(model, flights, aircraft, extras, device)))
 
 
-def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
+def _check(extras: Extras, model: Model, estimators: Sequence[Estimator]) -> None:
     """EstimationError before any work is done for extras that cannot be had."""
-    check_extras(extras.asked, chosen)
+    check_extras(extras.asked, estimators)
     if extras.bootstrap:
-        from estimation.estimators.bootstrap import check_replicates
+        from estimation.estimators.refits import check_replicates
 
         check_replicates(extras.bootstrap)
     if extras.seed < 0:

@@ -1,14 +1,103 @@
-"""A second look at an answer: channels the model does not explain, controls of the wrong sign or unit."""
+"""A second look at an answer: channels the model does not explain, controls and channels of the wrong sign or unit.
 
+What the data show by themselves is told by `groundstation.flight.quality.plausibility`.
+"""
+
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimation.estimators.result import Result
-from estimation.models.base import ParameterRole
-from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
-from estimation.signals.preprocess import noise_level
+from estimation.estimators.result import Estimate, Result
+from estimation.estimators.uncertainty import inputs_beside
+from estimation.models.base import Model, ParameterRole
+from estimation.signals.denoise import noise_level
+
+Array = NDArray[np.float64]
+
+FAR = 8.0  # times what was believed
+SURE_BOUNDS = 5.0  # bounds by which a derivative has to differ from zero
+TURNED = -0.7  # correlation of a channel with what the model makes of it: -0.9 to -1 where its sign is turned
+
+
+def turned_outputs(model: Model, fits: Iterable[tuple[Array, Array]]) -> list[str]:
+    """One sentence for each output that moves against the model's.
+
+    fits: measured and modelled outputs (N, ny) of each record, NaN where not measured.
+    """
+    pairs = [(_moving(measured, modelled), _moving(modelled, measured)) for measured, modelled in fits]
+    products = sum(np.nansum(a * b, axis=0) for a, b in pairs)
+    power = [sum(np.nansum(side**2, axis=0) for side in sides) for sides in zip(*pairs, strict=True)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.atleast_1d(products / np.sqrt(np.prod(power, axis=0)))
+    return [
+        f"{signal.source}: moves against what the other channels make of it (correlation {c:.2f} with the model): "
+        "is its sign wrong (sign = -1)?"
+        for signal, c in zip(model.outputs, correlation, strict=False)
+        if c < TURNED
+    ]
+
+
+def _moving(values: Array, reference: Array) -> Array:
+    """Values (N, n) about their mean over the rows where the other is known too."""
+    common = np.where(np.isfinite(values) & np.isfinite(reference), values, np.nan)
+    counts = np.isfinite(common).sum(axis=0)
+    return np.asarray(common - np.nansum(common, axis=0) / np.maximum(counts, 1))
+
+
+def turned_side_force(model: Model, parameters: Mapping[str, Estimate]) -> list[str]:
+    """A sentence where air from the side pulls the aircraft towards it, as no aircraft's does: `CY_beta` above 0."""
+    side_force = parameters.get("CY_beta")
+    measured = "ay" in {s.source for s in model.outputs}
+    if (
+        side_force is None
+        or not measured
+        or not side_force.identifiable
+        or side_force.estimate < SURE_BOUNDS * side_force.std_coloured
+    ):
+        return []
+    size = f"CY_beta = {side_force.estimate:.3g} +- {side_force.std_coloured:.2g}, and no aircraft's is above 0"
+    return [f"ay: pushes the aircraft into the wind ({size}): is its sign wrong (sign = -1)?"]
+
+
+def turned_controls(model: Model, parameters: Mapping[str, Estimate]) -> list[str]:
+    """A sentence for each control all of whose derivatives have the sign that was not believed."""
+    return [
+        f"{' and '.join(ratios)}: of the opposite sign of what was believed: check the sign of {column}"
+        for column, ratios in _ratios(model, parameters).items()
+        if all(r < 0.0 for r in ratios.values())
+    ]
+
+
+def controls_of_another_unit(model: Model, parameters: Mapping[str, Estimate]) -> list[str]:
+    """A sentence for each control all of whose derivatives are of another order of magnitude than was believed."""
+    sentences = []
+    for column, ratios in _ratios(model, parameters).items():
+        sizes = [abs(r) for r in ratios.values()]
+        if max(ratios.values()) > 0.0 and (min(sizes) > FAR or max(sizes) < 1.0 / FAR):
+            times = ", ".join(f"{r:.2g}" for r in ratios.values())
+            sentences.append(f"{' and '.join(ratios)}: {times} times what was believed: check the unit of {column}")
+    return sentences
+
+
+def _ratios(model: Model, parameters: Mapping[str, Estimate]) -> Mapping[str, Mapping[str, float]]:
+    """Column of each control -> its derivatives that can be told -> estimate over what was believed."""
+    identifiable = {
+        n: e for n, e in parameters.items() if e.identifiable and abs(e.estimate) > SURE_BOUNDS * e.std_coloured
+    }
+    by_control = {
+        s.source: {
+            n: e.estimate / e.reference
+            for n, e in identifiable.items()
+            if e.reference and s.name in inputs_beside(model, n)
+        }
+        for s in model.inputs
+        if s.control
+    }
+    return {column: ratios for column, ratios in by_control.items() if ratios}
+
 
 UNEXPLAINED = 0.5  # r2 below which a channel is not explained
 AUDIBLE = 3.0  # residual in units of the channel's white noise from which that is no matter of noise
@@ -59,7 +148,7 @@ class Doubt:
 
 def doubts_of(result: Result) -> list[Doubt]:
     """Channels that the model does not explain, and derivatives far from what was believed."""
-    said = []
+    doubts = []
     fit = result.flights[0]
     for i, (name, f) in enumerate(fit.fit.items()):
         measured = fit.measured[np.isfinite(fit.measured[:, i]), i]
@@ -67,40 +156,42 @@ def doubts_of(result: Result) -> list[Doubt]:
             text = (
                 f"{name} is not explained by the model (r2 {f.r2:.2f}): check its unit, sign and sensor, and the model"
             )
-            said.append(Doubt(DoubtKind.UNEXPLAINED, text))
-    model, found = result.model, result.parameters
-    turned = turned_outputs(model, [(f.measured, f.outputs) for f in result.flights])
-    said += [Doubt(DoubtKind.CHANNEL_SIGN, text) for text in (*turned, *turned_side_force(model, found))]
-    said += [Doubt(DoubtKind.SIGN, text) for text in turned_controls(model, found)]
-    return said + [Doubt(DoubtKind.UNIT, t) for t in controls_of_another_unit(model, found)]
+            doubts.append(Doubt(DoubtKind.UNEXPLAINED, text))
+    model, parameters = result.model, result.parameters
+    turned_channels = turned_outputs(model, [(f.measured, f.outputs) for f in result.flights])
+    doubts += [
+        Doubt(DoubtKind.CHANNEL_SIGN, text) for text in (*turned_channels, *turned_side_force(model, parameters))
+    ]
+    doubts += [Doubt(DoubtKind.SIGN, text) for text in turned_controls(model, parameters)]
+    return doubts + [Doubt(DoubtKind.UNIT, t) for t in controls_of_another_unit(model, parameters)]
 
 
-def impossible(result: Result) -> list[str]:
+def impossible_values(result: Result) -> list[str]:
     """Biases and constants that no instrument and no trim can have, by more than their bounds; one sentence each."""
-    said = []
+    sentences = []
     for e in (*result.parameters.values(), *(o for f in result.flights for o in f.local.values())):
         parameter = result.model.parameter(e.name)
-        beyond = abs(e.estimate) - SURE * e.std_coloured
+        excess = abs(e.estimate) - SURE * e.std_coloured
         if parameter.role is ParameterRole.INSTRUMENT and e.name.startswith("bias_"):
-            most = LARGEST_BIAS.get(parameter.unit, np.inf)
-            if beyond > most:
-                said.append(
-                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is no bias of an instrument (at most {most:g})"
+            largest = LARGEST_BIAS.get(parameter.unit, np.inf)
+            if excess > largest:
+                sentences.append(
+                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is no bias of an instrument (at most {largest:g})"
                 )
         elif parameter.role is ParameterRole.CONSTANT and e.name.partition("_")[0] in SYMMETRIC:
-            angle = beyond / _strongest(result, e.name.partition("_")[0])
+            angle = excess / _strongest(result, e.name.partition("_")[0])
             if angle > TRIM:
-                said.append(
+                sentences.append(
                     f"{e.name} = {e.estimate:.3g} stands for {np.degrees(angle):.0f} deg of sideslip or surface out of trim"
                 )
-    return list(dict.fromkeys(said))
+    return list(dict.fromkeys(sentences))
 
 
 def _strongest(result: Result, coefficient: str) -> float:
     """Largest derivative [1/rad] of a coefficient by sideslip or a surface; infinite where none can be told."""
-    told = [
+    sizes = [
         abs(e.estimate)
         for n, e in result.parameters.items()
         if e.identifiable and n.partition("_")[0] == coefficient and n.partition("_")[2] in ("beta", "da", "dr")
     ]
-    return max(told, default=0.0) or np.inf
+    return max(sizes, default=0.0) or np.inf

@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from estimation.aircraft import Aircraft
-from estimation.estimators.registry import names
-from estimation.estimators.result import Result, finite
+from estimation.estimators.registry import estimator_names
+from estimation.estimators.result import Result, finite_or_none
 from estimation.models.base import Model
+from estimation.session.evidence import Scatter
 from estimation.session.sanity_checks import Doubt, doubts_of
-from estimation.session.scatter import Scatter
 from estimation.session.verdict import Verdict
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import StructureTest
 from groundstation.flight import Flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import finding_texts
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,10 @@ class FlightEstimates:
     def notes(self) -> tuple[str, ...]:
         """Sentences on what was done to the data, and on what of the first method's answer asks for a second look."""
         first = self._first
-        return (*texts((self.flight if first is None else first.flights[0]).notes), *(d.text for d in self.doubts))
+        return (
+            *finding_texts((self.flight if first is None else first.flights[0]).notes),
+            *(d.text for d in self.doubts),
+        )
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
@@ -68,40 +71,42 @@ class EstimationSession:
     def leading(self) -> Result | None:
         """The joint estimate that figures and tables of one estimate show: the recommended, else the usual method's, else the
         first."""
-        best = "" if self.verdict is None else self.verdict.recommended.method
-        return self.joint.get(best) or self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
+        method = "" if self.verdict is None else self.verdict.recommended.method
+        return self.joint.get(method) or self.joint.get(estimator_names()[0]) or next(iter(self.joint.values()), None)
 
     @property
     def converged(self) -> bool:
         """Whether every method came to a usable end on every flight."""
-        each = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
-        lost = self.joint_failures or any(f.failures for f in self.flights)
-        return bool(each) and all(r.converged for r in each) and not lost
+        results = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
+        failures = self.joint_failures or any(f.failures for f in self.flights)
+        return bool(results) and all(r.converged for r in results) and not failures
 
     @property
     def text(self) -> str:
         """One sentence on how it went."""
-        bad = [f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged]
-        bad += [f"{f.flight.name} ({m})" for f in self.flights for m in f.failures]
-        bad += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
-        bad += [f"joint ({m})" for m in self.joint_failures]
-        if bad:
-            return f"not converged: {', '.join(bad)}"
+        not_converged = [
+            f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged
+        ]
+        not_converged += [f"{f.flight.name} ({m})" for f in self.flights for m in f.failures]
+        not_converged += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
+        not_converged += [f"joint ({m})" for m in self.joint_failures]
+        if not_converged:
+            return f"not converged: {', '.join(not_converged)}"
         blind = sorted(
             {n for f in self.flights for r in f.results.values() for n, e in r.parameters.items() if not e.identifiable}
         )
-        said = f"{len(self.flights)} flight{'s' if len(self.flights) > 1 else ''} estimated"
+        summary = f"{len(self.flights)} flight{'s' if len(self.flights) > 1 else ''} estimated"
         if not blind:
-            return said
-        return f"{said}; in some flights the data cannot tell {', '.join(blind)}{self._together(blind)}"
+            return summary
+        return f"{summary}; in some flights the data cannot tell {', '.join(blind)}{self._together(blind)}"
 
     def _together(self, blind: list[str]) -> str:
         """What the joint estimate makes of parameters that some flights cannot tell."""
         joint = next(iter(self.joint.values()), None)
         if joint is None:
             return ""
-        left = [n for n in blind if n in joint.parameters and not joint.parameters[n].identifiable]
-        return f"; nor can all together tell {', '.join(left)}" if left else "; all together can"
+        undetermined = [n for n in blind if n in joint.parameters and not joint.parameters[n].identifiable]
+        return f"; nor can all together tell {', '.join(undetermined)}" if undetermined else "; all together can"
 
     def to_json(self) -> dict[str, Any]:
         """As the interface description has it."""
@@ -114,7 +119,7 @@ class EstimationSession:
             "status": self.text,
             "flights": [_flight_json(f) for f in self.flights],
             "mean": {
-                method: {n: {"mean": finite(s.mean), "std": finite(s.std)} for n, s in table.items()}
+                method: {n: {"mean": finite_or_none(s.mean), "std": finite_or_none(s.std)} for n, s in table.items()}
                 for method, table in self.mean.items()
             },
             "joint": {method: r.to_json() for method, r in self.joint.items()},
@@ -126,7 +131,7 @@ class EstimationSession:
             **({"truth": dict(self.truth)} if self.truth else {}),
             "scatter": {
                 method: {
-                    n: {"ratio": finite(s.ratio), "probability": s.probability, "text": s.text}
+                    n: {"ratio": finite_or_none(s.ratio), "probability": s.probability, "text": s.text}
                     for n, s in table.items()
                     if s.count > 1
                 }
@@ -141,8 +146,8 @@ def _flight_json(f: FlightEstimates) -> dict[str, Any]:
         "samples": len(f.flight),
         "methods": {m: r.to_json() for m, r in f.results.items()},
     }
-    for method, why in f.failures.items():
-        data["methods"][method] = {"converged": False, "status": why, "parameters": {}, "fit": {}}
+    for method, reason in f.failures.items():
+        data["methods"][method] = {"converged": False, "status": reason, "parameters": {}, "fit": {}}
     data |= _verdict_json(f.verdict, f.doubts)
     if f.structure is not None:
         data["structure"] = f.structure.to_json()
@@ -151,11 +156,11 @@ def _flight_json(f: FlightEstimates) -> dict[str, Any]:
     return data
 
 
-def _verdict_json(verdict: Verdict | None, more: Sequence[Doubt] = ()) -> dict[str, Any]:
-    """`recommended` and `doubts`; nothing where there is no verdict. more: doubts beside those of the verdict."""
+def _verdict_json(verdict: Verdict | None, more_doubts: Sequence[Doubt] = ()) -> dict[str, Any]:
+    """`recommended` and `doubts`; nothing where there is no verdict. more_doubts: doubts beside those of the verdict."""
     if verdict is None:
         return {}
     return {
         "recommended": verdict.recommended.to_json(),
-        "doubts": [d.to_json() for d in (*verdict.doubts, *more)],
+        "doubts": [d.to_json() for d in (*verdict.doubts, *more_doubts)],
     }

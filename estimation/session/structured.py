@@ -9,22 +9,18 @@ from dataclasses import replace
 from enum import Enum
 
 from daq.contract.errors import UserError
-from estimation.engine.data import FlightData
-from estimation.engine.prepared import compared
 from estimation.errors import EstimationError
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.estimator import Task
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
-from estimation.models.base import Model
+from estimation.models.base import Model, joint_model
 from estimation.models.library import WHOLE
-from estimation.session.joint import joint_model
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.session import EstimationSession
-from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
-from estimation.structure.excerpt import excerpt
-from estimation.structure.following import follows_controls
-from estimation.structure.linearised import linearise
-from estimation.structure.odd_flights import OddFlight, odd_flights
+from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
+from estimation.structure.linearised import linearise_fit
+from estimation.structure.odd_flights import OddFlight, first_part, follows_controls, odd_flights
 from estimation.structure.score_test import Lack, StructureTest, structure_of
 from groundstation.flight import Flight
 
@@ -48,27 +44,27 @@ class StructureWish(Enum):
         return cls(text)
 
 
-def structured(
+def with_structure_tests(
     session: EstimationSession, task: Task, wish: StructureWish, fitted: Callable[[Model], EstimationSession]
 ) -> EstimationSession:
     """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
 
     fitted: the session of another model.
     """
-    added: list[str] = []
+    added_names: list[str] = []
     ambiguous: list[Lack] = []
-    now = _tested(session, task)
+    tested = _tested(session, task)
     for _ in range(ROUNDS):
-        lacks = _lacks(now)
-        new = [lack for lack in lacks if _wanted(lack, now.model, wish) and lack.names[0] not in added]
+        lacks = _lacks(tested)
+        new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
         if not new:
             break
-        chosen = {c.name: c for c in candidates(now.model)}
-        terms = [chosen[lack.names[0]] for lack in new if lack.names[0] in chosen]
-        added += [t.name for t in terms]
+        by_name = {c.name: c for c in structure_candidates(tested.model)}
+        terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
+        added_names += [t.name for t in terms]
         ambiguous += [lack for lack in new if lack.rivals]
-        now = _tested(fitted(with_candidates(now.model, _fresh(terms))), task)
-    return _with_added(now, added, ambiguous)
+        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms))), task)
+    return _with_added(tested, added_names, ambiguous)
 
 
 def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
@@ -77,9 +73,9 @@ def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
 
 def _lacks(session: EstimationSession) -> list[Lack]:
     """The strongest lack of the joint fit, else the strongest of any flight; one at a time, for each changes the others."""
-    every = [session.structure] if session.structure is not None else [f.structure for f in session.flights]
-    found = [lack for s in every if s is not None for lack in s.lacks[:1]]
-    return sorted(found, key=lambda lack: -abs(lack.leading.score))[:1]
+    tests = [session.structure] if session.structure is not None else [f.structure for f in session.flights]
+    strongest = [lack for s in tests if s is not None for lack in s.lacks[:1]]
+    return sorted(strongest, key=lambda lack: -abs(lack.leading.score))[:1]
 
 
 def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
@@ -91,12 +87,12 @@ def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
     return model.name in WHOLE and lack.leading.candidate.kind is CandidateKind.LINEAR
 
 
-def _with_added(session: EstimationSession, added: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
+def _with_added(session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
     flights = tuple(
-        replace(f, structure=None if f.structure is None else f.structure.with_added(added, ambiguous))
+        replace(f, structure=None if f.structure is None else f.structure.with_added(added_names, ambiguous))
         for f in session.flights
     )
-    joint = None if session.structure is None else session.structure.with_added(added, ambiguous)
+    joint = None if session.structure is None else session.structure.with_added(added_names, ambiguous)
     return replace(session, flights=flights, structure=joint)
 
 
@@ -128,12 +124,12 @@ def _of_basis(
         return StructureTest((), (), why_not="not tested: no fit to test"), ()
     basis = next((usable[m] for m in ("ml", *FILTERS) if m in usable), None)
     model = session.model
-    _, ready = compared(session.model, replace(task, model=session.model).data)
+    _, ready = without_absent_outputs(session.model, replace(task, model=session.model).data)
     if basis is None:
         basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
-    found, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
+    structure, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
     follows = {m: follows_controls(usable[m], ready) for m in FILTERS if m in usable}
-    return replace(found, follows={m: text for m, text in follows.items() if text}), odd
+    return replace(structure, follows={m: text for m, text in follows.items() if text}), odd
 
 
 def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
@@ -141,30 +137,30 @@ def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
     from estimation.session.verdict import verdict
 
     method = verdict(results).recommended.method
-    chosen = results.get(method, basis)
-    return chosen if set(chosen.names) == set(basis.names) else basis
+    recommended = results.get(method, basis)
+    return recommended if set(recommended.names) == set(basis.names) else basis
 
 
 def _of_result(
-    basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
+    basis: Result, recommended: Result, ready: list[FlightData], places: Collection[str]
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
     others.
 
     places: sensors whose places are stated, so that readings are brought to the CG.
     """
-    filtered = chosen.method in FILTERS
-    at = chosen if filtered else basis
-    linear = linearise(*excerpt(at, ready))
+    filtered = recommended.method in FILTERS
+    linearised_result = recommended if filtered else basis
+    linear = linearise_fit(*first_part(linearised_result, ready))
     if linear is None:
         return StructureTest((), (), why_not="not tested: the motion runs away from the smallest change"), ()
     if "imu" in places:
         linear = linear.without(CandidateKind.PLACE)
-    found = structure_of(linear, chosen, filtered=filtered)
-    lacking = [lack.leading.candidate.name for lack in found.lacks]
-    odd = odd_flights(linear.absorbing(lacking), chosen)
+    structure = structure_of(linear, recommended, filtered=filtered)
+    names = [lack.leading.candidate.name for lack in structure.lacks]
+    odd = odd_flights(linear.absorbing(names), recommended)
     differ = {o.flight for o in odd if o.moves > MOVES}
     if differ and len(linear.flights) > len(differ) + 1:
         linear = replace(linear, flights=tuple(f for f in linear.flights if f.name not in differ))
-        found = structure_of(linear, chosen, filtered=filtered)
-    return found, odd
+        structure = structure_of(linear, recommended, filtered=filtered)
+    return structure, odd

@@ -15,11 +15,10 @@ import numpy as np
 
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
-from estimation.session.evidence import ProcessNoise, gain_of_filter, predictability
-from estimation.session.of_aircraft import NOTHING, OfAircraft
-from estimation.session.plausible_derivatives import implausible
-from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible
-from estimation.session.scatter import scatter
+from estimation.session.aircraft_review import NOTHING, AircraftObjections
+from estimation.session.evidence import ProcessNoise, gain_of_filter, parameter_scatter, predictability
+from estimation.session.plausible_derivatives import implausible_derivatives
+from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible_values
 from estimation.structure.odd_flights import OddFlight
 from estimation.structure.score_test import Lack, StructureTest
 
@@ -84,8 +83,8 @@ class _Case:
     @property
     def left(self) -> list[str]:
         """Methods that nothing speaks against, the most trusted first."""
-        sound = [m for m in self.results if m not in self.against]
-        return sorted(sound, key=lambda m: TRUST.get(m, len(TRUST)))
+        methods = [m for m in self.results if m not in self.against]
+        return sorted(methods, key=lambda m: TRUST.get(m, len(TRUST)))
 
     def object_to(self, method: str, kind: DoubtKind, text: str) -> None:
         """Note a doubt that speaks against a method."""
@@ -99,7 +98,7 @@ def verdict(
     members: Mapping[str, Sequence[Result]] | None = None,
     reconstructed: Sequence[str] = (),
     odd: Sequence[str] = (),
-    craft: OfAircraft = NOTHING,
+    craft: AircraftObjections = NOTHING,
     structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
 ) -> Verdict:
@@ -120,20 +119,22 @@ def verdict(
         case.doubts.append(Doubt(DoubtKind.CHANNEL, text))
         case.against = dict.fromkeys(results, text) | case.against
     if reconstructed:
-        what = f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
+        objection = (
+            f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
+        )
         for method in (m for m in results if m not in TRUSTED_RECONSTRUCTED):
-            case.object_to(method, DoubtKind.RECONSTRUCTED, what)
-    for method, why in (failures or {}).items():
-        case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {why}"))
+            case.object_to(method, DoubtKind.RECONSTRUCTED, objection)
+    for method, reason in (failures or {}).items():
+        case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {reason}"))
     for method, result in results.items():
         _own_doubts(case, method, result, craft.aspect)
-    for method, many in (members or {}).items():
-        if method in results and len(many) > 1:
-            _members(case, method, results[method], many)
+    for method, results_of_flights in (members or {}).items():
+        if method in results and len(results_of_flights) > 1:
+            _members(case, method, results[method], results_of_flights)
     if members:
         case.doubts += _stretched(next(iter(results.values()), None))
-    chosen = of_structure(_choice(case, tested=structure is not None), case.doubts, structure, odd_flights)
-    return Verdict(chosen, tuple(case.doubts))
+    recommendation = of_structure(_choice(case, tested=structure is not None), case.doubts, structure, odd_flights)
+    return Verdict(recommendation, tuple(case.doubts))
 
 
 def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None:
@@ -141,9 +142,9 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
     if not result.converged:
         case.object_to(method, DoubtKind.FAILED, result.text)
         return
-    for text in impossible(result):
+    for text in impossible_values(result):
         case.object_to(method, DoubtKind.INSTRUMENT, text)
-    for text in implausible(result, aspect):
+    for text in implausible_derivatives(result, aspect):
         case.object_to(method, DoubtKind.IMPLAUSIBLE, text)
     for doubt in doubts_of(result):
         if doubt.kind in (DoubtKind.SIGN, DoubtKind.CHANNEL_SIGN, DoubtKind.UNIT):
@@ -156,17 +157,20 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
 
 
 def of_structure(
-    chosen: Recommendation, doubts: list[Doubt], structure: StructureTest | None, odd_flights: Sequence[OddFlight]
+    recommendation: Recommendation,
+    doubts: list[Doubt],
+    structure: StructureTest | None,
+    odd_flights: Sequence[OddFlight],
 ) -> Recommendation:
     """The recommendation in view of what the model lacks and of flights that differ; their doubts are added to `doubts`."""
     structure = structure or StructureTest((), ())
-    lacking, ambiguous = structure.lacks, structure.ambiguous
-    against = [structure.follows[chosen.method]] if chosen.method in structure.follows else []
+    lacks, ambiguous = structure.lacks, structure.ambiguous
+    against = [structure.follows[recommendation.method]] if recommendation.method in structure.follows else []
     doubts += [Doubt(DoubtKind.PROCESS_NOISE, f"{method}: {text}") for method, text in structure.follows.items()]
     for odd in odd_flights:
         doubts.append(Doubt(DoubtKind.ODD_FLIGHT, odd.text))
         against += [odd.text] if odd.moves > NOTABLE else []
-    for lack in lacking:
+    for lack in lacks:
         text = lack_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))
         against += [text] if lack.matters else []
@@ -174,24 +178,24 @@ def of_structure(
         text = ambiguous_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))
         against += [text] if lack.apart > NOTABLE else []
-    names = tuple(dict.fromkeys(n for lack in (*lacking, *ambiguous) for n in lack.names))
+    names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
-        return replace(chosen, lacks=names) if lacking else chosen
-    why = "; ".join(against) if chosen.method != NOBODY else _joined("; ".join(against), chosen.why)
-    return Recommendation(NOBODY, why, names)
+        return replace(recommendation, lacks=names) if lacks else recommendation
+    reason = "; ".join(against) if recommendation.method != NOBODY else _joined("; ".join(against), recommendation.why)
+    return Recommendation(NOBODY, reason, names)
 
 
 def lack_text(lack: Lack) -> str:
     """What the model lacks, how sure that is, what it moves and how it is added."""
     leading = lack.leading
-    name, moved = leading.worst
+    name, bounds = leading.worst
     rivals = (
         f" (or {', '.join(r.candidate.phrase for r in lack.rivals)}: these flights cannot tell which)"
         if lack.rivals
         else ""
     )
     size = f"{leading.value:.3g} {leading.candidate.parameter.unit}".removesuffix(" 1")
-    moves = f"leaving it out moves {name} by {moved:.1f} of its bounds" if name else "it moves nothing that is printed"
+    moves = f"leaving it out moves {name} by {bounds:.1f} of its bounds" if name else "it moves nothing that is printed"
     return (
         f"the model lacks {leading.candidate.phrase}{rivals}: score {abs(leading.score):.1f} where chance reaches"
         f" {leading.threshold:g}, about {size}; {moves}; add it with: --structure auto"
@@ -233,33 +237,34 @@ def _process_noise(case: _Case) -> ProcessNoise:
     if ml is None or not ml.converged:
         return ProcessNoise(any(m in case.results for m in FILTERS), "")
     if fem is not None:
-        found = gain_of_filter(ml, fem)
-        apart = _furthest(ml, fem)
-        present = found.beyond_chance and (found.size > NOISY or (apart is not None and apart[1] > APART))
+        gain = gain_of_filter(ml, fem)
+        furthest = _furthest(ml, fem)
+        present = gain.beyond_chance and (gain.size > NOISY or (furthest is not None and furthest[1] > APART))
         text = (
-            f"process noise (gusts, or what the model lacks): filter error gains {found.gain:.0f} in twice the log likelihood "
-            f"over output error, chance {found.chance:.0f}, and takes {1.0 - math.exp(-0.5 * found.size):.0%} off the residuals"
+            f"process noise (gusts, or what the model lacks): filter error gains {gain.gain:.0f} in twice the log likelihood "
+            f"over output error, chance {gain.chance:.0f}, and takes {1.0 - math.exp(-0.5 * gain.size):.0%} off the residuals"
         )
-        said = ProcessNoise(present, text)
+        noise = ProcessNoise(present, text)
     else:
         size = predictability(ml)
         text = (
             f"its residuals follow one another ({1.0 - math.exp(-0.5 * size):.0%} of them is foretold by the sample before): "
             "gusts, or what the model lacks, move the aircraft; estimate with --method ml,fem,ls"
         )
-        said = ProcessNoise(size > PREDICTABLE, text)
-    if said.present:
-        case.doubts.append(Doubt(DoubtKind.PROCESS_NOISE, f"ml: {said.text}"))
-    return said
+        noise = ProcessNoise(size > PREDICTABLE, text)
+    if noise.present:
+        case.doubts.append(Doubt(DoubtKind.PROCESS_NOISE, f"ml: {noise.text}"))
+    return noise
 
 
 def _judge_innovations(case: _Case, method: str) -> None:
     """Innovations of a right model are white; where they are not, the filter has not taken up what drives the aircraft."""
-    from estimation.session.evidence import neighbours
+    from estimation.session.evidence import neighbour_correlations
 
-    worst = max(neighbours(case.results[method]).items(), key=lambda item: abs(item[1]), default=("", 0.0))
-    if abs(worst[1]) > COLOURED:
-        text = f"innovations of {worst[0]} are not white (neighbours correlate by {worst[1]:+.2f}): the model lacks something"
+    correlations = neighbour_correlations(case.results[method])
+    name, rho = max(correlations.items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    if abs(rho) > COLOURED:
+        text = f"innovations of {name} are not white (neighbours correlate by {rho:+.2f}): the model lacks something"
         case.object_to(method, DoubtKind.COLOURED, text)
 
 
@@ -270,35 +275,35 @@ def _contradicted(case: _Case, method: str) -> str:
     error, nor the other way round: where they differ the test of process noise has decided.
     """
     witnesses = [m for m in case.left if m in REGRESSIONS]
-    said = []
-    for other in witnesses:
-        apart = _furthest(case.results[method], case.results[other], REGRESSIONS[other])
-        if apart is None or apart[1] <= APART:
+    sentences = []
+    for witness in witnesses:
+        furthest = _furthest(case.results[method], case.results[witness], REGRESSIONS[witness])
+        if furthest is None or furthest[1] <= APART:
             return ""
-        said.append(f"{apart[0]} lies {apart[1]:.1f} joint bounds from that of {other}")
-    return " and ".join(said)
+        sentences.append(f"{furthest[0]} lies {furthest[1]:.1f} joint bounds from that of {witness}")
+    return " and ".join(sentences)
 
 
 def _without_likelihood(case: _Case) -> Recommendation:
     """Where neither likelihood is to be believed: a regression that another regression confirms to within bounds alone."""
     regressions = [m for m in case.left if m in REGRESSIONS]
     for i, method in enumerate(regressions):
-        for other in regressions[i + 1 :]:
-            apart = _furthest(case.results[method], case.results[other])
-            if apart is not None and apart[1] <= APART:
-                why = f"no likelihood is to be believed here ({_said(case)}), and {method} and {other} agree within their bounds"
-                return Recommendation(method, why)
-    others = [m for m in case.left if m not in REGRESSIONS and m not in ("ml", *FILTERS)]
-    if others:
-        return Recommendation(others[0], "nothing that is looked at speaks against it")
+        for second in regressions[i + 1 :]:
+            furthest = _furthest(case.results[method], case.results[second])
+            if furthest is not None and furthest[1] <= APART:
+                agree = f"{method} and {second} agree within their bounds"
+                return Recommendation(method, f"no likelihood is to be believed here ({_said(case)}), and {agree}")
+    unranked = [m for m in case.left if m not in REGRESSIONS and m not in ("ml", *FILTERS)]
+    if unranked:
+        return Recommendation(unranked[0], "nothing that is looked at speaks against it")
     if regressions:
-        why = f"{regressions[0]} takes measured motion for truth, which its bounds leave out; nothing confirms it"
-        return Recommendation(NOBODY, _joined(why, _said(case)))
+        reason = f"{regressions[0]} takes measured motion for truth, which its bounds leave out; nothing confirms it"
+        return Recommendation(NOBODY, _joined(reason, _said(case)))
     return Recommendation(NOBODY, _said(case))
 
 
 def _said(case: _Case) -> str:
-    return "; ".join(f"{m}: {why}" for m, why in case.against.items())
+    return "; ".join(f"{m}: {reason}" for m, reason in case.against.items())
 
 
 def _joined(*sentences: str) -> str:
@@ -324,12 +329,12 @@ def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
 
 def _furthest(a: Result, b: Result, share: float = 0.0) -> tuple[str, float] | None:
     """The parameter in which two results differ most, and by how many joint bounds. share: known error of `b`, of its value."""
-    found = [
+    distances = [
         (n, abs(e.estimate - o.estimate) / joint)
         for n, e, o in _both(a, b)
         if (joint := math.hypot(e.std_coloured, o.std_coloured, share * o.estimate)) > 0.0
     ]
-    return max(found, key=lambda item: item[1], default=None)
+    return max(distances, key=lambda item: item[1], default=None)
 
 
 def _both(a: Result, b: Result) -> list[tuple[str, Estimate, Estimate]]:
@@ -345,21 +350,21 @@ def _both(a: Result, b: Result) -> list[tuple[str, Estimate, Estimate]]:
 def _members(case: _Case, method: str, joint: Result, members: Sequence[Result]) -> None:
     """Doubts about a joint estimate that its members give: outside all of them, or bounds that their scatter denies."""
     for name, e in joint.parameters.items():
-        told = [r.parameters[name] for r in members if name in r.parameters and r.converged]
-        told = [o for o in told if o.identifiable]
-        if not e.identifiable or e.local or len(told) < 2:
+        identifiable = [r.parameters[name] for r in members if name in r.parameters and r.converged]
+        identifiable = [o for o in identifiable if o.identifiable]
+        if not e.identifiable or e.local or len(identifiable) < 2:
             continue
-        nearest = min(told, key=lambda o: abs(o.estimate - e.estimate))
-        low, high = min(o.estimate for o in told), max(o.estimate for o in told)
-        off = max(low - e.estimate, e.estimate - high)
+        nearest = min(identifiable, key=lambda o: abs(o.estimate - e.estimate))
+        low, high = min(o.estimate for o in identifiable), max(o.estimate for o in identifiable)
+        distance = max(low - e.estimate, e.estimate - high)
         bound = math.hypot(e.std_coloured, nearest.std_coloured)
-        if off > OUTSIDE * max(e.std_coloured, nearest.std_coloured):
-            where = f"outside its members ({low:.3g} to {high:.3g}) by {off / bound:.1f} joint bounds"
-            text = f"joint {name} {e.estimate:.3g} lies {where}"
+        if distance > OUTSIDE * max(e.std_coloured, nearest.std_coloured):
+            place = f"outside its members ({low:.3g} to {high:.3g}) by {distance / bound:.1f} joint bounds"
+            text = f"joint {name} {e.estimate:.3g} lies {place}"
             case.doubts.append(Doubt(DoubtKind.JOINT, f"{method}: {text}"))
-            if off > APART * bound:
+            if distance > APART * bound:
                 case.against.setdefault(method, text)
-    for name, s in scatter(members).items():
+    for name, s in parameter_scatter(members).items():
         if s.text:
             case.doubts.append(Doubt(DoubtKind.SCATTER, f"{method}, {name}: {s.text}"))
 
@@ -368,19 +373,19 @@ def _stretched(joint: Result | None) -> list[Doubt]:
     """Flights that move far beyond all others, which a shared linear model then extrapolates to."""
     if joint is None or len(joint.flights) < 2:
         return []
-    found = []
+    doubts = []
     for c, name in enumerate(joint.model.output_names):
-        reached = [float(np.max(np.abs(_centred(joint, i, c)))) for i in range(len(joint.flights))]
-        first, second = sorted(reached, reverse=True)[:2]
+        extents = [float(np.max(np.abs(_centred(joint, i, c)))) for i in range(len(joint.flights))]
+        first, second = sorted(extents, reverse=True)[:2]
         if second > 0.0 and first > BEYOND * second:
-            who = joint.flights[reached.index(first)].name
-            far = f"{who} moves {name} {first / second:.1f} times as far as any other flight"
-            text = f"{far}: one linear model is stretched there"
-            found.append(Doubt(DoubtKind.EXTRAPOLATION, text))
-    return found
+            flight = joint.flights[extents.index(first)].name
+            sentence = f"{flight} moves {name} {first / second:.1f} times as far as any other flight"
+            text = f"{sentence}: one linear model is stretched there"
+            doubts.append(Doubt(DoubtKind.EXTRAPOLATION, text))
+    return doubts
 
 
 def _centred(joint: Result, flight: int, channel: int) -> np.ndarray:
     values = joint.flights[flight].measured[:, channel]
-    known = values[np.isfinite(values)]
-    return known - np.median(known) if known.size else np.zeros(1)
+    finite = values[np.isfinite(values)]
+    return finite - np.median(finite) if finite.size else np.zeros(1)

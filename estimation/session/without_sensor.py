@@ -16,8 +16,8 @@ from estimation.estimators.arithmetic import NumericalFailure, numerical_failure
 from estimation.estimators.equation_error import equation_error
 from estimation.models.base import Model
 from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.windows import summed
+from groundstation.flight.arrays import integral
+from groundstation.flight.findings import Finding, FindingKind
 
 KINEMATIC = "beta_kinematic"
 MODELS = ("lateral", "lateral-simple")
@@ -46,26 +46,26 @@ def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequ
     states = tuple(
         replace(s, start=0.0) if s.source in columns and s.start is None and not s.held else s for s in model.states
     )
-    stated = [
-        f.with_notes(*(Note(NoteKind.NOT_MEASURED, LACKING[n]) for n in names)) if names else f
+    noted = [
+        f.with_notes(*(Finding(FindingKind.NOT_MEASURED, LACKING[n]) for n in names)) if names else f
         for f, names in zip(flights, absent, strict=True)
     ]
     slim = replace(model, outputs=outputs, states=states)
-    blind = [f for f, names in zip(stated, absent, strict=True) if "beta" in names]
-    return (_started(slim, blind) if blind else slim), stated
+    blind = [f for f, names in zip(noted, absent, strict=True) if "beta" in names]
+    return (_started(slim, blind) if blind else slim), noted
 
 
 def _started(model: Model, flights: Sequence[Flight]) -> Model:
     """The model with starts for derivatives of which nothing is believed, by a regression on the sideslip of the kinematics."""
     states = tuple(replace(s, column=KINEMATIC) if s.source == "beta" else s for s in model.states)
-    seen = [f.with_columns(**{KINEMATIC: kinematic_sideslip(f)}) for f in flights]
+    with_kinematics = [f.with_columns(**{KINEMATIC: kinematic_sideslip(f)}) for f in flights]
     try:
         with numerical_failures():
-            found = equation_error(replace(model, states=states), seen).values
+            estimated = equation_error(replace(model, states=states), with_kinematics).values
     except (UserError, NumericalFailure):
         return model
     unknown = [p.name for p in model.parameters if not p.fixed and p.reference is None]
-    return model.with_starts({n: found[n] for n in unknown if np.isfinite(found.get(n, np.nan))})
+    return model.with_starts({n: estimated[n] for n in unknown if np.isfinite(estimated.get(n, np.nan))})
 
 
 def kinematic_sideslip(flight: Flight) -> Array:
@@ -80,7 +80,7 @@ def kinematic_sideslip(flight: Flight) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = p * np.sin(alpha) - r * np.cos(alpha) + (ay + GRAVITY * np.cos(theta) * np.sin(phi)) / V
         if rate.size > 2 and np.isfinite(rate).all():
-            beta[part] = detrend(summed(flight.time[part], rate))
+            beta[part] = detrend(integral(flight.time[part], rate))
     return beta
 
 
@@ -88,5 +88,5 @@ def _filled(flight: Flight, name: str) -> Array:
     """A column with its holes on straight lines; zero where it is not measured."""
     if not flight.measured(name):
         return np.zeros(len(flight))
-    known = np.isfinite(flight[name])
-    return np.asarray(np.interp(flight.time, flight.time[known], flight[name][known]))
+    measured = np.isfinite(flight[name])
+    return np.asarray(np.interp(flight.time, flight.time[measured], flight[name][measured]))

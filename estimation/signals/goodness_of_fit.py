@@ -42,8 +42,8 @@ def _plain(value: float) -> float | int | None:
 
 def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
     """Fit of one channel; (N,) each, samples where either is NaN left out. All NaN when fewer than 3 remain."""
-    known = np.isfinite(measured) & np.isfinite(predicted)
-    z, y = measured[known], predicted[known]
+    both_measured = np.isfinite(measured) & np.isfinite(predicted)
+    z, y = measured[both_measured], predicted[both_measured]
     if z.size < 3:
         nan = float("nan")
         return ChannelFit(nan, nan, nan, nan, nan, nan, nan, int(z.size))
@@ -66,7 +66,7 @@ def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
     )
 
 
-def fits(names: Sequence[str], measured: Array, predicted: Array) -> dict[str, ChannelFit]:
+def channel_fits(names: Sequence[str], measured: Array, predicted: Array) -> dict[str, ChannelFit]:
     """Fit of every channel; measured, predicted: (N, ny)."""
     return {name: channel_fit(measured[:, i], predicted[:, i]) for i, name in enumerate(names)}
 

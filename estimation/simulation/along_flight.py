@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.contract.constants import GRAVITY
-from estimation.engine.data import FlightData, Preparation, prepare
-from estimation.engine.derived import bridged
 from estimation.models.base import Model, Signal
-from estimation.signals.preprocess import denoise
+from estimation.prepare.columns import bridge_gaps
+from estimation.prepare.flight_data import FlightData, Preparation
+from estimation.prepare.pipeline import prepare
+from estimation.signals.denoise import denoise
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from groundstation.flight import Flight
 
@@ -49,7 +50,7 @@ class Along:
     unmeasured: tuple[str, ...]
 
 
-def along(
+def simulate_along(
     simulation: Simulation,
     plain: Model,
     flights: Sequence[Flight],
@@ -64,39 +65,45 @@ def along(
     is not among them stays in the constant part, as it is at the motion. Raises SimulationError where the simulation lacks a
     coefficient of the model, DataError or MissingColumnError for a flight that cannot feed it.
     """
-    wanted = coefficients_in(plain)
-    by = variables_of(plain)
+    coefficients = coefficients_in(plain)
+    variables = variables_of(plain)
     slopes: list[dict[str, Array]] = []
-    asked, absent = [], set(VARIABLES)
+    flight_answers, absent = [], set(VARIABLES)
     for i, flight in enumerate(flights):
-        states, usable, lacking = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation)
-        absent &= lacking
-        at, by_variable = _asked(simulation, states, wanted, by)
-        asked.append((states, usable, at))
+        states, usable, unmeasured = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation)
+        absent &= unmeasured
+        base_values, by_variable = _asked_around(simulation, states, coefficients, variables)
+        flight_answers.append((states, usable, base_values))
         slopes.append(by_variable)
     if names is None:
-        kept = [n for n in slopes[0] if any(np.max(np.abs(s[n])) > LEAST for s in slopes)]
-        names = (*kept, *(column_name(c) for c in wanted))
+        slope_names = [n for n in slopes[0] if any(np.max(np.abs(s[n])) > LEAST for s in slopes)]
+        names = (*slope_names, *(column_name(c) for c in coefficients))
     columns = []
-    for (states, usable, at), own in zip(asked, slopes, strict=True):
-        table = {n: _placed(own[n], usable) for n in names if n in own}
-        for k, c in enumerate(wanted):
-            inside = [own[column_name(c, v)] * _of_states(states, v) for v in by if column_name(c, v) in table]
-            table[column_name(c)] = _placed(at[:, k] - sum(inside, np.zeros(len(states))), usable)
+    for (states, usable, base_values), flight_slopes in zip(flight_answers, slopes, strict=True):
+        table = {n: _placed_in_flight(flight_slopes[n], usable) for n in names if n in flight_slopes}
+        for k, c in enumerate(coefficients):
+            explained_parts = [
+                flight_slopes[column_name(c, v)] * _of_states(states, v)
+                for v in variables
+                if column_name(c, v) in table
+            ]
+            table[column_name(c)] = _placed_in_flight(
+                base_values[:, k] - sum(explained_parts, np.zeros(len(states))), usable
+            )
         columns.append(table)
     means = {
         (c, v): float(np.mean([np.mean(s[column_name(c, v)]) for s in slopes]))
-        for c in wanted for v in by if column_name(c, v) in slopes[0]
+        for c in coefficients for v in variables if column_name(c, v) in slopes[0]
     }  # fmt: skip
-    speed = float(np.mean([np.mean(states.values["V"]) for states, _, _ in asked]))
+    speed = float(np.mean([np.mean(states.values["V"]) for states, _, _ in flight_answers]))
     return Along(tuple(columns), tuple(names), means, speed, tuple(v for v in VARIABLES if v in absent))
 
 
 def variables_of(model: Model) -> list[str]:
     """What coefficients are differentiated by under a model: what it knows of VARIABLES, and the rate of alpha
     where it has a line for that."""
-    known = {*model.state_names, *model.input_names}
-    return [v for v in VARIABLES if v in known] + ([ALPHA_RATE] if ALPHA_RATE in model.definitions else [])
+    signal_names = {*model.state_names, *model.input_names}
+    return [v for v in VARIABLES if v in signal_names] + ([ALPHA_RATE] if ALPHA_RATE in model.definitions else [])
 
 
 def _of_states(states: States, variable: str) -> Array:
@@ -120,11 +127,13 @@ def motion(
     model: Model, flight: Flight, moved: Mapping[str, Array], preparation: Preparation
 ) -> tuple[States, np.ndarray, set[str]]:  # type: ignore[type-arg]
     """De-noised states of a flight where it can be used, which samples these are, and the variables that it does not measure."""
-    own = {s.name for s in (*model.inputs, *model.states)}
-    more = [
-        Signal(v, UNITS.get(v, "rad"), control=v.startswith("delta_"), optional=True) for v in VARIABLES if v not in own
+    signal_names = {s.name for s in (*model.inputs, *model.states)}
+    rate_columns = [
+        Signal(v, UNITS.get(v, "rad"), control=v.startswith("delta_"), optional=True)
+        for v in VARIABLES
+        if v not in signal_names
     ]
-    probe = model.plus(inputs=[*more, *([Signal("rho", "kg/m3")] if "rho" not in own else [])])
+    probe = model.plus(inputs=[*rate_columns, *([Signal("rho", "kg/m3")] if "rho" not in signal_names else [])])
     data = prepare(probe, flight, preparation)
     usable = np.zeros(data.samples, bool)
     values = {name: np.zeros(data.samples) for name in (*VARIABLES, "rho", ALPHA_RATE)}
@@ -133,28 +142,30 @@ def motion(
         usable[s] = True
         for name in (*VARIABLES, "rho"):
             measured = _course(probe, data, s, segment.u, name)
-            told = moved.get(name)
-            values[name][s] = measured if told is None else np.where(np.isfinite(told[s]), told[s], measured)
-        told = flight[ALPHA_RATE][s] if not preparation.denoise and flight.measured(ALPHA_RATE) else None
+            moved_values = moved.get(name)
+            values[name][s] = (
+                measured if moved_values is None else np.where(np.isfinite(moved_values[s]), moved_values[s], measured)
+            )
+        moved_values = flight[ALPHA_RATE][s] if not preparation.denoise and flight.measured(ALPHA_RATE) else None
         x = {n: v[s] for n, v in values.items()}
-        values[ALPHA_RATE][s] = _alpha_rate(flight, s, segment.time, x) if told is None else told
+        values[ALPHA_RATE][s] = _alpha_rate(flight, s, segment.time, x) if moved_values is None else moved_values
     if not (values["V"][usable] > 0.0).all():
         raise SimulationError(
             f"{flight.name}: V is not above zero everywhere; cut the flight to where it flies (--segments)"
         )
-    lacking = {v for v in VARIABLES if not flight.measured(v)}
-    kept = {n: values[n][usable] for n in VARIABLES}
-    return States(kept, values["rho"][usable], values[ALPHA_RATE][usable]), usable, lacking
+    unmeasured = {v for v in VARIABLES if not flight.measured(v)}
+    usable_values = {n: values[n][usable] for n in VARIABLES}
+    return States(usable_values, values["rho"][usable], values[ALPHA_RATE][usable]), usable, unmeasured
 
 
 def _alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -> Array:
     """(n,) rate of alpha [rad/s]: by the equation of motion from accelerometers and attitude where the flight has them, for a
     slope of a vane between samples misses what steps of the elevator do; else that slope."""
-    needed = ("ax", "az", "theta")
-    if not all(flight.measured(n) for n in needed):
+    columns = ("ax", "az", "theta")
+    if not all(flight.measured(n) for n in columns):
         return np.gradient(x["alpha"], time)
-    ax, az, theta = (bridged(flight[n][s]) for n in needed)
-    phi = bridged(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
+    ax, az, theta = (bridge_gaps(flight[n][s]) for n in columns)
+    phi = bridge_gaps(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
     gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
     c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
     rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))
@@ -167,42 +178,44 @@ def _course(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> Ar
     return np.nan_to_num(data.states[s, probe.state_names.index(name)])
 
 
-def _asked(
+def _asked_around(
     simulation: Simulation, states: States, wanted: Sequence[str], by: Sequence[str]
 ) -> tuple[Array, dict[str, Array]]:
     """(N, wanted) coefficients of one flight; column -> (N,) slopes."""
     steps = {v: STEPS.get(v) or SHARE * max(float(np.mean(np.abs(_of_states(states, v)))), 1.0) for v in by}
-    asked = [states, *(states.moved(v, sign * steps[v]) for v in by for sign in (1.0, -1.0))]
-    at, *moved = np.split(_of(simulation, States.joined(asked), wanted), len(asked))
+    shifted_states = [states, *(states.moved(v, sign * steps[v]) for v in by for sign in (1.0, -1.0))]
+    base_values, *shifted_values = np.split(
+        _coefficient_columns(simulation, States.joined(shifted_states), wanted), len(shifted_states)
+    )
     slopes = {
-        column_name(c, v): (moved[2 * j][:, k] - moved[2 * j + 1][:, k]) / (2.0 * steps[v])
+        column_name(c, v): (shifted_values[2 * j][:, k] - shifted_values[2 * j + 1][:, k]) / (2.0 * steps[v])
         for k, c in enumerate(wanted)
         for j, v in enumerate(by)
         if v != ALPHA_RATE or c in MOMENTS
     }
-    return at, slopes
+    return base_values, slopes
 
 
-def _placed(values: Array, usable: np.ndarray) -> Array:  # type: ignore[type-arg]
+def _placed_in_flight(values: Array, usable: np.ndarray) -> Array:  # type: ignore[type-arg]
     result = np.full(usable.size, np.nan)
     result[usable] = values
     return result
 
 
-def _of(simulation: Simulation, states: States, wanted: Sequence[str]) -> Array:
+def _coefficient_columns(simulation: Simulation, states: States, wanted: Sequence[str]) -> Array:
     """(N, wanted) coefficients, lift and drag turned out of body axes by the angle of attack."""
     body = simulation.oracle.coefficients(states)
     alpha = states.values["alpha"]
     X, Z = body[:, 0], body[:, 2]
-    made = {
+    coefficient_values = {
         **{c: body[:, i] for i, c in enumerate(COEFFICIENTS)},
         "CL": X * np.sin(alpha) - Z * np.cos(alpha),
         "CD": -X * np.cos(alpha) - Z * np.sin(alpha),
     }
-    lacking = [c for c in wanted if not np.isfinite(made[c]).all()]
-    if lacking:
+    missing_coefficients = [c for c in wanted if not np.isfinite(coefficient_values[c]).all()]
+    if missing_coefficients:
         raise SimulationError(
-            f"simulation {simulation.spec}: gives no {', '.join(lacking)}, which this model needs;"
+            f"simulation {simulation.spec}: gives no {', '.join(missing_coefficients)}, which this model needs;"
             " choose a --model that does without"
         )
-    return np.column_stack([made[c] for c in wanted])
+    return np.column_stack([coefficient_values[c] for c in wanted])

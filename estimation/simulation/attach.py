@@ -1,4 +1,4 @@
-"""What a verb with `--simulation` does first: the simulation along the flights, and the model that stands on it."""
+"""What a verb with `--simulation` does first: which simulation, along which flights, and the model that stands on it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,17 +8,42 @@ import numpy as np
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.models.load import load_model, read_model
-from estimation.simulation.along_flight import Along, along
+from estimation.simulation.along_flight import Along, simulate_along
+from estimation.simulation.autopilot.simulations import ARDUPILOT, GAZEBO, ardupilot_simulation, gazebo_simulation
 from estimation.simulation.base_model import Free, base_model
+from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
+from estimation.simulation.jsbsim.library import PREFIX
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError
-from estimation.simulation.spec import simulation_of
+from estimation.simulation.own_simulations import function_simulation, text_simulation
 from groundstation.flight import Flight
+
+# From the text after `--simulation` to a simulation: `jsbsim:AIRCRAFT`, `ardupilot:FILE.json`, `gazebo:FILE.sdf`,
+# `module:function` or `MODEL.toml`.
+
+
+def simulation_of(spec: str) -> Simulation:
+    """The simulation that `spec` names. Raises SimulationError (one sentence) where there is none."""
+    if spec.startswith(PREFIX):
+        return jsbsim_simulation(spec.removeprefix(PREFIX))
+    if spec.startswith(ARDUPILOT):
+        return ardupilot_simulation(spec.removeprefix(ARDUPILOT))
+    if spec.startswith(GAZEBO):
+        return gazebo_simulation(spec.removeprefix(GAZEBO))
+    if spec.endswith(".toml"):
+        return text_simulation(spec)
+    if ":" in spec:
+        return function_simulation(spec)
+    raise SimulationError(
+        f"simulation {spec!r}: write jsbsim:AIRCRAFT (a name or a folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+        " module:function, or a MODEL.toml"
+    )
+
 
 MOST = 6  # renewals; each squares what is left of the distance, so that more would not help
 SETTLED = 1e-3  # of a motion's own scatter: far below any noise beside it
@@ -60,38 +85,40 @@ def attach(
     if simulation.referred is not None:
         simulation = replace(simulation, oracle=simulation.referred(craft))
     if which in BUILDERS:
-        told = along(simulation, load_model(which, craft), flights)
-        model = base_model(simulation, which, craft, told, free)
+        along_flights = simulate_along(simulation, load_model(which, craft), flights)
+        model = base_model(simulation, which, craft, along_flights, free)
     else:
         model = _standing_on(which)
-        told = along(simulation, without_simulation(model), flights, names=computed(model))
-    return Attached(simulation, craft, model, carrying(flights, told), (*simulation.notes, *_unmeasured(told)))
+        along_flights = simulate_along(simulation, without_simulation(model), flights, names=computed(model))
+    return Attached(
+        simulation, craft, model, carrying(flights, along_flights), (*simulation.notes, *_unmeasured(along_flights))
+    )
 
 
-def renewed(attached: Attached, fitted: Model | None = None) -> Attached:
+def renewed_attachment(attached: Attached, fitted: Model | None = None) -> Attached:
     """The same with the simulation evaluated at the motion that `fitted` (by default the model as it stands) makes of each
     flight, instead of at the measured one.
 
     A model that predicts a flight leaves the measured motion by degrees, where slopes taken there no longer hold. Where only the
     initial states are fitted and that does not converge, the measured motion stays. The means that derivatives begin at stay too.
     """
-    moving = fitted or attached.model
-    told = along(
+    motion_model = fitted or attached.model
+    along_flights = simulate_along(
         attached.simulation, without_simulation(attached.model), attached.flights,
-        [_motion_of(moving, flight) for flight in attached.flights], names=computed(attached.model),
+        [_motion_of(motion_model, flight) for flight in attached.flights], names=computed(attached.model),
     )  # fmt: skip
-    return replace(attached, flights=carrying(attached.flights, told))
+    return replace(attached, flights=carrying(attached.flights, along_flights))
 
 
-def settled(attached: Attached) -> Attached:
+def motion_settled(attached: Attached) -> Attached:
     """The same with the simulation at the motion that the model predicts with it, renewed until that motion stays where it is."""
-    before = [_motion_of(attached.model, flight) for flight in attached.flights]
+    old_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
     for _ in range(MOST):
-        attached = renewed(attached)
-        after = [_motion_of(attached.model, flight) for flight in attached.flights]
-        if all(_same(one, two) for one, two in zip(before, after, strict=True)):
+        attached = renewed_attachment(attached)
+        new_motions = [_motion_of(attached.model, flight) for flight in attached.flights]
+        if all(_same_motion(old_motion, two) for old_motion, two in zip(old_motions, new_motions, strict=True)):
             break
-        before = after
+        old_motions = new_motions
     return attached
 
 
@@ -102,33 +129,34 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
             first = output_error(attached.model, attached.flights)
     except (UserError, NumericalFailure):
         return attached
-    return renewed(attached, first.fitted_model) if first.converged else attached
+    return renewed_attachment(attached, first.fitted_model) if first.converged else attached
 
 
 def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
     """Mass and inertia of the aircraft that is asked for, or that the flights name, else of the simulation; area, span and chord
     of the simulation where it has them, for its coefficients are referred to these, unless it refers them to any aircraft."""
-    own = simulation.aircraft
-    if given is None and own is not None and not any(f.provenance.aircraft for f in flights):
-        return own
+    simulation_aircraft = simulation.aircraft
+    if given is None and simulation_aircraft is not None and not any(f.provenance.aircraft for f in flights):
+        return simulation_aircraft
     craft = aircraft_of(flights, given)
     if simulation.referred is not None:
         return craft
-    if own is None or any(np.isnan(v) for v in (own.area, own.span, own.chord)):
+    if simulation_aircraft is None or any(
+        np.isnan(v) for v in (simulation_aircraft.area, simulation_aircraft.span, simulation_aircraft.chord)
+    ):
         return craft
-    return craft.with_values(area=own.area, span=own.span, chord=own.chord)
+    return craft.with_values(
+        area=simulation_aircraft.area, span=simulation_aircraft.span, chord=simulation_aircraft.chord
+    )
 
 
 def without_simulation(model: Model) -> Model:
     """A model with nothing for coefficients: it decides which variables are known and which columns a flight must have."""
     inputs = tuple(s for s in model.inputs if not s.computed)
-    nothing = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _lines(model) else f"{n} = {text}"
+    coefficients = [c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions]
+    zero_lines = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in coefficients else f"{n} = {text}"
                for n, text in model.definitions.items()]  # fmt: skip
-    return replace(model, inputs=inputs, equations=tuple(nothing))
-
-
-def _lines(model: Model) -> tuple[str, ...]:
-    return tuple(c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions)
+    return replace(model, inputs=inputs, equations=tuple(zero_lines))
 
 
 def _standing_on(which: str) -> Model:
@@ -151,13 +179,12 @@ def computed(model: Model) -> tuple[str, ...]:
     return tuple(s.name for s in model.inputs if s.computed)
 
 
-def carrying(flights: Sequence[Flight], told: Along) -> tuple[Flight, ...]:
-    """Flights with the columns of a simulation."""
-    return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, told.columns, strict=True))
+def carrying(flights: Sequence[Flight], along_flights: Along) -> tuple[Flight, ...]:
+    return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, along_flights.columns, strict=True))
 
 
-def _unmeasured(told: Along) -> tuple[str, ...]:
-    surfaces = [v for v in told.unmeasured if v != "thrust"]
+def _unmeasured(along_flights: Along) -> tuple[str, ...]:
+    surfaces = [v for v in along_flights.unmeasured if v != "thrust"]
     return (f"no flight measures {', '.join(surfaces)}: the simulation has them at zero",) if surfaces else ()
 
 
@@ -167,11 +194,9 @@ def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
     result = output_error(frozen, flight, options=OutputErrorOptions(improve_start=False))
     if not result.converged:
         return {}
-    shown = dict(zip(result.model.output_names, result.flights[0].outputs.T, strict=True))
-    return {n: shown[n] for n in model.state_names if n in VARIABLES and n in shown}
+    model_outputs = dict(zip(result.model.output_names, result.flights[0].outputs.T, strict=True))
+    return {n: model_outputs[n] for n in model.state_names if n in VARIABLES and n in model_outputs}
 
 
-def _same(before: Mapping[str, Array], after: Mapping[str, Array]) -> bool:
-    return before.keys() == after.keys() and all(
-        np.nanstd(after[n] - before[n]) <= SETTLED * np.nanstd(after[n]) for n in after
-    )
+def _same_motion(old: Mapping[str, Array], new: Mapping[str, Array]) -> bool:
+    return old.keys() == new.keys() and all(np.nanstd(new[n] - old[n]) <= SETTLED * np.nanstd(new[n]) for n in new)

@@ -36,46 +36,49 @@ class Free(StrEnum):
     NOTHING = "nothing"
 
 
-def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Along, free: Free) -> Model:
+def base_model(simulation: Simulation, which: str, aircraft: Aircraft, along_flights: Along, free: Free) -> Model:
     """The built-in model `which` with the coefficients of a simulation as it was evaluated along the flights."""
-    plain = load_model(which, aircraft)
-    wanted = coefficients_in(plain)
-    variables = variables_of(plain)
-    lines, parameters, constants = dict(plain.definitions), [], dict(plain.constants)
-    for c in wanted:
+    built_in = load_model(which, aircraft)
+    coefficients = coefficients_in(built_in)
+    variables = variables_of(built_in)
+    lines, parameters, constants = dict(built_in.definitions), [], dict(built_in.constants)
+    for c in coefficients:
         zero = f"{c}_0"
-        derivatives = [p.name for p in plain.parameters if p.name.startswith(f"{c}_") and p.name != zero]
-        mine = [d for d in derivatives if d.removeprefix(f"{c}_") in REGRESSORS]
+        derivatives = [p.name for p in built_in.parameters if p.name.startswith(f"{c}_") and p.name != zero]
+        own_derivatives = [d for d in derivatives if d.removeprefix(f"{c}_") in REGRESSORS]
         terms = [f"k_{c}*{c}_sim", zero]
         parameters.append(Parameter(f"k_{c}", "1", 1.0, reference=1.0, fixed=free is not Free.FACTORS,
                                     description=f"factor on the simulation's {c}"))  # fmt: skip
         parameters.append(Parameter(zero, "1", fixed=free is Free.NOTHING, role=usual_role(zero), reference=0.0,
                                     description=f"increment to the simulation's {c}"))  # fmt: skip
-        for name in mine:
+        for name in own_derivatives:
             regressor, variable = REGRESSORS[name.removeprefix(f"{c}_")]
-            mean = _derivative(told, c, variable, aircraft)
+            mean = _derivative(along_flights, c, variable, aircraft)
             constants[f"mean_{name}"] = mean
             terms.append(f"({name} - mean_{name})*{regressor}")
             parameters.append(Parameter(name, "1/rad", mean, fixed=free is not Free.DERIVATIVES, reference=mean,
                                         reference_source=f"simulation {simulation.name}"))  # fmt: skip
-        slopes = [f"{column_name(c, v)}*{v}" for v in variables if column_name(c, v) in told.names]
-        offset = [column_name(c)] if column_name(c) in told.names else []
+        slopes = [f"{column_name(c, v)}*{v}" for v in variables if column_name(c, v) in along_flights.names]
+        offset = [column_name(c)] if column_name(c) in along_flights.names else []
         lines[f"{c}_sim"] = " + ".join([*offset, *slopes]) or "0"
         lines[c] = " + ".join(terms)
     return replace(
-        plain,
-        name=f"{plain.name}-{simulation.name}",
-        title=f"{plain.title}; coefficients of the simulation {simulation.name}",
+        built_in,
+        name=f"{built_in.name}-{simulation.name}",
+        title=f"{built_in.title}; coefficients of the simulation {simulation.name}",
         description=DESCRIPTION.format(simulation.spec),
-        inputs=(*plain.inputs, *(Signal(n, description="of the simulation", computed=True) for n in told.names)),
+        inputs=(
+            *built_in.inputs,
+            *(Signal(n, description="of the simulation", computed=True) for n in along_flights.names),
+        ),
         parameters=tuple(parameters),
         constants=constants,
         equations=tuple(f"{name} = {text}" for name, text in lines.items()),
     )
 
 
-def _derivative(told: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
+def _derivative(along_flights: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
     """Mean slope as the derivative is written: per rad, or per rate times length over twice the mean airspeed."""
-    slope = told.means.get((coefficient, variable), 0.0)
+    slope = along_flights.means.get((coefficient, variable), 0.0)
     length = {"p": aircraft.span, "q": aircraft.chord, "r": aircraft.span}.get(variable)
-    return slope if length is None else slope * 2.0 * told.speed / length
+    return slope if length is None else slope * 2.0 * along_flights.speed / length

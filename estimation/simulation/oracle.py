@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 SURFACES = ("delta_e", "delta_a", "delta_r")
@@ -47,7 +46,6 @@ class States:
         return replace(self, values={**self.values, name: self.values[name] + step})
 
     def part(self, keep: "NDArray[np.bool_] | slice") -> "States":
-        """Some of the states."""
         values = {n: v[keep] for n, v in self.values.items()}
         return States(values, self.rho[keep], self.alpha_dot[keep])
 
@@ -59,7 +57,7 @@ class States:
 
 
 class Oracle(Protocol):
-    """Coefficients of a simulation. Made by `estimation.simulation.spec`."""
+    """Coefficients of a simulation. Made by `estimation.simulation.attach`."""
 
     def coefficients(self, states: States) -> Array:
         """(N, 6) coefficients in the order of COEFFICIENTS, referred to the simulation's own area, span and chord; a column of

@@ -1,9 +1,4 @@
-"""Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
-with the same surfaces, and the two are compared in units of what sensors could see.
-
-The model takes the steps that JSBSim takes, and the rate of alpha that it reads, of its step before: what is left is a difference
-of forces, moments, inertia and actuators, whatever the rate of steps. What that is off by, the same model moved exactly says.
-"""
+"""Proof of an export: JSBSim flies what was written, the model moves by its own equations in the same steps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,17 +6,82 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.engine.data import Preparation, prepare
-from estimation.engine.simulate import simulate
+from estimation.engine.simulate import Simulator, simulate
+from estimation.engine.trace import trace
 from estimation.models.base import Model
-from estimation.simulation.along_flight import MOMENTS, along, column_name
+from estimation.prepare.flight_data import FlightData, Preparation, Segment
+from estimation.prepare.pipeline import prepare
+from estimation.simulation.along_flight import MOMENTS, column_name, simulate_along
 from estimation.simulation.attach import carrying, computed, without_simulation
 from estimation.simulation.jsbsim.export import Written
-from estimation.simulation.jsbsim.flying import flown
+from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.increments import Increments
 from estimation.simulation.oracle import ALPHA_RATE, Array, Simulation
-from estimation.simulation.stepped import stepped
 from groundstation.flight import Flight
+
+# A model moved by the steps that JSBSim takes, so that a comparison with JSBSim sees equations and not integrators.
+#
+# JSBSim's rule of the proof is the Adams-Bashforth rule of second order,
+#
+#     x[k+1] = x[k] + h (3 f[k] - f[k-1]) / 2
+#
+# with f[k] at the surfaces of that frame. While a surface moves this is half a frame late against inputs on straight lines: a
+# rate differs by h/2 times what its acceleration changed by in the last frame, however right both are. Lagging states of
+# effects are `lag_filter`s in JSBSim, by the trapezoidal rule, and are so here.
+
+UNIT = 1.0  # of a filter's state: its rate is linear in it, so that any step gives its slope
+
+
+def step_model(model: Model, data: FlightData, x0: Array, filters: tuple[str, ...]) -> Array:
+    """(samples, ny) what a model shows that is moved by JSBSim's steps, one a sample, from x0 (nx,); NaN outside segments.
+
+    filters: its states of the form x_dot = (input - x)/tau, which JSBSim has in its flight control. The flight begins steady: the
+    rate before the first sample is that of the first.
+    """
+    simulator = Simulator.build(model, (), substeps=1)
+    values = model.starts()
+    outputs = np.full((data.samples, len(model.outputs)), np.nan)
+    p = simulator.vector(values)
+    filtered = [model.state_names.index(n) for n in filters]
+    for segment in data.segments:
+        u = simulator.drive(segment, values, False).u
+        outputs[segment.first : segment.first + len(segment)] = _step_motion(model, segment, u, p, x0, filtered)
+    return outputs
+
+
+def _step_motion(model: Model, segment: Segment, u: Array, p: Array, x0: Array, filtered: list[int]) -> Array:
+    """(N, ny) outputs of one segment with inputs u (N, nu)."""
+    functions = trace(model.structure)
+
+    def rates(x: Array, k: int) -> Array:
+        return np.asarray(functions.rates(x, u[k], p), float).ravel()
+
+    x, h = x0.astype(float), np.diff(segment.time)
+    f = last_rates = rates(x, 0)
+    output_rows = [np.asarray(functions.outputs(x, u[0], p), float).ravel()]
+    for k in range(len(segment) - 1):
+        next_state = x + 0.5 * h[k] * (3.0 * f - last_rates)
+        next_state[filtered] = x[filtered]
+        for i in filtered:  # in the order in which JSBSim has them: one may read another
+            drive = rates(next_state, k + 1)[i]
+            filtered_state = next_state.copy()
+            filtered_state[i] += UNIT
+            slope = rates(filtered_state, k + 1)[i] - drive
+            next_state[i] += 0.5 * h[k] * (f[i] + drive) / (1.0 - 0.5 * h[k] * slope)
+        x, last_rates, f = next_state, f, rates(next_state, k + 1)
+        output_rows.append(np.asarray(functions.outputs(x, u[k + 1], p), float).ravel())
+        if not np.isfinite(x).all():
+            output_rows += [np.full(len(model.outputs), np.nan)] * (len(segment) - len(output_rows))
+            break
+    return np.array(output_rows)
+
+
+# Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
+# with the same surfaces, and the two are compared in units of what sensors could see.
+#
+# The model takes the steps that JSBSim takes, and the rate of alpha that it reads, of its step before: what is left is a
+# difference of forces, moments, inertia and actuators, whatever the rate of steps. What that is off by, the same model moved
+# exactly says.
 
 DEG = float(np.pi / 180.0)
 NOISE: Mapping[str, float] = {
@@ -48,16 +108,20 @@ class ExportProof:
         return tuple(n for n, v in self.rms.items() if not v <= self.allowed[n])
 
 
-def proof_of(source: Path, simulation: Simulation, made: Written, found: Increments, rate: float) -> ExportProof:
+def proof_of(
+    source: Path, simulation: Simulation, written_aircraft: Written, increments: Increments, rate: float
+) -> ExportProof:
     """Fly the written aircraft and the model side by side. Raises SimulationError where there is nothing to fly."""
-    values = found.physical.starts()
-    plays = {t.input: abs(values[t.parameters[0]]) for t in found.transforms if t.kind == "backlash"}
-    flight = flown(source, made.root, any(t.startswith("fcs/") for t in made.terms), rate, plays)
-    both = moved(simulation, found.physical, flight, found.states)
-    names = [n for n in found.physical.output_names if n in NOISE]
-    column = {n: found.physical.output_names.index(n) for n in names}
-    rms = {n: _rms(both.stepped[:, c] - flight[n]) for n, c in column.items()}
-    steps = {n: _rms(both.stepped[:, c] - both.exact[:, c]) for n, c in column.items()}
+    values = increments.physical.starts()
+    plays = {t.input: abs(values[t.parameters[0]]) for t in increments.transforms if t.kind == "backlash"}
+    flight = fly_aircraft(
+        source, written_aircraft.root, any(t.startswith("fcs/") for t in written_aircraft.terms), rate, plays
+    )
+    model_motions = move_model(simulation, increments.physical, flight, increments.states)
+    names = [n for n in increments.physical.output_names if n in NOISE]
+    column = {n: increments.physical.output_names.index(n) for n in names}
+    rms = {n: _rms(model_motions.stepped[:, c] - flight[n]) for n, c in column.items()}
+    steps = {n: _rms(model_motions.stepped[:, c] - model_motions.exact[:, c]) for n, c in column.items()}
     return ExportProof(rms, {n: SHARE * NOISE[n] for n in names}, steps, flight)
 
 
@@ -69,15 +133,17 @@ class SteppedMotion:
     exact: Array
 
 
-def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
+def move_model(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> SteppedMotion:
     """A model on a simulation over a flight without noise, from its first state on. filters: its states that are lag filters in
     JSBSim."""
-    told = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
-    (carried,) = carrying([flight], told)
+    along_flight = simulate_along(
+        simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model)
+    )
+    (carrying_flight,) = carrying([flight], along_flight)
     x0 = _start(model, flight)
-    as_read = prepare(model, _with_the_rate_told(carried), AS_IT_IS)
-    exact = simulate(model, prepare(model, carried, AS_IT_IS), x0=x0, substeps=1)
-    return SteppedMotion(stepped(model, as_read, x0, filters), exact)
+    as_read = prepare(model, _with_the_rate_told(carrying_flight), AS_IT_IS)
+    exact = simulate(model, prepare(model, carrying_flight, AS_IT_IS), x0=x0, substeps=1)
+    return SteppedMotion(step_model(model, as_read, x0, filters), exact)
 
 
 def _with_the_rate_told(flight: Flight) -> Flight:

@@ -30,6 +30,15 @@ class CandidateKind(Enum):
     INERTIA = "product of inertia"
 
 
+UNITS = {
+    CandidateKind.LATE_CONTROL: "s",
+    CandidateKind.LATE_SENSOR: "s",
+    CandidateKind.SCALE: "1",
+    CandidateKind.PLACE: "m",
+    CandidateKind.INERTIA: "kg m2",
+}
+
+
 @dataclass(frozen=True)
 class Candidate:
     """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term:
@@ -51,55 +60,40 @@ class Candidate:
             if self.kind in (CandidateKind.LINEAR, CandidateKind.NONLINEAR, CandidateKind.INERTIA)
             else ParameterRole.INSTRUMENT
         )
-        unit = {
-            CandidateKind.LATE_CONTROL: "s",
-            CandidateKind.LATE_SENSOR: "s",
-            CandidateKind.SCALE: "1",
-            CandidateKind.PLACE: "m",
-            CandidateKind.INERTIA: "kg m2",
-        }
-        return Parameter(self.name, unit.get(self.kind, "1/rad"), start=self.null, role=role)
+        return Parameter(self.name, UNITS.get(self.kind, "1/rad"), start=self.null, role=role)
 
 
-def candidates(model: Model) -> tuple[Candidate, ...]:
+def structure_candidates(model: Model) -> tuple[Candidate, ...]:
     """Everything that is tested beside a model."""
-    made = (
-        *_terms(model),
-        *_late_controls(model),
-        *_sensors(model),
-        *_inertia(model),
-    )
-    return tuple(c for c in made if c.name not in model.parameter_names)
+    every_candidate = (*_terms(model), *_late_controls(model), *_sensors(model), *_inertia(model))
+    return tuple(c for c in every_candidate if c.name not in model.parameter_names)
 
 
-def linear_terms(model: Model) -> tuple[Candidate, ...]:
-    """Derivatives of the general linear model that a model does not have."""
-    return tuple(c for c in candidates(model) if c.kind is CandidateKind.LINEAR)
-
-
-def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:
+def with_candidates(model: Model, wanted_candidates: Iterable[Candidate]) -> Model:
     """The model with candidates as estimated parameters that start at their null values."""
-    wanted = tuple(chosen)
+    selected = tuple(wanted_candidates)
     terms: dict[str, str] = {}
-    for c in (c for c in wanted if c.line):
+    for c in (c for c in selected if c.line):
         terms[c.line] = f"{terms[c.line]} + {c.name}*{c.term}" if c.line in terms else f"{c.name}*{c.term}"
-    shown: dict[str, str] = {}
+    output_expressions: dict[str, str] = {}
     for c in (
-        c for c in wanted if c.kind in (CandidateKind.SCALE, CandidateKind.PLACE) and c.channel in model.output_names
+        c for c in selected if c.kind in (CandidateKind.SCALE, CandidateKind.PLACE) and c.channel in model.output_names
     ):
-        before = shown.get(c.channel, c.channel)
-        shown[c.channel] = f"{c.name}*({before})" if c.kind is CandidateKind.SCALE else f"{before} + {c.name}*{c.term}"
-    moved = [
+        expression = output_expressions.get(c.channel, c.channel)
+        output_expressions[c.channel] = (
+            f"{c.name}*({expression})" if c.kind is CandidateKind.SCALE else f"{expression} + {c.name}*{c.term}"
+        )
+    transforms = [
         InputTransform("scale" if c.kind is CandidateKind.SCALE else "delay", c.channel, (c.name,))
-        for c in wanted
+        for c in selected
         if c.kind in (CandidateKind.SCALE, CandidateKind.LATE_CONTROL) and c.channel not in model.output_names
     ]
     return model.plus(
         terms=terms,
-        outputs=shown,
-        transforms=moved,
-        output_delays={c.channel: c.name for c in wanted if c.kind is CandidateKind.LATE_SENSOR},
-        parameters=[c.parameter for c in wanted],
+        outputs=output_expressions,
+        transforms=transforms,
+        output_delays={c.channel: c.name for c in selected if c.kind is CandidateKind.LATE_SENSOR},
+        parameters=[c.parameter for c in selected],
     )
 
 
@@ -109,35 +103,35 @@ def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:
 def force_lines(model: Model) -> Mapping[str, tuple[str, ...]]:
     """Lines with estimated derivatives -> their regressors: states, inputs, and what follows from these without parameters."""
     derivatives = {p.name for p in model.parameters if p.role is ParameterRole.DERIVATIVE}
-    plain = _plain(model)
-    found: dict[str, tuple[str, ...]] = {}
+    free_of_parameters = _plain(model)
+    lines: dict[str, tuple[str, ...]] = {}
     for symbol, text in model.definitions.items():
         pairs = [names for names in products_in(text) if names & derivatives and len(names) == 2]
         if not pairs:
             continue
-        regressors = dict.fromkeys(n for names in pairs for n in sorted(names - derivatives) if n in plain)
-        through = [n for names in pairs for n in names if n in found]
-        for line in through:  # drag by lift: what lift depends on
-            regressors |= dict.fromkeys(found[line])
-        found[symbol] = tuple(regressors)
-    return {symbol: regressors for symbol, regressors in found.items() if regressors}
+        regressors = dict.fromkeys(n for names in pairs for n in sorted(names - derivatives) if n in free_of_parameters)
+        nested = [n for names in pairs for n in names if n in lines]
+        for line in nested:  # drag by lift: what lift depends on
+            regressors |= dict.fromkeys(lines[line])
+        lines[symbol] = tuple(regressors)
+    return {symbol: regressors for symbol, regressors in lines.items() if regressors}
 
 
 def _plain(model: Model) -> frozenset[str]:
     """Names of motion and controls, and of lines that hold no parameter and reach only these."""
     motion = {*model.state_names, *model.input_names}
     parameters = set(model.parameter_names)
-    good: dict[str, bool] = {}
+    memo: dict[str, bool] = {}
 
     def judge(name: str) -> bool:
         if name in motion or name in model.constants:
             return True
         if name in parameters or name not in model.definitions:
             return False
-        if name not in good:
-            good[name] = False
-            good[name] = all(judge(n) for n in names_in(model.definitions[name]))
-        return good[name]
+        if name not in memo:
+            memo[name] = False
+            memo[name] = all(judge(n) for n in names_in(model.definitions[name]))
+        return memo[name]
 
     lines = {symbol for symbol in model.definitions if judge(symbol)}
     return frozenset(motion | lines)
@@ -146,7 +140,7 @@ def _plain(model: Model) -> frozenset[str]:
 def _terms(model: Model) -> Iterator[Candidate]:
     lines = force_lines(model)
     for line, has in lines.items():
-        related = {r: None for other in lines.values() if set(other) & set(has) for r in other}
+        related = {r: None for regressors in lines.values() if set(regressors) & set(has) for r in regressors}
         direct = {n for names in products_in(model.definitions[line]) for n in names}
         for regressor in related:
             if regressor not in direct:
@@ -179,9 +173,9 @@ def _suffix(regressor: str) -> str:
 
 
 def _late_controls(model: Model) -> Iterator[Candidate]:
-    late = {t.input for t in model.transforms if t.kind in ("delay", "lag")}
+    delayed = {t.input for t in model.transforms if t.kind in ("delay", "lag")}
     for s in model.inputs:
-        if s.control and s.name not in late and s.name not in ("thrust",):
+        if s.control and s.name not in delayed and s.name not in ("thrust",):
             yield Candidate(
                 f"delay_{s.name}",
                 CandidateKind.LATE_CONTROL,
@@ -223,6 +217,6 @@ def _places(model: Model) -> Iterator[Candidate]:
 
 
 def _inertia(model: Model) -> Iterator[Candidate]:
-    used = frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))
-    if "Ixz" in model.constants and "Ixz" in used:
+    names = frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))
+    if "Ixz" in model.constants and "Ixz" in names:
         yield Candidate("Ixz", CandidateKind.INERTIA, null=model.constants["Ixz"], phrase="another Ixz")

@@ -12,24 +12,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import ResidualSegment, noise_spectrum, white_products, without_nuisance
 from estimation.estimators.input_error import (
     LEAST_NOISE,
     Disturbed,
     InputErrorEvidence,
     common_error,
-    disturbed,
+    disturbed_outputs,
     edge_size,
 )
 from estimation.estimators.input_path import at_paths_of
-from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
+from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.normal_equations import projected_out, pseudo_inverse
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
-from estimation.estimators.uncertainty import input_lags, white_responses
-from estimation.structure.candidates import Candidate, CandidateKind, candidates, with_candidates
+from estimation.estimators.uncertainty import input_lags, segments_in_noise, white_responses
+from estimation.prepare.flight_data import FlightData
+from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 
 Array = NDArray[np.float64]
 
@@ -52,9 +52,9 @@ class FlightProducts:
 
     def in_order(self, index: NDArray[np.intp]) -> "FlightProducts":
         """Some columns, in another order; the residual last."""
-        pick, without = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
+        pick, inner = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
         return FlightProducts(
-            self.name, self.gram[pick], self.plain[without], self.noise[index], self.edges[index], self.common[index]
+            self.name, self.gram[pick], self.plain[inner], self.noise[index], self.edges[index], self.common[index]
         )
 
 
@@ -78,8 +78,8 @@ class LinearisedFit:
 
     def total(self, members: Sequence[int] | None = None) -> Array:
         """Gram matrix over some flights (all), priors included."""
-        chosen = [f.gram for i, f in enumerate(self.flights) if members is None or i in members]
-        gram = np.sum(chosen, axis=0)
+        grams = [f.gram for i, f in enumerate(self.flights) if members is None or i in members]
+        gram = np.sum(grams, axis=0)
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
 
@@ -91,25 +91,25 @@ class LinearisedFit:
 
     def without(self, kind: CandidateKind) -> "LinearisedFit":
         """The same without candidates of a kind."""
-        n, kept = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
-        order = np.array([*range(n), *(n + k for k in kept), n + len(self.tested)], np.intp)
+        n, remaining = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
+        order = np.array([*range(n), *(n + k for k in remaining), n + len(self.tested)], np.intp)
         flights = tuple(f.in_order(order) for f in self.flights)
-        return replace(self, tested=tuple(self.tested[k] for k in kept), flights=flights)
+        return replace(self, tested=tuple(self.tested[k] for k in remaining), flights=flights)
 
     def absorbing(self, names: Collection[str]) -> "LinearisedFit":
         """The same with some candidates counted among the parameters, at nothing."""
         n = self.n
-        taken = [k for k, c in enumerate(self.tested) if c.name in names]
-        left = [k for k in range(len(self.tested)) if k not in taken]
+        absorbed = [k for k, c in enumerate(self.tested) if c.name in names]
+        remaining = [k for k in range(len(self.tested)) if k not in absorbed]
         columns = len(self.tested) + n
-        order = np.array([*range(n), *(n + k for k in taken), *(n + k for k in left), columns], int)
-        prior = np.zeros((n + len(taken), n + len(taken)))
+        order = np.array([*range(n), *(n + k for k in absorbed), *(n + k for k in remaining), columns], int)
+        prior = np.zeros((n + len(absorbed), n + len(absorbed)))
         prior[:n, :n] = self.prior
         return replace(
             self,
-            shared=(*self.shared, *(self.tested[k].name for k in taken)),
-            values=np.concatenate([self.values, np.zeros(len(taken))]),
-            tested=tuple(self.tested[k] for k in left),
+            shared=(*self.shared, *(self.tested[k].name for k in absorbed)),
+            values=np.concatenate([self.values, np.zeros(len(absorbed))]),
+            tested=tuple(self.tested[k] for k in remaining),
             flights=tuple(f.in_order(order) for f in self.flights),
             prior=prior,
         )
@@ -117,22 +117,22 @@ class LinearisedFit:
     def by_inputs(self, combine: Array) -> Array:
         """(rows, rows) covariance of scores from the inputs' errors. combine: (rows, columns) of what is scored."""
         total = np.zeros((len(combine), len(combine)))
-        along = np.zeros((len(combine), self.common.shape[0]))
+        projection = np.zeros((len(combine), self.common.shape[0]))
         for f in self.flights:
             for draws, size in ((f.noise, 1.0), (f.edges, self.edges)):
                 if draws.shape[1]:
-                    moved = combine @ draws
-                    total += size / draws.shape[1] * (moved @ moved.T)
-            along += combine @ f.common
-        return total + along @ self.common @ along.T
+                    combined = combine @ draws
+                    total += size / draws.shape[1] * (combined @ combined.T)
+            projection += combine @ f.common
+        return total + projection @ self.common @ projection.T
 
 
-def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
+def linearise_fit(result: Result, data: Sequence[FlightData], substeps: int = 2) -> LinearisedFit | None:
     """A fit with what its model may lack beside it; None where its motion cannot be simulated.
 
     result: by any method; data: its flights, prepared for its model.
     """
-    tested = candidates(result.model)
+    tested = structure_candidates(result.model)
     model = at_paths_of(with_candidates(result.model.with_starts(result.fitted_model.starts()), tested), result)
     flights = in_pieces_of(list(data), result)
     problem = OutputErrorProblem(model, flights, Simulator.build(model, substeps=substeps))
@@ -142,104 +142,86 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
     point = problem.evaluate(unknowns, derivatives=True)
     if not np.isfinite(point.cost):
         return None
-    made = [_products(problem, unknowns, point, i) for i in range(len(flights))]
-    evidence = [e for _, e in made]
+    products = [_products(problem, unknowns, point, i) for i in range(len(flights))]
+    evidence = [e for _, e in products]
     edges = edge_size(evidence)
     shared = tuple(problem.free[i] for i in problem.shared)
     n = len(shared) - len(tested)
-    found = LinearisedFit(
+    linear = LinearisedFit(
         shared[:n],
         unknowns[:n].copy(),
         tested,
-        tuple(p for p, _ in made),
+        tuple(p for p, _ in products),
         np.diag(problem.prior_weight[problem.shared[:n]]),
         edges,
         common_error(evidence, edges),
     )
-    return _visible(found)
+    return _visible(linear)
 
 
-def _visible(found: LinearisedFit) -> LinearisedFit:
+def _visible(linear: LinearisedFit) -> LinearisedFit:
     """Without candidates that these flights do not excite, or that are combinations of the parameters."""
-    gram, n = found.total(), found.n
-    rest = _eliminated(gram, n)
+    gram, n = linear.total(), linear.n
+    rest = projected_out(gram, n)
     raw = np.diag(gram)[n:-1]
     keep = np.flatnonzero(np.diag(rest)[:-1] > SEEN * np.maximum(raw, 1e-300))
     index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(np.intp)
-    flights = tuple(f.in_order(index) for f in found.flights)
-    tested = tuple(found.tested[k] for k in keep)
-    return replace(found, tested=tested, flights=flights)
+    flights = tuple(f.in_order(index) for f in linear.flights)
+    tested = tuple(linear.tested[k] for k in keep)
+    return replace(linear, tested=tested, flights=flights)
 
 
 def _products(
     problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int
 ) -> tuple[FlightProducts, InputErrorEvidence]:
     """Inner products of one flight, and what its residuals show of edges and timing."""
-    pieces, own = _pieces(problem, point, index)
-    responses = disturbed(problem, unknowns, index)
-    white = white_responses(pieces, own, responses, point)
-    inverse, left = _without_everything(pieces, own)
-    projected = without_nuisance(pieces, own)
+    pieces = segments_in_noise(problem, point, index)
+    state_covariances = [pseudo_inverse(p.nuisance.T @ p.nuisance)[0] for p in pieces]
+    responses = disturbed_outputs(problem, unknowns, index)
+    white = white_responses(pieces, state_covariances, responses, point)
+    inverse, residuals = _without_everything(pieces, state_covariances)
+    projected = without_nuisance(pieces, state_covariances)
     quiet = [w[:, : responses[0].noise] for w in white]
     change = inverse @ np.sum([J.T @ w for J, w in zip(projected, quiet, strict=True)], axis=0)
-    lags = input_lags(left, projected, quiet, change)
-    spectrum = noise_spectrum(left, projected, inverse, own, lags)
+    lags = input_lags(residuals, projected, quiet, change)
+    spectrum = noise_spectrum(residuals, projected, inverse, state_covariances, lags)
     metric = np.linalg.inv(spectrum + LEAST_NOISE * np.eye(problem.ny)).astype(np.complex128)
     order = np.concatenate([problem.local, problem.shared])
-    grams = [_eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)]
+    grams = [
+        projected_out(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)
+    ]
     gram = np.asarray(np.sum(grams, axis=0))
-    rest = _eliminated(gram, len(problem.free))
+    rest = projected_out(gram, len(problem.free))
     columns = np.concatenate([order, np.arange(len(problem.free), len(gram))])
-    gram = _eliminated(gram[np.ix_(columns, columns)], len(problem.local))
+    gram = projected_out(gram[np.ix_(columns, columns)], len(problem.local))
     stacked = np.concatenate(projected)[:, order]
-    plain = _eliminated(stacked.T @ stacked, len(problem.local))
-    return _sorted(problem.flights[index].name, gram, plain, responses[0]), InputErrorEvidence(
+    unweighted = projected_out(stacked.T @ stacked, len(problem.local))
+    return _sorted(problem.flights[index].name, gram, unweighted, responses[0]), InputErrorEvidence(
         rest, responses[0].noise, responses[0].edges
     )
 
 
-def _sorted(name: str, gram: Array, plain: Array, kinds: Disturbed) -> FlightProducts:
+def _sorted(name: str, gram: Array, unweighted: Array, kinds: Disturbed) -> FlightProducts:
     """Products with the columns in their places: gram has [shared and candidates | noise, edges, common | residual]."""
-    n = len(plain)
+    n = len(unweighted)
     rows = np.concatenate([np.arange(n), [len(gram) - 1]])
     noise, edges, common = np.split(gram[rows][:, n:-1], [kinds.noise, kinds.noise + kinds.edges], axis=1)
-    return FlightProducts(name, gram[np.ix_(rows, rows)], plain, noise, edges, common)
+    return FlightProducts(name, gram[np.ix_(rows, rows)], unweighted, noise, edges, common)
 
 
-def _pieces(
-    problem: OutputErrorProblem, point: LikelihoodPoint, index: int
-) -> tuple[list[ResidualSegment], list[Array]]:
-    """Segments of one flight in units of the noise, and the covariance of each one's initial states."""
-    n = len(problem.free)
-    keep = np.concatenate([np.arange(n), n + problem.free_states])
-    pieces, own = [], []
-    for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
-        assert motion.dy is not None
-        J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
-        pieces.append(ResidualSegment(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
-        own.append(pseudo_inverse(J[:, n:].T @ J[:, n:])[0])
-    return pieces, own
-
-
-def _without_everything(pieces: list[ResidualSegment], own: list[Array]) -> tuple[Array, list[ResidualSegment]]:
+def _without_everything(
+    pieces: list[ResidualSegment], state_covariances: list[Array]
+) -> tuple[Array, list[ResidualSegment]]:
     """(covariance of parameters and candidates, pieces with the residual that a fit of all of them leaves)."""
-    projected = without_nuisance(pieces, own)
+    projected = without_nuisance(pieces, state_covariances)
     stacked = np.concatenate(projected)
     inverse = pseudo_inverse(stacked.T @ stacked)[0]
     flat = [p.residual.ravel() for p in pieces]
     change = inverse @ (stacked.T @ np.concatenate(flat))
-    left = []
-    for p, J, r, mine in zip(pieces, projected, flat, own, strict=True):
+    fitted = []
+    for p, J, r, covariance in zip(pieces, projected, flat, state_covariances, strict=True):
         rest = r - J @ change
         if p.nuisance.shape[1]:
-            rest = rest - p.nuisance @ (mine @ (p.nuisance.T @ rest))
-        left.append(ResidualSegment(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
-    return inverse, left
-
-
-def _eliminated(gram: Array, count: int) -> Array:
-    """Inner products of the columns after the first `count`, those projected out."""
-    if not count:
-        return gram
-    lever = gram[count:, :count] @ pseudo_inverse(gram[:count, :count])[0]
-    return np.asarray(gram[count:, count:] - lever @ gram[:count, count:])
+            rest = rest - p.nuisance @ (covariance @ (p.nuisance.T @ rest))
+        fitted.append(ResidualSegment(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
+    return inverse, fitted

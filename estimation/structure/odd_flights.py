@@ -1,24 +1,110 @@
-"""Which flight of a joint fit differs from the others, in what, and how likely that is chance: leave-one-out.
+"""What else a fit says of a lacking model: a flight of a joint fit that differs, and process noise that follows the controls.
 
-Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not,
-what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
+Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say (leave-one-out). Where
+it does not, what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
 coefficient, one derivative, or one of the things tested beside every fit.
+
+Innovations of a right filter have nothing in common with what the controls did before, however rough the air and whoever
+steers: they are what could not be foretold. Where a term, a lag or a scale is missing, they repeat at every movement of a
+control (`follows_controls`). Long flights are tested by their first part (`excerpt`): what a model lacks shows in minutes, and an
+hour would take longer than its fit.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.result import Result, finite
+from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.result import FlightFit, Result, finite_or_none
 from estimation.models.base import ParameterRole
+from estimation.models.dependence import force_states
+from estimation.prepare.flight_data import FlightData, Segment
 from estimation.structure.candidates import CandidateKind, force_lines
 from estimation.structure.linearised import LinearisedFit
 
+MOST_SAMPLES = 16_000
+"""Of one flight: 80 s at 200 Hz, a quarter of an hour at 20 Hz. With some 50 columns and as many draws of the inputs that is
+130 MB."""
+
+
+def first_part(result: Result, data: list[FlightData]) -> tuple[Result, list[FlightData]]:
+    """A result and its flights, of each no more than MOST_SAMPLES from its beginning."""
+    if all(d.used <= MOST_SAMPLES for d in data) or any(
+        len(d.segments) != len(f.initial_states) for d, f in zip(data, result.flights, strict=True)
+    ):
+        return result, data
+    parts = [_part(d, f) for d, f in zip(data, result.flights, strict=True)]
+    return replace(result, flights=tuple(f for _, f in parts)), [d for d, _ in parts]
+
+
+def _part(data: FlightData, fit: FlightFit) -> tuple[FlightData, FlightFit]:
+    segments: list[Segment] = []
+    room = MOST_SAMPLES
+    for s in data.segments:
+        if room < 8:
+            break
+        count = min(len(s), room)
+        segments.append(s if count == len(s) else s.part(0, count, np.array(s.x0)))
+        room -= count
+    initial_states = fit.initial_states[: len(segments)]
+    return replace(data, segments=tuple(segments)), replace(fit, initial_states=initial_states)
+
+
 Array = NDArray[np.float64]
+
+STEPS = 8  # samples of the past that count: what lacks shows within half a second of a movement
+FOLLOWS = 0.08
+"""Share of the innovations of one output that past movements of the controls foretell: 0.03 at most in plain and gusty
+flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random aeroplanes, docs/validation.md)."""
+FOLLOWS_BY_CHANCE = 1e-6  # probability of so much by chance
+
+
+def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
+    """A sentence on the output whose innovations follow the controls most; empty where none does beyond FOLLOWS.
+
+    result: of a filter error; data: its flights, prepared for its model.
+    """
+    from scipy.stats import chi2
+
+    controls = [i for i, s in enumerate(result.model.inputs) if s.control]
+    kinematic = set(result.model.state_names) - set(force_states(result.model, result.model.free_names))
+    largest, name = 0.0, ""
+    for c, output in enumerate(result.model.output_names):
+        if output in kinematic or not controls:
+            continue
+        history, rest = _rows(result, data, controls, c)
+        if len(rest) < 4 * history.shape[1] or not rest.any():
+            continue
+        unexplained = rest - history @ np.linalg.lstsq(history, rest, rcond=1e-9)[0]
+        share = 1.0 - float(unexplained @ unexplained) / float(rest @ rest)
+        if share > max(largest, FOLLOWS) and chi2.sf(len(rest) * share, history.shape[1]) < FOLLOWS_BY_CHANCE:
+            largest, name = share, output
+    if not name:
+        return ""
+    return (
+        f"its process noise is no gusts: what the controls did before foretells {largest:.0%} of its innovations of {name}, where"
+        f" in rough air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
+    )
+
+
+def _rows(result: Result, data: Sequence[FlightData], controls: list[int], output: int) -> tuple[Array, Array]:
+    """(N, controls STEPS) past movements and (N,) innovations of one output, over all flights."""
+    history, rest = [np.zeros((0, len(controls) * STEPS))], [np.zeros(0)]
+    for fit, flight in zip(result.flights, data, strict=True):
+        for s in flight.segments:
+            movements = np.diff(s.u[:, controls], axis=0, prepend=s.u[:1, controls])
+            if len(s) <= 2 * STEPS:
+                continue
+            rows = np.concatenate([movements[STEPS - k : len(s) - k] for k in range(STEPS)], axis=1)
+            e = fit.residuals[s.first + STEPS : s.first + len(s), output]
+            measured = np.isfinite(e)
+            history.append(rows[measured])
+            rest.append(e[measured] - e[measured].mean() if measured.any() else e[measured])
+    return np.concatenate(history), np.concatenate(rest)
+
 
 CHANCE = 1e-4
 """Probability below which a flight differs: of a hundred joint fits of ten flights, one in ten would name one by chance."""
@@ -48,11 +134,11 @@ class OddFlight:
     def text(self) -> str:
         """As it is printed."""
         size = f"{self.ratio:.3g} s" if self.what.startswith("lag") else f"{self.ratio:.3g} times the others'"
-        who = f"{self.flight} differs from the other flights"
+        subject = f"{self.flight} differs from the other flights"
         if self.beside:
-            who = f"{self.flight} and {self.beside} differ from one another, and two flights cannot tell which is the odd one"
+            subject = f"{self.flight} and {self.beside} differ from one another, and two flights cannot tell which is the odd one"
         return (
-            f"{who} (probability of chance {self.probability:.1g}), most likely in"
+            f"{subject} (probability of chance {self.probability:.1g}), most likely in"
             f" {self.what}: {size}; it moves the joint {self.parameter} by {self.moves:.1f} bounds"
         )
 
@@ -61,7 +147,7 @@ class OddFlight:
         return {
             "flight": self.flight,
             "what": self.what,
-            "ratio": finite(round(self.ratio, 4)),
+            "ratio": finite_or_none(round(self.ratio, 4)),
             "probability": self.probability,
             "moves": {self.parameter: round(self.moves, 2)},
         }
@@ -84,9 +170,9 @@ def odd_flights(linear: LinearisedFit, result: Result) -> tuple[OddFlight, ...]:
     """
     if len(linear.flights) < 2:
         return ()
-    each = [_of_flight(linear, result, i) for i in range(len(linear.flights))]
-    worst = max(each, key=lambda found: found[0])
-    return () if worst[1] is None else (worst[1],)
+    judged = [_of_flight(linear, result, i) for i in range(len(linear.flights))]
+    oddest = max(judged, key=lambda found: found[0])
+    return () if oddest[1] is None else (oddest[1],)
 
 
 def _of_flight(linear: LinearisedFit, result: Result, index: int) -> tuple[float, OddFlight | None]:
@@ -94,41 +180,43 @@ def _of_flight(linear: LinearisedFit, result: Result, index: int) -> tuple[float
     from scipy.stats import chi2
 
     n, k = linear.n, len(linear.tested)
-    others = linear.total([i for i in range(len(linear.flights)) if i != index])
-    spread = pseudo_inverse(others[:n, :n])[0]
-    theta = spread @ others[:n, -1]
-    mine = linear.flights[index]
-    score = mine.gram[: n + k, -1] - mine.gram[: n + k, :n] @ theta
+    rest = linear.total([i for i in range(len(linear.flights)) if i != index])
+    spread = pseudo_inverse(rest[:n, :n])[0]
+    theta = spread @ rest[:n, -1]
+    products = linear.flights[index]
+    score = products.gram[: n + k, -1] - products.gram[: n + k, :n] @ theta
     covariance = _covariance(linear, index, spread)
     weight, rank = _inverse(covariance[:n, :n])
     surprise = float(score[:n] @ weight @ score[:n])
     probability = min(1.0, len(linear.flights) * float(chi2.sf(surprise, max(rank, 1))))
     if probability > CHANCE:
         return surprise / max(rank, 1), None
-    best, size = _explained(linear, result, index, score, covariance)
-    every = linear.total()
-    moved = np.abs(pseudo_inverse(every[:n, :n])[0] @ every[:n, -1] - theta)
+    hypothesis, size = _explained(linear, result, index, score, covariance)
+    total = linear.total()
+    shift = np.abs(pseudo_inverse(total[:n, :n])[0] @ total[:n, -1] - theta)
     bounds = np.array([result.std_coloured.get(name, np.inf) for name in linear.shared])
     with np.errstate(invalid="ignore", divide="ignore"):
-        moved = np.where(np.isfinite(bounds) & (bounds > 0.0), moved / bounds, 0.0)
-    most = int(np.argmax(moved))
-    ratio = 1.0 / max(1.0 + size, 0.05) if best.what == WHOLE else best.null + size
+        shift = np.where(np.isfinite(bounds) & (bounds > 0.0), shift / bounds, 0.0)
+    strongest = int(np.argmax(shift))
+    ratio = 1.0 / max(1.0 + size, 0.05) if hypothesis.what == WHOLE else hypothesis.null + size
     names = [f.name for f in linear.flights]
-    beside = names[1 - index] if len(names) == 2 else ""
-    odd = OddFlight(mine.name, best.what, ratio, probability, linear.shared[most], float(moved[most]), beside)
+    partner = names[1 - index] if len(names) == 2 else ""
+    odd = OddFlight(
+        products.name, hypothesis.what, ratio, probability, linear.shared[strongest], float(shift[strongest]), partner
+    )
     return surprise / max(rank, 1), odd
 
 
 def _covariance(linear: LinearisedFit, index: int, spread: Array) -> Array:
     """Covariance of one flight's scores at the estimate of the others."""
-    n, mine = linear.n + len(linear.tested), linear.flights[index]
-    gram = mine.gram[:n, :n]
+    n, products = linear.n + len(linear.tested), linear.flights[index]
+    gram = products.gram[:n, :n]
     total = gram + gram[:, : linear.n] @ spread @ gram[: linear.n]
-    for draws, size in ((mine.noise[:n], 1.0), (mine.edges[:n], linear.edges)):
+    for draws, size in ((products.noise[:n], 1.0), (products.edges[:n], linear.edges)):
         if draws.shape[1]:
             total = total + size / draws.shape[1] * (draws @ draws.T)
-    along = mine.common[:n]
-    return np.asarray(INFLATED * (total + along @ linear.common @ along.T))
+    common = products.common[:n]
+    return np.asarray(INFLATED * (total + common @ linear.common @ common.T))
 
 
 def _explained(
@@ -136,23 +224,23 @@ def _explained(
 ) -> tuple[_Hypothesis, float]:
     """The hypothesis that explains most of a flight's surprise, simple ones preferred, and its size."""
     gram = linear.flights[index].gram
-    found = []
+    ranked = []
     for h in _hypotheses(linear, result):
-        at = np.array(h.columns)
-        weight = _inverse(covariance[np.ix_(at, at)])[0]
-        mean = gram[np.ix_(at, at)] @ h.along
+        columns = np.array(h.columns)
+        weight = _inverse(covariance[np.ix_(columns, columns)])[0]
+        mean = gram[np.ix_(columns, columns)] @ h.along
         power = float(mean @ weight @ mean)
         if power > 0.0:
-            product = float(mean @ weight @ score[at])
+            product = float(mean @ weight @ score[columns])
             free = np.arange(linear.n)
-            without = float(score[free] @ _inverse(covariance[np.ix_(free, free)])[0] @ score[free])
-            every = float(score[at] @ weight @ score[at])
-            gain = product**2 / power - max(every - without, 0.0)
-            found.append((gain, h, product / power))
-    most = max(gain for gain, _, _ in found)
-    simple = [f for f in found if f[1].kind is None and f[0] >= SIMPLE * most]
-    gain, best, size = max(simple or found, key=lambda f: f[0])
-    return best, size
+            unexplained = float(score[free] @ _inverse(covariance[np.ix_(free, free)])[0] @ score[free])
+            explained = float(score[columns] @ weight @ score[columns])
+            gain = product**2 / power - max(explained - unexplained, 0.0)
+            ranked.append((gain, h, product / power))
+    highest = max(gain for gain, _, _ in ranked)
+    simple = [f for f in ranked if f[1].kind is None and f[0] >= SIMPLE * highest]
+    gain, leading, size = max(simple or ranked, key=lambda f: f[0])
+    return leading, size
 
 
 def _hypotheses(linear: LinearisedFit, result: Result) -> Iterator[_Hypothesis]:
@@ -164,20 +252,20 @@ def _hypotheses(linear: LinearisedFit, result: Result) -> Iterator[_Hypothesis]:
     values = linear.values * np.array(forces, float)
     yield _Hypothesis(WHOLE, shared, values)
     for line in force_lines(result.model):
-        mine = np.array([name.startswith(f"{line}_") for name in linear.shared], float)
-        if np.count_nonzero(mine) > 1:
-            yield _Hypothesis(f"all of {line}", shared, values * mine)
+        of_line = np.array([name.startswith(f"{line}_") for name in linear.shared], float)
+        if np.count_nonzero(of_line) > 1:
+            yield _Hypothesis(f"all of {line}", shared, values * of_line)
     for j in np.flatnonzero(values):
-        along = np.zeros(n)
-        along[j] = linear.values[j]
-        yield _Hypothesis(linear.shared[j], shared, along, CandidateKind.LINEAR)
+        direction = np.zeros(n)
+        direction[j] = linear.values[j]
+        yield _Hypothesis(linear.shared[j], shared, direction, CandidateKind.LINEAR)
     for a, candidate in enumerate(linear.tested):
-        along = np.zeros(n + 1)
-        along[n] = 1.0
+        direction = np.zeros(n + 1)
+        direction[n] = 1.0
         if candidate.kind in (CandidateKind.SCALE, CandidateKind.LATE_CONTROL, CandidateKind.LATE_SENSOR):
-            late = candidate.kind is not CandidateKind.SCALE
-            what = f"{'lag' if late else 'scale'} of {candidate.channel}"
-            yield _Hypothesis(what, (*shared, n + a), along, candidate.kind, candidate.null)
+            is_delay = candidate.kind is not CandidateKind.SCALE
+            title = f"{'lag' if is_delay else 'scale'} of {candidate.channel}"
+            yield _Hypothesis(title, (*shared, n + a), direction, candidate.kind, candidate.null)
 
 
 def _inverse(matrix: Array) -> tuple[Array, int]:
@@ -186,6 +274,6 @@ def _inverse(matrix: Array) -> tuple[Array, int]:
     return inverse, len(matrix) - (blind.shape[1] if blind.size else 0)
 
 
-def members_of(found: Sequence[OddFlight]) -> tuple[str, ...]:
+def members_of(odd: Sequence[OddFlight]) -> tuple[str, ...]:
     """Names of the flights that differ."""
-    return tuple(o.flight for o in found)
+    return tuple(o.flight for o in odd)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.result import Result, finite
+from estimation.estimators.normal_equations import pseudo_inverse
+from estimation.estimators.result import Result, finite_or_none
 from estimation.structure.candidates import Candidate, CandidateKind
 from estimation.structure.linearised import LinearisedFit
 
@@ -39,20 +39,10 @@ FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
 NOTABLE = 1.0  # bounds by which a printed value has to move
 
-LIKELY = {
-    kind: i
-    for i, kind in enumerate(
-        (
-            CandidateKind.LINEAR,
-            CandidateKind.LATE_CONTROL,
-            CandidateKind.SCALE,
-            CandidateKind.LATE_SENSOR,
-            CandidateKind.INERTIA,
-            CandidateKind.NONLINEAR,
-            CandidateKind.PLACE,
-        )
-    )
-}
+LIKELIEST_FIRST = (
+    CandidateKind.LINEAR, CandidateKind.LATE_CONTROL, CandidateKind.SCALE, CandidateKind.LATE_SENSOR, CandidateKind.INERTIA,
+    CandidateKind.NONLINEAR, CandidateKind.PLACE,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,14 +68,14 @@ class Tested:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `structure.tested` in `estimate --json`."""
-        told = {n: round(m, 2) for n, m in sorted(self.moves.items(), key=lambda i: -i[1]) if m >= NOTABLE}
+        notable = {n: round(m, 2) for n, m in sorted(self.moves.items(), key=lambda i: -i[1]) if m >= NOTABLE}
         return {
             "term": self.candidate.name,
-            "score": finite(round(self.score, 3)),
+            "score": finite_or_none(round(self.score, 3)),
             "threshold": self.threshold,
             "significant": self.significant,
-            "value": finite(self.value),
-            "moves": told,
+            "value": finite_or_none(self.value),
+            "moves": notable,
         }
 
 
@@ -147,56 +137,56 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
     error does.
     """
     first = _scores(linear, (), result, filtered)
-    chosen: list[int] = []
+    taken_up: list[int] = []
     lacks: list[Lack] = []
-    now = first
-    while len(chosen) < MOST:
-        best = _strongest(now, chosen, result)
-        if best is None:
+    scores = first
+    while len(taken_up) < MOST:
+        strongest = _strongest(scores, taken_up, result)
+        if strongest is None:
             break
-        after = _scores(linear, (*chosen, best), result, filtered)
+        next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
         rivals = [
             k
-            for k, t in enumerate(now)
-            if k not in (*chosen, best)
-            and abs(t.score) > RIVAL * abs(now[best].score)
-            and abs(after[k].score) < THRESHOLD
+            for k, t in enumerate(scores)
+            if k not in (*taken_up, strongest)
+            and abs(t.score) > RIVAL * abs(scores[strongest].score)
+            and abs(next_scores[k].score) < THRESHOLD
             and _possible(t, result)
         ]
-        apart = max((_apart(linear, best, k, now, result) for k in rivals), default=0.0)
-        held = held_out(linear, chosen, best)
-        lacks.append(Lack(now[best], tuple(now[k] for k in rivals), apart, held))
-        chosen.append(best)
-        now = after
+        difference = max((_apart(linear, strongest, k, scores, result) for k in rivals), default=0.0)
+        holdout = held_out(linear, taken_up, strongest)
+        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), difference, holdout))
+        taken_up.append(strongest)
+        scores = next_scores
     return StructureTest(tuple(first), tuple(lacks))
 
 
-def held_out(linear: LinearisedFit, chosen: Sequence[int], candidate: int) -> float | None:
+def held_out(linear: LinearisedFit, taken_up: Sequence[int], candidate: int) -> float | None:
     """What a candidate gains on each flight when it, the parameters and those already chosen are fitted to all the others."""
     if len(linear.flights) < 2:
         return None
-    before = np.array([*range(linear.n), *(linear.n + k for k in chosen)], np.intp)
-    both = np.append(before, linear.n + candidate)
+    base_columns = np.array([*range(linear.n), *(linear.n + k for k in taken_up)], np.intp)
+    all_columns = np.append(base_columns, linear.n + candidate)
     gain = 0.0
     for i, flight in enumerate(linear.flights):
-        others = linear.total([j for j in range(len(linear.flights)) if j != i])
+        rest = linear.total([j for j in range(len(linear.flights)) if j != i])
         costs = []
-        for at in (before, both):
-            x = pseudo_inverse(others[np.ix_(at, at)])[0] @ others[at, -1]
-            costs.append(float(x @ flight.gram[np.ix_(at, at)] @ x - 2.0 * x @ flight.gram[at, -1]))
+        for columns in (base_columns, all_columns):
+            x = pseudo_inverse(rest[np.ix_(columns, columns)])[0] @ rest[columns, -1]
+            costs.append(float(x @ flight.gram[np.ix_(columns, columns)] @ x - 2.0 * x @ flight.gram[columns, -1]))
         gain += costs[0] - costs[1]
     return gain
 
 
-def _strongest(now: Sequence[Tested], chosen: Sequence[int], result: Result) -> int | None:
+def _strongest(scores: Sequence[Tested], taken_up: Sequence[int], result: Result) -> int | None:
     """The next candidate to take; None where no other is significant."""
-    left = [k for k, t in enumerate(now) if k not in chosen and t.significant]
-    if not left:
+    significant = [k for k, t in enumerate(scores) if k not in taken_up and t.significant]
+    if not significant:
         return None
-    possible = [k for k in left if _possible(now[k], result)] or left
-    most = max(abs(now[k].score) for k in possible)
-    tied = [k for k in possible if abs(now[k].score) >= TIED * most]
-    return min(tied, key=lambda k: (LIKELY[now[k].candidate.kind], -abs(now[k].score)))
+    possible = [k for k in significant if _possible(scores[k], result)] or significant
+    highest = max(abs(scores[k].score) for k in possible)
+    tied = [k for k in possible if abs(scores[k].score) >= TIED * highest]
+    return min(tied, key=lambda k: (LIKELIEST_FIRST.index(scores[k].candidate.kind), -abs(scores[k].score)))
 
 
 def _possible(tested: Tested, result: Result) -> bool:
@@ -214,30 +204,30 @@ def _possible(tested: Tested, result: Result) -> bool:
     return True
 
 
-def _scores(linear: LinearisedFit, chosen: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
+def _scores(linear: LinearisedFit, taken_up: Sequence[int], result: Result, filtered: bool) -> list[Tested]:
     """Every candidate with the parameters, and the candidates already taken, projected out."""
     n, k = linear.n, len(linear.tested)
     gram = linear.total()
-    taken = np.concatenate([np.arange(n), n + np.array(chosen, int)]).astype(int)
-    inverse = pseudo_inverse(gram[np.ix_(taken, taken)])[0]
-    lever = gram[n : n + k][:, taken] @ inverse
+    projected_out = np.concatenate([np.arange(n), n + np.array(taken_up, int)]).astype(int)
+    inverse = pseudo_inverse(gram[np.ix_(projected_out, projected_out)])[0]
+    lever = gram[n : n + k][:, projected_out] @ inverse
     combine = np.zeros((k, len(gram)))
     combine[:, n : n + k] = np.eye(k)
-    combine[:, taken] -= lever
-    rest = gram[n : n + k, -1] - lever @ gram[taken, -1]
-    own = np.einsum("ij,ij->i", gram[n : n + k] - lever @ gram[taken], combine)
+    combine[:, projected_out] -= lever
+    rest = gram[n : n + k, -1] - lever @ gram[projected_out, -1]
+    information = np.einsum("ij,ij->i", gram[n : n + k] - lever @ gram[projected_out], combine)
     spread = np.diag(linear.by_inputs(combine))
     bounds = _bounds(linear, result)
     weigh = gram if filtered else linear.plain()
     shift = pseudo_inverse(weigh[:n, :n])[0] @ weigh[:n, n : n + k]
-    found = []
+    tests = []
     for a, candidate in enumerate(linear.tested):
-        usable = a not in chosen and own[a] > 0.0
-        score = float(rest[a] / np.sqrt(own[a] + spread[a])) if usable else 0.0
-        size = float(rest[a] / own[a]) if usable else 0.0
+        usable = a not in taken_up and information[a] > 0.0
+        score = float(rest[a] / np.sqrt(information[a] + spread[a])) if usable else 0.0
+        size = float(rest[a] / information[a]) if usable else 0.0
         moves = dict(zip(linear.shared, np.abs(shift[:, a] * size) / bounds, strict=True))
-        found.append(Tested(candidate, score, candidate.null + size, _printed(moves, result)))
-    return found
+        tests.append(Tested(candidate, score, candidate.null + size, _printed(moves, result)))
+    return tests
 
 
 def _bounds(linear: LinearisedFit, result: Result) -> Array:
@@ -251,11 +241,13 @@ def _printed(moves: Mapping[str, float], result: Result) -> dict[str, float]:
     return {n: float(m) for n, m in moves.items() if result.parameters[n].identifiable}
 
 
-def _apart(linear: LinearisedFit, best: int, rival: int, now: Sequence[Tested], result: Result) -> float:
-    """By how many bounds the estimates with `best` in the model differ, at most, from those with `rival` in its place."""
+def _apart(linear: LinearisedFit, leading: int, rival: int, scores: Sequence[Tested], result: Result) -> float:
+    """By how many bounds the estimates with `leading` in the model differ, at most, from those with `rival` in its place."""
     n, weigh = linear.n, linear.plain()
     inverse = pseudo_inverse(weigh[:n, :n])[0]
-    change = [inverse @ weigh[:n, n + k] * (now[k].value - now[k].candidate.null) for k in (best, rival)]
-    off = np.abs(change[0] - change[1]) / _bounds(linear, result)
-    told = [o for o, name in zip(off.tolist(), linear.shared, strict=True) if result.parameters[name].identifiable]
-    return max(told, default=0.0)
+    change = [inverse @ weigh[:n, n + k] * (scores[k].value - scores[k].candidate.null) for k in (leading, rival)]
+    difference = np.abs(change[0] - change[1]) / _bounds(linear, result)
+    identifiable = [
+        o for o, name in zip(difference.tolist(), linear.shared, strict=True) if result.parameters[name].identifiable
+    ]
+    return max(identifiable, default=0.0)

@@ -1,9 +1,7 @@
 """The monitor that also runs live, over a flight: same code, and what it would have said when."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +14,10 @@ from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration, calibrated
 from daq.identification.movement import ManoeuvreDetector
 from estimation.aircraft import Aircraft
-from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, samples_of, values_of
 from estimation.models.base import Model
-from estimation.report.drawing.figures import Picture, picture, styled
-from estimation.report.markup.html import write_page
-from estimation.report.provenance import provenance_table
-from estimation.report.tables import ReportTable, significant, write_all
+from estimation.prepare.columns import with_derived
 from groundstation.flight import Flight
 from groundstation.flight.quality.noise import noise
 
@@ -152,92 +146,3 @@ def _steps(flight: Flight) -> Array:
     steps = np.diff(flight.time)
     connected = steps[steps < 0.5]
     return connected if connected.size else np.array([0.05])
-
-
-HERE = Path(__file__).parent
-BEFORE_S, AFTER_S = 30.0, 20.0  # s about an alarm that are cut out for the gap workflow
-PAUSE_S = 2.0  # between two words of the monitor, beyond which no control moved and no line is drawn
-
-
-def lines(found: Watched) -> Iterator[str]:
-    """For a terminal."""
-    c = found.calibration
-    yield (
-        f"{found.flight.name}, model {found.model}: {found.manoeuvring_s:.0f} s of manoeuvring watched; thresholds for "
-        f"{c.rate:g} false alarm an hour from {c.hours:.1f} h of simulated flight"
-    )
-    if not found.alarms:
-        yield f"no alarm; the largest score was {max((w.score for w in found.history), default=0.0):.0%} of its threshold"
-    for a in found.alarms:
-        yield f"t = {a.time:.1f} s: {a.text}"
-
-
-def stretch(found: Watched) -> Flight:
-    """The part of the flight about its first alarm, for the gap workflow."""
-    first, time = found.alarms[0], found.flight.time
-    keep = (time >= first.since - BEFORE_S) & (time <= first.time + AFTER_S)
-    return found.flight.part(keep, f"{found.flight.name}_alarm")
-
-
-def gap_command(path: Path, model: str, aircraft: str | None) -> str:
-    """What to type next."""
-    return f"sideslip gap {path} --model {model}" + ("" if aircraft is None else f" --aircraft {aircraft}")
-
-
-def write_watch_report(found: Watched, folder: Path, command: str) -> Path:
-    """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page."""
-    tables = {"alarms": _alarm_table(found), "provenance": provenance_table([found.flight])}
-    write_all(list(tables.values()), folder / "tables")
-    head, *rest = lines(found)
-    return write_page(
-        folder / "index.html",
-        "watch.html.j2",
-        templates=HERE,
-        title=f"Gap monitor: {found.flight.name}",
-        lead=f"{head}.",
-        tables=tables,
-        figure=history_picture(found),
-        said=rest,
-        command=command if found.alarms else "",
-    )
-
-
-def history_picture(found: Watched) -> Picture:
-    """Score in units of its threshold over the flight."""
-    from matplotlib.figure import Figure
-
-    with styled():
-        figure = Figure(figsize=(7.2, 2.6), layout="constrained")
-        draw_history(found, figure.subplots())
-    return picture(
-        figure, "watch_history", "The larger of both statistics over its threshold; blank where no control moved."
-    )
-
-
-def draw_history(found: Watched, axes: Any) -> None:
-    """The score over its threshold on axes, with a line where an alarm was told."""
-    time, score = np.array([w.time for w in found.history]), np.array([w.score for w in found.history])
-    pauses = np.flatnonzero(np.diff(time) > PAUSE_S) + 1
-    axes.plot(np.insert(time, pauses, np.nan), np.insert(score, pauses, np.nan), color="#0072B2")
-    axes.axhline(1.0, color="#D55E00", linestyle="--")
-    for a in found.alarms:
-        axes.axvline(a.time, color="#D55E00", linewidth=0.8)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("score / threshold")
-
-
-def _alarm_table(found: Watched) -> ReportTable:
-    rows = tuple(
-        (
-            f"{a.time:.1f}",
-            f"{a.since:.1f}",
-            a.equation,
-            ", ".join(a.channels),
-            f"{a.score:.1f}",
-            f"{a.threshold:.1f}",
-            "; ".join(f"{n.effect} {significant(n.size, 2)} {n.unit}" for n in a.leading) or "none of the list",
-        )
-        for a in found.alarms
-    )
-    head = ("noticed [s]", "since [s]", "equation", "shown by", "score", "threshold", "leading")
-    return ReportTable("alarms", "Alarms", head, rows, symbols=False, texts=(6,))

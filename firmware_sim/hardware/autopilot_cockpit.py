@@ -34,14 +34,16 @@ class AutopilotCockpit(Transmitter):
 
     def receiver(self, time_ns: int) -> tuple[int, ...] | None:
         """The pilot's eight channels at a time [us], None while the receiver is silent."""
-        wanted = self.sticks(time_ns)
-        if wanted is None:
+        commands = self.sticks(time_ns)
+        if commands is None:
             return None
-        aileron, elevator = (wanted.right - wanted.left) / 2.0, (wanted.right + wanted.left) / 2.0
-        roll, pitch, yaw = (round(PULSE_CENTRE_US + PULSE_PER_RAD_US * a) for a in (aileron, elevator, wanted.rudder))
+        aileron, elevator = (commands.right - commands.left) / 2.0, (commands.right + commands.left) / 2.0
+        roll, pitch, yaw = (round(PULSE_CENTRE_US + PULSE_PER_RAD_US * a) for a in (aileron, elevator, commands.rudder))
         idle, span = THROTTLE_PULSE_US
-        moved = self.table.throttle_s
-        throttle = wanted.throttle + (THROTTLE_MOVED if moved is not None and time_ns >= moved * 1e9 else 0.0)
+        throttle_s = self.table.throttle_s
+        throttle = commands.throttle + (
+            THROTTLE_MOVED if throttle_s is not None and time_ns >= throttle_s * 1e9 else 0.0
+        )
         return (roll, pitch, round(idle + span * throttle), yaw, round(self.switch_us(time_ns)), 1500, 1500, 1500)
 
     def behind(self, time_ns: int, pulses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,28 +1,33 @@
-"""The wiring of the simulated aircraft: which chip sits at which address and which instrument it looks at."""
+"""The wiring of the simulated aircraft: which chip sits at which address and which instrument it looks at.
+
+A laboratory brings simulated chips for sensors of its own by the entry point group `sideslip.chips`. The name of an entry point
+is the sensor group, its value `module:make`; `make(instruments)` returns the chip, which sits at the address that
+`[sensors.extra.GROUP]` of the logger's configuration says (docs/sensors.md).
+"""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.sensors.config import ExtraConfig
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
-from firmware_sim.hardware.bus import Chip
 from firmware_sim.hardware.cockpit import Cockpit
-from firmware_sim.hardware.faults import ADDRESSES, FaultSet
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
 from firmware_sim.hardware.registers.ak09916 import Ak09916Chip
 from firmware_sim.hardware.registers.bmp390 import Bmp390Chip
 from firmware_sim.hardware.registers.capture import CaptureChip
-from firmware_sim.hardware.registers.chip import Inputs
+from firmware_sim.hardware.registers.chip import Inputs, PoweredChip
 from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
 from firmware_sim.hardware.registers.ms4525do import Ms4525doChip
 from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
-from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall
+from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
 from firmware_sim.hardware.sensing.instruments import Instruments
-from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels
-from firmware_sim.hardware.sensing.signals import AT
+from firmware_sim.hardware.sensing.sensor_models import AT, NAU7802_GAIN, SensorModels
+from firmware_sim.tables import ScenarioError
 
 ADC_WIRING: dict[str, tuple[str, str, str, str]] = {
     "analog_a": ("alpha_vane", "beta_vane", "elevon_left_pot", "elevon_right_pot"),
@@ -36,51 +41,36 @@ MAG_FROM_CHIP = np.diag((1.0, -1.0, -1.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
-    """The chips by bus address, and some of them by name for those who want to break one."""
+class BoardWiring:
+    """What chips are connected to. bend: the inputs of a device with its value faults in them, the same inputs without any.
 
-    chips: dict[int, Chip]
-    imu: Icm20948Chip
-    capture: CaptureChip
-    pitot: Ms4525doChip
-
-
-def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | AutopilotCockpit | None = None) -> Board:
-    """All chips of the aircraft, looking at these instruments through the value faults of the scenario.
-
-    cockpit: with a sequencer, whose servo driver and second capture co-processor then are on the bus too, unless it goes through
-    an autopilot.
+    stuck: whether a device's measuring part is at a time [ns]. chips: those made so far, by device.
     """
-    models = instruments.models
-    imu = _imu(instruments, faults)
-    pitot = Ms4525doChip(_pitot(instruments, faults))
-    capture = CaptureChip(_capture(instruments, faults, cockpit))
-    thrust = Nau7802Chip(_thrust(instruments, faults))
-    static = Bmp390Chip(
-        faults.bend("static", instruments.inputs("static_pressure", "static_temperature")),
-        (models.static.noise_pa, models.static.noise_k),
-        instruments.generator("static"),
-    )
-    static.frozen = lambda now_ns: faults.quiet("static", now_ns)
-    chips: dict[int, Chip] = {
-        ADDRESSES["imu"]: imu,
-        ADDRESSES["mag"]: _mag(imu, instruments, faults),
-        ADDRESSES["pitot"]: pitot,
-        ADDRESSES["static"]: static,
-        ADDRESSES["thrust"]: thrust,
-        ADDRESSES["capture"]: capture,
-    }
-    for device, wiring in ADC_WIRING.items():
-        clock_error = float(instruments.generator(f"{device} clock").uniform(-0.08, 0.08))
-        chips[ADDRESSES[device]] = Ads1115Chip(_volts(instruments, faults, wiring), clock_error)
-    if isinstance(cockpit, Cockpit):
-        chips[ADDRESSES["servo_driver"]] = cockpit.chip
-        chips[ALLCALL_ADDRESS] = AllCall(cockpit.chip)
-        chips[ADDRESSES["pilot_inputs"]] = CaptureChip(_pilot_inputs(instruments, faults, cockpit))
-    return Board(chips, imu, capture, pitot)
+
+    instruments: Instruments
+    bend: Callable[[str, Inputs], Inputs] = lambda device, inputs: inputs
+    stuck: Callable[[str, int], bool] = lambda device, now_ns: False
+    cockpit: Cockpit | AutopilotCockpit | None = None
+    chips: dict[str, PoweredChip] = field(default_factory=dict)
 
 
-def _imu(instruments: Instruments, faults: FaultSet) -> Icm20948Chip:
+def build_board(wiring: BoardWiring) -> dict[str, PoweredChip]:
+    """All chips of the aircraft by device; with a cockpit the servo driver and the second capture co-processor too."""
+    for device, (_, make) in CHIPS.items():
+        if device not in ONLY_WITH_SEQUENCER or isinstance(wiring.cockpit, Cockpit):
+            wiring.chips[device] = make(wiring, device)
+    return wiring.chips
+
+
+def addressed(board: Mapping[str, PoweredChip]) -> dict[int, PoweredChip]:
+    """The same chips by bus address; a servo driver answers at that of all such chips too."""
+    chips = {ADDRESSES[device]: chip for device, chip in board.items()}
+    driver = board.get("servo_driver")
+    return chips if not isinstance(driver, Pca9685Chip) else {**chips, ALLCALL_ADDRESS: AllCall(driver)}
+
+
+def _imu(wiring: BoardWiring, device: str) -> PoweredChip:
+    instruments = wiring.instruments
     models = instruments.models.imu
     chip_from_body = np.array(models.body_from_chip).T
     raw = instruments.inputs(*(f"{s}_{a}" for s in ("accel", "gyro") for a in "xyz"), "imu_temperature")
@@ -89,93 +79,158 @@ def _imu(instruments: Instruments, faults: FaultSet) -> Icm20948Chip:
     turn[6, 6] = 1.0
     straight = bool(np.array_equal(turn, np.eye(7)))
     inputs: Inputs = raw if straight else lambda time_ns: turn @ np.asarray(raw(time_ns))
-    turned = np.abs(chip_from_body)
-    noise = (*(turned @ models.accel.noise), *(turned @ models.gyro.noise))
-    imu = Icm20948Chip(faults.bend("imu", inputs), noise, instruments.generator("imu"))
-    imu.frozen = lambda now_ns: faults.quiet("imu", now_ns)
+    turn_size = np.abs(chip_from_body)
+    noise = (*(turn_size @ models.accel.noise), *(turn_size @ models.gyro.noise))
+    imu = Icm20948Chip(wiring.bend(device, inputs), noise, instruments.generator(device))
+    imu.frozen = lambda now_ns: wiring.stuck(device, now_ns)
     return imu
 
 
-def _mag(imu: Icm20948Chip, instruments: Instruments, faults: FaultSet) -> Ak09916Chip:
-    models = instruments.models
+def _mag(wiring: BoardWiring, device: str) -> PoweredChip:
+    models, imu = wiring.instruments.models, wiring.chips["imu"]
+    assert isinstance(imu, Icm20948Chip)
     turn = MAG_FROM_CHIP @ np.array(models.imu.body_from_chip).T
-    raw = instruments.inputs("mag_x", "mag_y", "mag_z")
-    inputs = faults.bend("mag", lambda time_ns: turn @ np.asarray(raw(time_ns)))
-    mag = Ak09916Chip(imu, inputs, max(models.mag.field.noise), instruments.generator("mag"))
-    mag.frozen = lambda now_ns: faults.quiet("mag", now_ns)
+    raw = wiring.instruments.inputs("mag_x", "mag_y", "mag_z")
+    inputs = wiring.bend(device, lambda time_ns: turn @ np.asarray(raw(time_ns)))
+    mag = Ak09916Chip(imu, inputs, max(models.mag.field.noise), wiring.instruments.generator(device))
+    mag.frozen = lambda now_ns: wiring.stuck(device, now_ns)
     return mag
 
 
-def _pitot(instruments: Instruments, faults: FaultSet) -> Inputs:
-    raw = instruments.inputs("pitot_pressure", "pitot_temperature")
-    sigma, rng = instruments.models.pitot.noise_pa, instruments.generator("pitot")
+def _pitot(wiring: BoardWiring, device: str) -> PoweredChip:
+    raw = wiring.instruments.inputs("pitot_pressure", "pitot_temperature")
+    sigma, rng = wiring.instruments.models.pitot.noise_pa, wiring.instruments.generator(device)
 
     def inputs(time_ns: int) -> tuple[float, float]:
         pressure, temperature = raw(time_ns)
         return pressure + sigma * rng.standard_normal(), temperature
 
-    return faults.bend("pitot", inputs)
+    return Ms4525doChip(wiring.bend(device, inputs))
 
 
-def _thrust(instruments: Instruments, faults: FaultSet) -> Inputs:
-    raw, rng, model = instruments.inputs("thrust_bridge"), instruments.generator("thrust"), instruments.models.thrust
+def _static(wiring: BoardWiring, device: str) -> PoweredChip:
+    model = wiring.instruments.models.static
+    inputs = wiring.bend(device, wiring.instruments.inputs("static_pressure", "static_temperature"))
+    static = Bmp390Chip(inputs, (model.noise_pa, model.noise_k), wiring.instruments.generator(device))
+    static.frozen = lambda now_ns: wiring.stuck(device, now_ns)
+    return static
+
+
+def _thrust(wiring: BoardWiring, device: str) -> PoweredChip:
+    instruments = wiring.instruments
+    raw, rng, model = instruments.inputs("thrust_bridge"), instruments.generator(device), instruments.models.thrust
     sigma = abs(model.noise_n * model.counts_per_newton) * 0.5 / (NAU7802_GAIN * 2**23)
-    return faults.bend("thrust", lambda time_ns: (raw(time_ns)[0] + sigma * rng.standard_normal(),))
+    return Nau7802Chip(wiring.bend(device, lambda time_ns: (raw(time_ns)[0] + sigma * rng.standard_normal(),)))
 
 
-def _capture(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | AutopilotCockpit | None) -> Inputs:
+def _capture(wiring: BoardWiring, device: str) -> PoweredChip:
     names = (*(f"pwm_{i}" for i in range(1, 7)), *(f"digital_{i}" for i in range(1, 6)))
-    raw, rng = instruments.inputs(*names), instruments.generator("capture")
-    sigma = instruments.models.capture.jitter_us * 1e-6
+    raw, rng = wiring.instruments.inputs(*names), wiring.instruments.generator(device)
+    sigma = wiring.instruments.models.capture.jitter_us * 1e-6
 
     def inputs(time_ns: int) -> NDArray[np.float64]:
         values = np.array(raw(time_ns))
-        if cockpit is not None:
-            values = cockpit.behind(time_ns, values)
+        if wiring.cockpit is not None:
+            values = wiring.cockpit.behind(time_ns, values)
         values[:6] += (values[:6] > 0.0) * (sigma * rng.standard_normal())
         return values
 
-    return faults.bend("capture", inputs)
+    return CaptureChip(wiring.bend(device, inputs))
 
 
-def _pilot_inputs(instruments: Instruments, faults: FaultSet, cockpit: Cockpit) -> Inputs:
-    rng, sigma = instruments.generator("pilot_inputs"), instruments.models.capture.jitter_us * 1e-6
+def _pilot_inputs(wiring: BoardWiring, device: str) -> PoweredChip:
+    cockpit, rng = wiring.cockpit, wiring.instruments.generator(device)
+    sigma = wiring.instruments.models.capture.jitter_us * 1e-6
+    assert isinstance(cockpit, Cockpit)
 
     def inputs(time_ns: int) -> NDArray[np.float64]:
         values = np.array(cockpit.receiver(time_ns))
         values[:6] += (values[:6] > 0.0) * (sigma * rng.standard_normal(6))
         return values
 
-    return faults.bend("pilot_inputs", inputs)
+    return CaptureChip(wiring.bend(device, inputs))
 
 
-def _volts(
-    instruments: Instruments, faults: FaultSet, wiring: tuple[str, str, str, str]
-) -> Callable[[int, int], float]:
-    sources = [_volt_source(instruments, faults, name) for name in wiring]
-    return lambda channel, time_ns: sources[channel](time_ns)
+def _servo_driver(wiring: BoardWiring, device: str) -> PoweredChip:
+    assert isinstance(wiring.cockpit, Cockpit)
+    return wiring.cockpit.chip
 
 
-def _volt_source(instruments: Instruments, faults: FaultSet, name: str) -> Callable[[int], float]:
-    at, rng = AT[name], instruments.generator(name)
-    sigma = converter_noise(instruments.models, name)
-    plain: Callable[[int], float] = lambda time_ns: float(instruments.at(time_ns)[at]) + sigma * rng.standard_normal()  # noqa: E731
-    bent = faults.bend(name, lambda time_ns: (plain(time_ns),))
-    if not any(f.device == name for f in faults.of("stuck_value", "spikes")):
-        return plain
-    return lambda time_ns: float(bent(time_ns)[0])
+def _converter(wiring: BoardWiring, device: str) -> PoweredChip:
+    clock_error = float(wiring.instruments.generator(f"{device} clock").uniform(-0.08, 0.08))
+    sources = [_volts(wiring, name) for name in ADC_WIRING[device]]
+    return Ads1115Chip(lambda channel, time_ns: sources[channel](time_ns), clock_error)
+
+
+def _volts(wiring: BoardWiring, name: str) -> Callable[[int], float]:
+    index, instruments = AT[name], wiring.instruments
+    rng, sigma = instruments.generator(name), converter_noise(instruments.models, name)
+
+    def volts(time_ns: int) -> float:
+        return float(instruments.at(time_ns)[index]) + sigma * rng.standard_normal()
+
+    def inputs(time_ns: int) -> tuple[float]:
+        return (volts(time_ns),)
+
+    bent = wiring.bend(name, inputs)
+    return volts if bent is inputs else lambda time_ns: float(bent(time_ns)[0])
+
+
+CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
+    "imu": (0x68, _imu),
+    "pitot": (0x28, _pitot),
+    "capture": (0x40, _capture),
+    "thrust": (0x2A, _thrust),
+    "static": (0x77, _static),
+    "mag": (0x0C, _mag),
+    "analog_a": (0x48, _converter),
+    "analog_b": (0x49, _converter),
+    "analog_c": (0x4A, _converter),
+    "servo_driver": (0x41, _servo_driver),
+    "pilot_inputs": (0x42, _pilot_inputs),
+}
+"""Every chip of the simulated aircraft: its address on the bus and how it is wired. Value faults draw in this order."""
+
+ADDRESSES: Mapping[str, int] = {device: address for device, (address, _) in CHIPS.items()}
+ONLY_WITH_SEQUENCER = frozenset({"servo_driver", "pilot_inputs"})
+VALUE_DEVICES = CHIPS.keys() - ADC_WIRING.keys() - {"servo_driver"} | {
+    name for row in ADC_WIRING.values() for name in row
+}
+"""What can be stuck or show spikes: chips, and of converters each input."""
 
 
 def converter_noise(models: SensorModels, name: str) -> float:
     """Standard deviation of the voltage at a converter input [V], its own noise (a count) included."""
-    own = 6e-5
+    converter_v = 6e-5
     pots = {"elevon_left_pot": models.elevon_left, "elevon_right_pot": models.elevon_right, "rudder_pot": models.rudder}
     vanes = {"alpha_vane": models.alpha_vane, "beta_vane": models.beta_vane}
     sensor = pots.get(name) or vanes.get(name)
     if sensor is not None:
-        return math.hypot(own, sensor.noise_rad * sensor.volts_per_rad)
+        return math.hypot(converter_v, sensor.noise_rad * sensor.volts_per_rad)
     if name == "supply":
-        return math.hypot(own, 10.0 * models.supply.ripple_v / models.supply.main_divider)
+        return math.hypot(converter_v, 10.0 * models.supply.ripple_v / models.supply.main_divider)
     if name == "sensor_supply":
-        return math.hypot(own, models.supply.ripple_v / models.supply.sensor_divider)
-    return math.hypot(own, models.analog_noise_v)
+        return math.hypot(converter_v, models.supply.ripple_v / models.supply.sensor_divider)
+    return math.hypot(converter_v, models.analog_noise_v)
+
+
+ENTRY_POINTS = "sideslip.chips"
+
+
+def laboratory_chips(extra: Mapping[str, ExtraConfig], instruments: Instruments) -> dict[int, PoweredChip]:
+    """Chips by bus address for the sensors of one's own that have one; a sensor without one is absent in flight.
+
+    Raises ScenarioError for a chip that cannot be had or whose address the configuration does not say.
+    """
+    chips: dict[int, PoweredChip] = {}
+    for group, section in extra.items():
+        for entry in entry_points(group=ENTRY_POINTS, name=group):
+            if section.address is None:
+                raise ScenarioError(f"sensors.extra.{group}: its simulated chip needs an address; add the key address")
+            try:
+                chips[section.address] = entry.load()(instruments)
+            except (ImportError, AttributeError, TypeError) as error:
+                raise ScenarioError(
+                    f"entry point {ENTRY_POINTS} {group} = {entry.value}: no simulated chip there ({error})"
+                ) from error
+    return chips

@@ -11,57 +11,27 @@ import errno
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from daq.clock import SimulatedClock
+from firmware_sim.hardware.registers.chip import PoweredChip
+from firmware_sim.tables import SimulatorTable
 
 READ_FLAG = 0x0001  # I2C_M_RD of linux/i2c.h
 GENERAL_CALL = 0x00
 BLOCK_LIMIT = 32  # bytes in one SMBus block transfer
 
 
-class BusModel(BaseModel):
+class BusModel(SimulatorTable):
     """Scenario table `[bus]`: how fast the bus and the machine behind it are."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     frequency_hz: float = Field(default=400e3, gt=0.0, description="clock of the bus [Hz]")
     overhead_us: float = Field(default=60.0, ge=0.0, description="system call and driver time of each transfer [us]")
     timeout_ms: float = Field(
         default=10.0, gt=0.0, description="time after which the adapter gives up on a held line [ms]"
     )
-
-
-class Chip(Protocol):
-    """A device on the bus. Times are monotonic nanoseconds of the bus's clock."""
-
-    def answers(self, now_ns: int) -> bool:
-        """Whether the chip acknowledges its address now."""
-        ...
-
-    def write(self, data: bytes, now_ns: int) -> None:
-        """Take the bytes of one write."""
-        ...
-
-    def read(self, count: int, now_ns: int) -> bytes:
-        """The bytes of one read."""
-        ...
-
-    def general_call(self, data: bytes, now_ns: int) -> None:
-        """Take bytes sent to everybody."""
-        ...
-
-    def set_power(self, on: bool, now_ns: int) -> None:
-        """Power comes (registers at their reset values) or goes."""
-        ...
-
-
-class BusClock(Protocol):
-    """What the bus needs of a clock: simulated time that it can move on."""
-
-    def monotonic_ns(self) -> int: ...
-
-    def advance(self, duration_ns: int) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +59,8 @@ class SimulatedBus:
 
     def __init__(
         self,
-        clock: BusClock,
-        chips: Mapping[int, Chip],
+        clock: SimulatedClock,
+        chips: Mapping[int, PoweredChip],
         model: BusModel | None = None,
         disturb: Callable[[int, int], Disturbance | None] = _no_disturbance,
     ) -> None:
@@ -105,14 +75,6 @@ class SimulatedBus:
         self.timeout_ns = round(model.timeout_ms * 1e6)
         self._closed = False
 
-    def read_byte(self, i2c_addr: int, force: bool | None = None) -> int:
-        """One byte, from where the chip's pointer stands."""
-        return self._transfer(i2c_addr, None, 1)[0]
-
-    def write_byte(self, i2c_addr: int, value: int, force: bool | None = None) -> None:
-        """One byte without a register."""
-        self._transfer(i2c_addr, bytes([value]), 0)
-
     def read_byte_data(self, i2c_addr: int, register: int, force: bool | None = None) -> int:
         """One byte of a register."""
         return self._transfer(i2c_addr, bytes([register]), 1)[0]
@@ -120,14 +82,6 @@ class SimulatedBus:
     def write_byte_data(self, i2c_addr: int, register: int, value: int, force: bool | None = None) -> None:
         """One byte to a register."""
         self._transfer(i2c_addr, bytes([register, value]), 0)
-
-    def read_word_data(self, i2c_addr: int, register: int, force: bool | None = None) -> int:
-        """Two bytes of a register, the first one low, as SMBus has it."""
-        return int.from_bytes(self._transfer(i2c_addr, bytes([register]), 2), "little")
-
-    def write_word_data(self, i2c_addr: int, register: int, value: int, force: bool | None = None) -> None:
-        """Two bytes to a register, the low one first, as SMBus has it."""
-        self._transfer(i2c_addr, bytes([register]) + value.to_bytes(2, "little"), 0)
 
     def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, force: bool | None = None) -> list[int]:
         """Up to 32 bytes from a register on."""
@@ -189,9 +143,9 @@ class _Transaction:
         return self
 
     def __exit__(self, *_: object) -> None:
-        whole = round(self._elapsed_ns)
-        self._bus.busy_ns += whole
-        self._bus.clock.advance(whole)
+        duration_ns = round(self._elapsed_ns)
+        self._bus.busy_ns += duration_ns
+        self._bus.clock.advance(duration_ns)
 
     @property
     def _now_ns(self) -> int:

@@ -7,24 +7,16 @@ chunk in the file, as a real one does; a card that is gone fails every operation
 import errno
 import os
 from pathlib import Path
-from typing import Protocol
 
+from daq.clock import Clock
 from daq.recorder.storage import RealStorage, Storage, StorageFile
 from firmware_sim.hardware.faults import FILE_KINDS, Fault, FaultSet
-
-
-class CardClock(Protocol):
-    """What the card needs of a clock."""
-
-    def monotonic_ns(self) -> int: ...
-
-    def sleep_until(self, monotonic_ns: int) -> None: ...
 
 
 class SimulatedCard:
     """A `daq.recorder.storage.Storage` that goes wrong when the scenario says so."""
 
-    def __init__(self, faults: FaultSet, clock: CardClock, origin_ns: int = 0, inner: Storage | None = None) -> None:
+    def __init__(self, faults: FaultSet, clock: Clock, origin_ns: int = 0, inner: Storage | None = None) -> None:
         self._faults = tuple(f for f in faults.faults if f.kind in FILE_KINDS)
         self._clock = clock
         self._origin_ns = origin_ns

@@ -2,22 +2,89 @@
 
 `Cockpit` stands between the simulated pilot and the servos. Where the multiplexer passes his signals he flies as ever; while
 it passes the servo driver's he keeps his hands still, unless the scenario has him take over.
+
+A monostable is kept up by edges of the heartbeat. It enables the servo driver (OE) and lets SEL pulses through to the
+multiplexer, which goes by SEL alone: wide pulses choose its second source; lost pulses choose the first.
 """
 
 from bisect import bisect_right
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.multiplexer import Monostable, Multiplexer
 from firmware_sim.hardware.registers.pca9685 import Pca9685Chip
 from firmware_sim.physics.plant import Commands
+from firmware_sim.tables import ScenarioError, SimulatorTable
 from firmware_sim.world.scenario import Scenario
+from firmware_sim.world.simulation import Wiring
 from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US, THROTTLE_PULSE_US
+
+MONOSTABLE_NS = 60_000_000
+SEL_LOST_NS = 35_000_000
+"""The multiplexer takes SEL for lost after so long. With the monostable's time: below 0.1 s."""
+FRAME_NS = 20_000_000
+THRESHOLD_US = 1700.0
+_KEPT = 4096  # edges; at 50 a second more than anybody looks back
+
+
+class Monostable:
+    """Retriggerable, with a clear input; also the heartbeat as the software sees it. now_ns: of the clock edges come by."""
+
+    def __init__(self, now_ns: Callable[[], int], width_ns: int = MONOSTABLE_NS) -> None:
+        self._now = now_ns
+        self._width_ns = width_ns
+        self._edges: list[int] = []
+        self._clears: list[int] = []
+        self.broken = lambda time_ns: False  # whether the line is cut at a time [ns]
+
+    def beat(self) -> None:
+        """A rising edge."""
+        now_ns = self._now()
+        if not self.broken(now_ns):
+            self._edges.append(now_ns)
+            del self._edges[:-_KEPT]
+
+    def release(self) -> None:
+        """The clear input."""
+        self._clears.append(self._now())
+        del self._clears[:-_KEPT]
+
+    def up(self, time_ns: int) -> bool:
+        """Whether its output is up at a time [ns]."""
+        last = bisect_right(self._edges, time_ns) - 1
+        if last < 0 or time_ns - self._edges[last] >= self._width_ns:
+            return False
+        cleared = bisect_right(self._clears, time_ns) - 1
+        return cleared < 0 or self._clears[cleared] < self._edges[last]
+
+    @property
+    def last_edge_ns(self) -> int | None:
+        """When the last edge came; None before the first."""
+        return self._edges[-1] if self._edges else None
+
+
+class Multiplexer:
+    """switch_us: width of the receiver's switch channel at a time [ns], 0 without pulses. gate: lets SEL pulses through."""
+
+    def __init__(
+        self, switch_us: Callable[[int], float], gate: Callable[[int], bool], sel_lost_ns: int = SEL_LOST_NS
+    ) -> None:
+        self._switch_us, self._gate = switch_us, gate
+        self._sel_lost_ns = sel_lost_ns
+
+    def selects_second(self, time_ns: int) -> bool:
+        """Whether the second source, the servo driver, reaches the servos at a time [ns]."""
+        frame = time_ns // FRAME_NS * FRAME_NS
+        while frame >= 0 and time_ns - frame <= self._sel_lost_ns:
+            width = self._switch_us(frame)
+            if width > 0.0 and self._gate(frame):
+                return width > THRESHOLD_US
+            frame -= FRAME_NS
+        return False
+
 
 SWITCH_US: Mapping[str, float] = {"off": 1000.0, "arm": 1500.0, "go": 2000.0}
 OUTPUTS = {"left": 0, "right": 1, "rudder": 2}
@@ -26,7 +93,7 @@ LOOPBACK_CHANNEL = 3
 _FRAMES_KEPT = 1000
 
 
-class CockpitTable(BaseModel):
+class CockpitTable(SimulatorTable):
     """Scenario table `[sequencer]`. Times are seconds from the start of the recording.
 
     switch: when the pilot moves his switch where. take_over_s: he moves his sticks in spite of the switch. receiver_lost_s:
@@ -35,8 +102,6 @@ class CockpitTable(BaseModel):
     `autopilots.arduplane.PARAMETERS`; modes: when it changes to which (0 MANUAL, 5 FBWA); line_lost_s: its line breaks;
     throttle_s: when the pilot moves his throttle.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     switch: tuple[tuple[float, Literal["off", "arm", "go"]], ...] = ((0.0, "off"), (3.0, "arm"), (6.0, "go"))
     take_over_s: float | None = Field(default=None, ge=0.0)
@@ -48,16 +113,6 @@ class CockpitTable(BaseModel):
     modes: tuple[tuple[float, int], ...] = ()
     line_lost_s: float | None = Field(default=None, ge=0.0)
     throttle_s: float | None = Field(default=None, ge=0.0)
-
-
-def parse_cockpit(table: Mapping[str, Any], where: str) -> CockpitTable:
-    """The table of a scenario; raises ScenarioError naming the key."""
-    try:
-        return CockpitTable.model_validate(table)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(["sequencer", *(str(part) for part in first["loc"])])
-        raise ScenarioError(f"scenario {where}: {key}: {first['msg']}") from error
 
 
 def switch_for(scenario: Scenario, manoeuvre_s: float) -> list[tuple[float, str]]:
@@ -75,7 +130,7 @@ def switch_for(scenario: Scenario, manoeuvre_s: float) -> list[tuple[float, str]
     return [(0.0, "off"), (arm_s, "arm"), (arm_s + 3.0, "go"), (off_s, "off")]
 
 
-class Transmitter:
+class Transmitter(Wiring):
     """The pilot's switch and sticks as his receiver has them. takeoff_s: recording time of airborne zero."""
 
     def __init__(self, table: CockpitTable, takeoff_s: float) -> None:
@@ -85,16 +140,16 @@ class Transmitter:
 
     def silent(self, time_ns: int) -> bool:
         """Whether the receiver is."""
-        lost = self.table.receiver_lost_s
-        return lost is not None and time_ns >= lost * 1e9
+        lost_s = self.table.receiver_lost_s
+        return lost_s is not None and time_ns >= lost_s * 1e9
 
     def switch_us(self, time_ns: int) -> float:
         """Width of the switch's channel [us]; 0 while the receiver is silent."""
         if self.silent(time_ns):
             return 0.0
         position = "off"
-        for start_s, chosen in self.table.switch:
-            position = chosen if time_ns >= start_s * 1e9 else position
+        for start_s, next_position in self.table.switch:
+            position = next_position if time_ns >= start_s * 1e9 else position
         return SWITCH_US[position]
 
     def note(self, time_ns: int, wanted: Commands) -> None:
@@ -116,8 +171,8 @@ class Transmitter:
 
     def takes_over(self, time_ns: int) -> bool:
         """Whether the pilot moves his sticks in spite of the switch."""
-        taken = self.table.take_over_s
-        return taken is not None and time_ns >= taken * 1e9
+        take_over_s = self.table.take_over_s
+        return take_over_s is not None and time_ns >= take_over_s * 1e9
 
 
 class Cockpit(Transmitter):
@@ -164,8 +219,8 @@ class Cockpit(Transmitter):
         if not self.multiplexer.selects_second(time_ns):
             self._last = wanted
             return wanted
-        held = self._last or wanted
-        left, right, rudder = (self._angle(channel, time_ns, getattr(held, name)) for name, channel in OUTPUTS.items())
+        last = self._last or wanted
+        left, right, rudder = (self._angle(channel, time_ns, getattr(last, name)) for name, channel in OUTPUTS.items())
         self._last = Commands(left, right, rudder, wanted.throttle)
         return self._last
 

@@ -10,36 +10,23 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from firmware_sim.errors import ScenarioError
+from firmware_sim.hardware.board import ADDRESSES, VALUE_DEVICES
 from firmware_sim.hardware.bus import Disturbance
 from firmware_sim.hardware.registers.chip import Inputs
+from firmware_sim.tables import SimulatorTable, checked
 
 OnWires = Literal["absent", "nack", "stuck_bus", "slow_bus", "stuck_value", "spikes", "torn_gnss", "power_dip"]
 Kind = OnWires | Literal["sd_stall", "sd_slow", "disk_full", "card_gone", "clock_step", "radio_lost"]
 
-ADDRESSES: Mapping[str, int] = {
-    **{"imu": 0x68, "mag": 0x0C, "analog_a": 0x48, "analog_b": 0x49, "analog_c": 0x4A},
-    **{"pitot": 0x28, "static": 0x77, "thrust": 0x2A, "capture": 0x40},
-    **{"servo_driver": 0x41, "pilot_inputs": 0x42},
-}
-"""Where each chip of the simulated aircraft sits on the bus; the last two only with a sequencer."""
-
-ONLY_WITH_SEQUENCER = frozenset({"servo_driver", "pilot_inputs"})
 _ON_BUS = frozenset({"nack", "slow_bus"})
 _NEEDS_DEVICE = frozenset({"absent", "nack", "stuck_value", "spikes"})
 _TOGETHER: Mapping[str, tuple[str, ...]] = {"imu": ("mag",)}  # one package
 FILE_KINDS = frozenset({"sd_stall", "sd_slow", "disk_full", "card_gone"})
-VALUE_DEVICES = frozenset(
-    (
-        "imu mag pitot static thrust capture pilot_inputs alpha_vane beta_vane elevon_left_pot elevon_right_pot rudder_pot "
-        "supply sensor_supply analog_1 analog_2 analog_3 analog_4 analog_5"
-    ).split()
-)
 
 
-class Fault(BaseModel):
+class Fault(SimulatorTable):
     """One line of `[[faults]]`.
 
     absent: `device` is unplugged, and comes back with its settings lost (the magnetometer goes with the imu). nack: it does
@@ -50,8 +37,6 @@ class Fault(BaseModel):
     returns at its end. sd_slow: each write takes `size` seconds. disk_full, card_gone: writes fail with ENOSPC, EIO.
     clock_step: the machine's UTC jumps by `size` seconds. radio_lost: nothing gets through.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     kind: Kind
     device: str | None = None
@@ -68,9 +53,9 @@ class Fault(BaseModel):
             raise ValueError(f"kind {self.kind!r} needs a device")
         if self.kind in ("slow_bus", "spikes", "clock_step", "sd_slow") and self.size is None:
             raise ValueError(f"kind {self.kind!r} needs a size")
-        known = VALUE_DEVICES if self.kind in ("stuck_value", "spikes") else {*ADDRESSES, "gnss", "autopilot"}
-        if self.device is not None and self.device not in known:
-            raise ValueError(f"device {self.device!r} is none of {', '.join(sorted(known))}")
+        devices = VALUE_DEVICES if self.kind in ("stuck_value", "spikes") else {*ADDRESSES, "gnss", "autopilot"}
+        if self.device is not None and self.device not in devices:
+            raise ValueError(f"device {self.device!r} is none of {', '.join(sorted(devices))}")
         return self
 
     def active(self, time_s: float) -> bool:
@@ -80,15 +65,7 @@ class Fault(BaseModel):
 
 def parse_faults(lines: Sequence[Mapping[str, Any]], where: str) -> tuple[Fault, ...]:
     """The fault lines of a scenario; raises ScenarioError naming the line and key."""
-    faults = []
-    for i, line in enumerate(lines):
-        try:
-            faults.append(Fault.model_validate(line))
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(["faults", str(i + 1), *(str(part) for part in first["loc"])])
-            raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}") from error
-    return tuple(faults)
+    return tuple(checked(Fault, line, where, "faults", str(i + 1)) for i, line in enumerate(lines))
 
 
 class FaultSet:
@@ -107,7 +84,7 @@ class FaultSet:
         """Seconds from the start of the recording."""
         return (now_ns - self._origin_ns) * 1e-9
 
-    def of(self, *kinds: str) -> tuple[Fault, ...]:
+    def of_kinds(self, *kinds: str) -> tuple[Fault, ...]:
         """The faults of some kinds."""
         return tuple(f for f in self.faults if f.kind in kinds)
 
@@ -133,32 +110,32 @@ class FaultSet:
     def gnss_corrupt(self, message: bytes, now_ns: int) -> bytes:
         """A GPS message as it comes through a bad line: a piece is missing from the middle, or its end."""
         time_s = self.seconds(now_ns)
-        for fault in self.of("torn_gnss"):
+        for fault in self.of_kinds("torn_gnss"):
             if message and fault.active(time_s) and self._rng.random() < fault.probability:
                 start = int(self._rng.integers(0, len(message)))
-                lost = int(self._rng.integers(1, max(2, len(message) // 3)))
-                message = message[:start] + message[start + lost :]
+                gap = int(self._rng.integers(1, max(2, len(message) // 3)))
+                message = message[:start] + message[start + gap :]
         return message
 
     def radio_lost(self, now_ns: int) -> bool:
         """Whether the radio gets nothing through."""
-        return any(f.active(self.seconds(now_ns)) for f in self.of("radio_lost"))
+        return any(f.active(self.seconds(now_ns)) for f in self.of_kinds("radio_lost"))
 
     def bend(self, device: str, inputs: Inputs) -> Inputs:
         """A chip's input with the value faults of `device` in it; `inputs` itself where there are none."""
-        mine = [f for f in self.of("stuck_value", "spikes") if f.device == device]
-        if not mine:
+        device_faults = [f for f in self.of_kinds("stuck_value", "spikes") if f.device == device]
+        if not device_faults:
             return inputs
         rng = np.random.default_rng(self._rng.integers(0, 2**63))
-        held: dict[int, NDArray[np.float64]] = {}
+        stuck_values: dict[int, NDArray[np.float64]] = {}
 
         def bent(time_ns: int) -> NDArray[np.float64]:
             values = np.array(inputs(time_ns), float)
-            for i, fault in enumerate(mine):
+            for i, fault in enumerate(device_faults):
                 if not fault.active(self.seconds(time_ns)):
-                    held.pop(i, None)
+                    stuck_values.pop(i, None)
                 elif fault.kind == "stuck_value":
-                    values = held.setdefault(i, values)
+                    values = stuck_values.setdefault(i, values)
                 elif rng.random() < fault.probability:
                     values = values + (fault.size or 0.0) * rng.choice((-1.0, 1.0), size=values.shape)
             return values
@@ -167,7 +144,7 @@ class FaultSet:
 
     def quiet(self, device: str, now_ns: int) -> bool:
         """Whether a sensor is stuck, so that its sample has no fresh noise either."""
-        return any(f.device == device and f.active(self.seconds(now_ns)) for f in self.of("stuck_value"))
+        return any(f.device == device and f.active(self.seconds(now_ns)) for f in self.of_kinds("stuck_value"))
 
 
 class PowerTaker(Protocol):
@@ -176,7 +153,7 @@ class PowerTaker(Protocol):
     def set_power(self, on: bool, now_ns: int) -> None: ...
 
 
-class Events:
+class FaultEvents:
     """Faults that happen at an instant (plugs, power dips, clock steps), brought about as the clock advances.
 
     Register `at` with `SimulatedClock.on_advance`. powered: what hangs on the supply, by device. step_utc: called with
@@ -191,12 +168,12 @@ class Events:
         origin_ns: int = 0,
     ) -> None:
         pending: list[tuple[int, Callable[[int], None]]] = []
-        for fault in faults.of("power_dip", "absent"):
+        for fault in faults.of_kinds("power_dip", "absent"):
             names = list(powered) if fault.device is None else [fault.device, *_TOGETHER.get(fault.device, ())]
             for on, time_s in ((False, fault.start_s), (True, fault.stop_s)):
                 if math.isfinite(time_s):
                     pending.append((origin_ns + round(time_s * 1e9), _switch([powered[n] for n in names], on)))
-        for step in faults.of("clock_step"):
+        for step in faults.of_kinds("clock_step"):
             pending.append((origin_ns + round(step.start_s * 1e9), _stepper(step_utc, round((step.size or 0.0) * 1e9))))
         self._pending = sorted(pending, key=lambda item: item[0])
 

@@ -10,14 +10,14 @@ import math
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from firmware_sim.errors import ScenarioError
+from firmware_sim.tables import SimulatorTable
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -31,10 +31,8 @@ TTY_BYTES = 4096  # what the operating system holds for the serial line
 FLUSH_NS = 50_000_000  # an unfinished frame is sent on after this
 
 
-class RadioModel(BaseModel):
+class RadioModel(SimulatorTable):
     """Scenario table `[radio]`. drop, duplicate: shares of packets. Rates are per byte or bit on the air."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     drop: Share = 0.0
     duplicate: Share = 0.0
@@ -58,18 +56,8 @@ class RadioModel(BaseModel):
     noise: Annotated[int, Field(ge=0, le=254)] = 40
 
 
-def parse_radio(table: Mapping[str, Any], where: str) -> RadioModel:
-    """The `[radio]` table of a scenario; raises ScenarioError naming the key."""
-    try:
-        return RadioModel.model_validate(dict(table))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(["radio", *(str(part) for part in first["loc"])])
-        raise ScenarioError(f"scenario {where}: {key}: {first['msg']}") from error
-
-
 @dataclass(slots=True)
-class Counts:
+class PacketCounts:
     """What became of the packets of one direction: sent = lost + delivered (whole or damaged); duplicates are extra."""
 
     sent: int = 0
@@ -96,11 +84,11 @@ class RadioPort:
 
     def read(self, limit: int = 65536) -> bytes:
         """At most `limit` bytes that have arrived."""
-        return self._link.take(self._side, limit)
+        return self._link.read_side(self._side, limit)
 
     def write(self, data: bytes) -> int:
         """Send bytes; returns how many the serial line's buffer had room for."""
-        return self._link.put(self._side, bytes(data))
+        return self._link.write_side(self._side, bytes(data))
 
     def flush(self) -> None:
         """Nothing waits on this side of the radio."""
@@ -135,24 +123,24 @@ class SimulatedRadioLink:
         self._sequence = 0
 
     @property
-    def down(self) -> Counts:
+    def down(self) -> PacketCounts:
         """Counts of the direction from the aircraft to the ground."""
         return self._ways[0].counts
 
     @property
-    def up(self) -> Counts:
+    def up(self) -> PacketCounts:
         """Counts of the direction from the ground to the aircraft."""
         return self._ways[1].counts
 
-    def put(self, side: int, data: bytes) -> int:
+    def write_side(self, side: int, data: bytes) -> int:
         """Bytes from the program at one side; returns how many were taken."""
         with self._lock:
-            now = self._now()
+            now_ns = self._now()
             way = self._ways[side]
-            room = way.room(now)
-            for packet in way.accept(data[:room], now):
+            room = way.room(now_ns)
+            for packet in way.accept(data[:room], now_ns):
                 if _message_id(packet) == HEARTBEAT_ID:
-                    self._heartbeat_ns = now
+                    self._heartbeat_ns = now_ns
             return min(room, len(data))
 
     def waiting(self, side: int) -> int:
@@ -161,7 +149,7 @@ class SimulatedRadioLink:
             self._arrive()
             return len(self._ways[1 - side].inbox)
 
-    def take(self, side: int, size: int) -> bytes:
+    def read_side(self, side: int, size: int) -> bytes:
         """Read bytes at one side."""
         with self._lock:
             self._arrive()
@@ -171,10 +159,10 @@ class SimulatedRadioLink:
             return data
 
     def _arrive(self) -> None:
-        now = self._now()
+        now_ns = self._now()
         for way in self._ways:
-            way.arrive(now)
-        self._report(now)
+            way.arrive(now_ns)
+        self._report(now_ns)
 
     def _report(self, now: int) -> None:
         """Put a RADIO_STATUS into both inboxes, whole frames apart from what arrives over the air."""
@@ -195,7 +183,7 @@ class _Way:
     """One direction: from the serial line of one radio to the serial line of the other."""
 
     def __init__(self, model: RadioModel, rng: np.random.Generator, lost: Callable[[int], bool]) -> None:
-        self.counts = Counts()
+        self.counts = PacketCounts()
         self.inbox = bytearray()
         self._model = model
         self._rng = rng
@@ -210,8 +198,8 @@ class _Way:
 
     def room(self, now: int) -> int:
         """Bytes that the serial line's buffer takes now."""
-        waiting = max(0, self._line_until - now) * 1e-9 * self._model.serial_baud / 10.0
-        return max(0, TTY_BYTES - math.ceil(waiting))
+        queued = max(0, self._line_until - now) * 1e-9 * self._model.serial_baud / 10.0
+        return max(0, TTY_BYTES - math.ceil(queued))
 
     def accept(self, data: bytes, now: int) -> list[bytes]:
         """Take bytes from the serial line and send what makes whole packets; returns these."""
@@ -359,9 +347,3 @@ def x25(data: bytes) -> int:
         mixed = (mixed ^ mixed << 4) & 0xFF
         crc = (crc >> 8 ^ mixed << 8 ^ mixed << 3 ^ mixed >> 4) & 0xFFFF
     return crc
-
-
-def expected_loss(model: RadioModel, packet_bytes: int) -> float:
-    """Share of packets of this size that do not arrive whole, bursts apart."""
-    whole = (1.0 - model.bit_error_rate) ** (8 * packet_bytes) * (1.0 - model.byte_drop_rate) ** packet_bytes
-    return 1.0 - (1.0 - model.drop) * whole

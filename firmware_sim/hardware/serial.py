@@ -65,11 +65,6 @@ class SimulatedSerial:
     def flush(self) -> None:
         """Nothing waits to be sent."""
 
-    def reset_input_buffer(self) -> None:
-        """Forget what was received and not read."""
-        self._pump()
-        self._buffer.clear()
-
     def close(self) -> None:
         """Close the port."""
         self.is_open = False

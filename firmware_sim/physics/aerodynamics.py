@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from daq.contract.constants import GRAVITY
 from estimation.aircraft import Aircraft, SimulatedFlight
-from firmware_sim.errors import ScenarioError
+from firmware_sim.tables import ScenarioError
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
@@ -26,21 +26,21 @@ def true_derivatives(aircraft: Aircraft, overrides: Mapping[str, float]) -> dict
     Cm_0 is set so that the elevator is in line at the trim speed, unless overridden. Raises ScenarioError for a
     derivative this aircraft does not have, or does not state and needs.
     """
-    flown = simulation_of(aircraft)
-    stated = {**{n: p.value for n, p in aircraft.derivatives.items()}, **flown.derivatives, **overrides}
+    simulation = simulation_of(aircraft)
+    known_values = {**{n: p.value for n, p in aircraft.derivatives.items()}, **simulation.derivatives, **overrides}
     names = (*LATERAL, *LONGITUDINAL)
     unknown = sorted(set(overrides) - set(names))
     if unknown:
         raise ScenarioError(f"derivatives.{unknown[0]}: no such derivative; known are {', '.join(names)}")
-    missing = [n for n in names if n not in stated and n != "Cm_0"]
+    missing = [n for n in names if n not in known_values and n != "Cm_0"]
     if missing:
         raise ScenarioError(
             f"aircraft {aircraft.name!r}: derivative {', '.join(missing)} missing, needed to fly it; add to"
             " [derivatives] or [simulation.derivatives] of its file"
         )
-    values = {name: stated.get(name, 0.0) for name in names}
+    values = {name: known_values.get(name, 0.0) for name in names}
     if "Cm_0" not in overrides:
-        pressure = 0.5 * REFERENCE_DENSITY * flown.speed**2
+        pressure = 0.5 * REFERENCE_DENSITY * simulation.speed**2
         lift = aircraft.mass * GRAVITY / (pressure * aircraft.area)
         values["Cm_0"] = -values["Cm_alpha"] * (lift - values["CL_0"]) / values["CL_alpha"]
     return values

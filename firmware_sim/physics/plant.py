@@ -13,13 +13,13 @@ import numpy as np
 
 from daq.contract.constants import GRAVITY
 from estimation.aircraft import Aircraft, Engine, Servos
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import Aerodynamics
 from firmware_sim.physics.atmosphere import Site, air_at
 from firmware_sim.physics.effects.base import HiddenEffect, overrides
 from firmware_sim.physics.maths import Maths, State, Value
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.wind import GUST_STATES, Gusts
+from firmware_sim.tables import ScenarioError
 
 # Layout of the state: u v w, p q r, quaternion, north east down, servo arms left right rudder, thrust, gusts, effects.
 VELOCITY, RATES, ATTITUDE, POSITION, ARMS, THRUST, GUST = 0, 3, 6, 10, 13, 16, 17
@@ -40,9 +40,9 @@ class Commands:
 def actuators_of(aircraft: Aircraft) -> tuple[Servos, Engine]:
     """Servos and engine of an aircraft. Raises ScenarioError where its file has none."""
     if aircraft.servos is None or aircraft.engine is None:
-        lacking = " and ".join(f"[{n}]" for n in ("servos", "engine") if getattr(aircraft, n) is None)
+        missing = " and ".join(f"[{n}]" for n in ("servos", "engine") if getattr(aircraft, n) is None)
         raise ScenarioError(
-            f"aircraft {aircraft.name!r} cannot be flown: its file has no {lacking}; add it (docs/aircraft.md)"
+            f"aircraft {aircraft.name!r} cannot be flown: its file has no {missing}; add it (docs/aircraft.md)"
         )
     return aircraft.servos, aircraft.engine
 

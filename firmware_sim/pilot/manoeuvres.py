@@ -5,7 +5,7 @@ columns. Sets vary amplitude, timing and direction a little from seed to seed, a
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,15 +52,15 @@ class StickInput:
 
     def values(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Stick at each time [deg], zero outside the manoeuvre."""
-        since = time - self.start
-        inside = (since >= 0.0) & (since < self.length)
+        elapsed = time - self.start
+        active = (elapsed >= 0.0) & (elapsed < self.length)
         if self.shape == "multisine":
-            return np.where(inside, self._multisine(since), 0.0)
+            return np.where(active, self._multisine(elapsed), 0.0)
         if self.shape == "ramp":
-            return np.where(inside, self.amplitude * (1.0 - np.abs(2.0 * since / self.width - 1.0)), 0.0)
+            return np.where(active, self.amplitude * (1.0 - np.abs(2.0 * elapsed / self.width - 1.0)), 0.0)
         steps = np.asarray(_STEPS[self.shape], float)
-        index = np.clip((since / self.width).astype(int), 0, len(steps) - 1)
-        return np.where(inside, self.amplitude * steps[index], 0.0)
+        index = np.clip((elapsed / self.width).astype(int), 0, len(steps) - 1)
+        return np.where(active, self.amplitude * steps[index], 0.0)
 
     def _multisine(self, since: NDArray[np.float64]) -> NDArray[np.float64]:
         n = len(self.harmonics)
@@ -76,78 +76,64 @@ def _varied(plan: Sequence[StickInput], rng: np.random.Generator) -> list[StickI
 
     Inputs that start together with one width belong together and vary together.
     """
-    drawn: dict[tuple[float, float], tuple[float, float, float]] = {}
-    flown = []
+    variations: dict[tuple[float, float], tuple[float, float, float]] = {}
+    inputs = []
     for m in plan:
-        if (m.start, m.width) not in drawn:
+        if (m.start, m.width) not in variations:
             side = 1.0 if rng.random() < 0.5 else -1.0
-            drawn[m.start, m.width] = (rng.uniform(-0.2, 0.2), side * rng.uniform(0.88, 1.12), rng.uniform(0.92, 1.08))
-        later, larger, longer = drawn[m.start, m.width]
+            variations[m.start, m.width] = (
+                rng.uniform(-0.2, 0.2),
+                side * rng.uniform(0.88, 1.12),
+                rng.uniform(0.92, 1.08),
+            )
+        delay, larger, longer = variations[m.start, m.width]
         width = m.width if m.shape == "multisine" else m.width * longer
-        flown.append(StickInput(m.axis, m.shape, m.start + later, m.amplitude * larger, width, m.harmonics))
-    return flown
+        inputs.append(StickInput(m.axis, m.shape, m.start + delay, m.amplitude * larger, width, m.harmonics))
+    return inputs
 
 
-def _rich(_: np.random.Generator) -> list[StickInput]:
-    return [
+MANOEUVRE_SETS: Mapping[str, tuple[StickInput, ...]] = {
+    "none": (),
+    "rich": (
         StickInput("aileron", "doublet", 1.6, 5.0, 0.7),
         StickInput("rudder", "doublet", 5.6, 2.0, 0.85),
         StickInput("aileron", "3211", 11.6, 4.2, 0.40),
         StickInput("rudder", "3211", 16.4, 3.0, 0.36),
         StickInput("aileron", "multistep", 21.4, 2.8, 0.42),
         StickInput("rudder", "multistep", 25.0, 2.4, 0.42),
-    ]
-
-
-def _aileron_only(_: np.random.Generator) -> list[StickInput]:
-    return [
+    ),
+    "aileron_only": (
         StickInput("aileron", "doublet", 2.0, 5.0, 0.7),
         StickInput("aileron", "3211", 7.5, 4.0, 0.40),
         StickInput("aileron", "multistep", 14.0, 3.0, 0.45),
         StickInput("aileron", "doublet", 20.0, 3.5, 0.5),
         StickInput("aileron", "3211", 25.0, 3.0, 0.30),
-    ]
-
-
-def _hand_flown(_: np.random.Generator) -> list[StickInput]:
-    return [
+    ),
+    "hand_flown": (
         StickInput("aileron", "doublet", 2.5, 5.5, 0.8),
         StickInput("aileron", "multistep", 8.0, 4.5, 0.55),
         StickInput("aileron", "doublet", 14.5, 6.0, 0.6),
         StickInput("aileron", "multistep", 19.5, 4.0, 0.45),
         StickInput("aileron", "doublet", 25.5, 5.0, 0.9),
-    ]
-
-
-def _multisine(_: np.random.Generator) -> list[StickInput]:
-    odd, even = tuple(range(5, 40, 4)), tuple(range(3, 40, 4))
-    return [
-        StickInput("aileron", "multisine", 2.0, 1.6, 20.0, odd),
-        StickInput("rudder", "multisine", 2.0, 1.2, 20.0, even),
-    ]
-
-
-def _longitudinal(_: np.random.Generator) -> list[StickInput]:
-    return [
+    ),
+    "multisine": (
+        StickInput("aileron", "multisine", 2.0, 1.6, 20.0, tuple(range(5, 40, 4))),
+        StickInput("rudder", "multisine", 2.0, 1.2, 20.0, tuple(range(3, 40, 4))),
+    ),
+    "longitudinal": (
         StickInput("elevator", "doublet", 2.0, 2.0, 0.5),
         StickInput("elevator", "3211", 8.0, 1.8, 0.30),
         StickInput("throttle", "step", 14.0, 0.2, 3.0),
         StickInput("elevator", "multistep", 20.0, 1.5, 0.4),
         StickInput("elevator", "doublet", 25.5, 2.5, 0.35),
-    ]
-
-
-def _staircase(_: np.random.Generator) -> list[StickInput]:
-    return [
+    ),
+    "sideslip_staircase": (
         StickInput("rudder", "staircase", 2.0, 7.0, 2.0),
         StickInput("aileron", "staircase", 2.0, -9.5, 2.0),  # wings held level against the dihedral effect
         StickInput("aileron", "doublet", 18.5, 4.0, 0.6),
         StickInput("rudder", "3211", 23.0, 4.0, 0.4),
-    ]
-
-
-def _two_speeds(_: np.random.Generator) -> list[StickInput]:
-    return [
+    ),
+    "speed_sweep": (
         StickInput("throttle", "step", 0.5, 0.22, 14.0),
         StickInput("aileron", "doublet", 2.0, 4.5, 0.6),
         StickInput("rudder", "3211", 6.0, 2.5, 0.36),
@@ -156,11 +142,8 @@ def _two_speeds(_: np.random.Generator) -> list[StickInput]:
         StickInput("rudder", "doublet", 17.0, 2.5, 0.8),
         StickInput("aileron", "3211", 21.5, 4.0, 0.4),
         StickInput("rudder", "multistep", 25.5, 2.4, 0.42),
-    ]
-
-
-def _all_axes(_: np.random.Generator) -> list[StickInput]:
-    return [
+    ),
+    "all_axes": (
         StickInput("aileron", "doublet", 1.6, 5.0, 0.7),
         StickInput("elevator", "doublet", 5.0, 2.0, 0.4),
         StickInput("rudder", "3211", 8.5, 2.8, 0.36),
@@ -170,36 +153,20 @@ def _all_axes(_: np.random.Generator) -> list[StickInput]:
         StickInput("elevator", "step", 22.0, -1.5, 2.4),
         StickInput("aileron", "3211", 22.2, 3.2, 0.36),
         StickInput("rudder", "multistep", 26.0, 2.4, 0.42),
-    ]
-
-
-def _none(_: np.random.Generator) -> list[StickInput]:
-    return []
-
-
-MANOEUVRE_SETS: Mapping[str, Callable[[np.random.Generator], list[StickInput]]] = {
-    "none": _none,
-    "rich": _rich,
-    "aileron_only": _aileron_only,
-    "hand_flown": _hand_flown,
-    "multisine": _multisine,
-    "longitudinal": _longitudinal,
-    "sideslip_staircase": _staircase,
-    "speed_sweep": _two_speeds,
-    "all_axes": _all_axes,
+    ),
 }
 
 
 def flown_set(name: str, rng: np.random.Generator, repeat_every: float, duration: float) -> list[StickInput]:
     """The manoeuvres of a set as one pilot flies them, repeated until the flight ends; names in MANOEUVRE_SETS."""
-    flown: list[StickInput] = []
+    inputs: list[StickInput] = []
     start = 0.0
     while start < duration:
-        again = _varied(MANOEUVRE_SETS[name](rng), rng)
-        flown += [
+        repetition = _varied(MANOEUVRE_SETS[name], rng)
+        inputs += [
             StickInput(m.axis, m.shape, m.start + start, m.amplitude, m.width, m.harmonics)
-            for m in again
+            for m in repetition
             if m.start + start + m.length <= duration - 0.2
         ]
         start += repeat_every
-    return flown
+    return inputs

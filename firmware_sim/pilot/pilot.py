@@ -75,11 +75,11 @@ def _waver(frames: int, sigma: float, rng: np.random.Generator) -> NDArray[np.fl
     keep = math.exp(-FRAME / 0.5)
     noise = rng.standard_normal((frames, 3)) * sigma * math.sqrt(1.0 - keep * keep)
     value = rng.standard_normal(3) * sigma
-    out = np.empty((frames, 3))
+    deflection = np.empty((frames, 3))
     for k in range(frames):
         value = keep * value + noise[k]
-        out[k] = value
-    return out
+        deflection[k] = value
+    return deflection
 
 
 def join_plans(plans: Sequence[StickPlan]) -> StickPlan:
@@ -113,12 +113,12 @@ class Pilot:
         climb = -(m.c13 * m.u + m.c23 * m.v + m.c33 * m.w)
         free = 1.0 - busy[0]
 
-        wanted = BANK_GAIN * phi + ROLL_DAMPING * m.p
-        self._aileron = self._aileron + (FRAME / REACTION) * (free * wanted - self._aileron)
-        resting = free * (1.0 - busy[1])
+        target = BANK_GAIN * phi + ROLL_DAMPING * m.p
+        self._aileron = self._aileron + (FRAME / REACTION) * (free * target - self._aileron)
+        hands_off = free * (1.0 - busy[1])
         # A quick trim while settling before the plan, a slow one afterwards.
         rate = ROLL_TRIM_RATE * (8.0 if frame < 0 else 1.0)
-        self._roll_trim = self._roll_trim + FRAME * rate * resting * phi
+        self._roll_trim = self._roll_trim + FRAME * rate * hands_off * phi
 
         height = -m.down
         pitch = self.trim.alpha + xp.clip(

@@ -16,14 +16,13 @@ import numpy as np
 
 from daq.contract.constants import GAS_CONSTANT, GRAVITY
 from daq.contract.durable import write_text
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.physics.atmosphere import Site, air_at
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.runs.flight import FlightFiles, prepare_flight
-from firmware_sim.toml_text import toml_text
-from firmware_sim.world.ground import direction_cosines, quaternion
+from firmware_sim.tables import ScenarioError, toml_text
+from firmware_sim.world.ground import direction_cosines
 from firmware_sim.world.scenario import scenario_from
 from firmware_sim.world.truth import Truth
 
@@ -102,15 +101,15 @@ class BenchRig:
     def advance(self, to_time: float) -> Truth:
         """The truth at `to_time` [s]."""
         bench = self._bench
-        i, since = divmod(max(to_time - LEAD_S, 0.0), bench.dwell_s + MOVE_S)
+        i, elapsed = divmod(max(to_time - LEAD_S, 0.0), bench.dwell_s + MOVE_S)
         last = len(bench.poses) - 1
-        here = bench.poses[min(int(i), last)]
-        before = bench.poses[max(min(int(i), last + 1) - 1, 0)]
+        target = bench.poses[min(int(i), last)]
+        start = bench.poses[max(min(int(i), last + 1) - 1, 0)]
         span = bench.dwell_s + MOVE_S if bench.tumbling else MOVE_S
-        moving = to_time >= LEAD_S and i <= last and since < span
-        pose = _between(before, here, since / span if moving else 1.0)
-        if moving and here.attitude != before.attitude:
-            turning = [(new - old) / span for old, new in zip(before.attitude, here.attitude, strict=True)]
+        in_motion = to_time >= LEAD_S and i <= last and elapsed < span
+        pose = _between(start, target, elapsed / span if in_motion else 1.0)
+        if in_motion and target.attitude != start.attitude:
+            turning = [(new - old) / span for old, new in zip(start.attitude, target.attitude, strict=True)]
             pose = replace(pose, rates=_body_rates(pose.attitude, turning))
         return bench_truth(to_time, pose, self._models)
 
@@ -151,52 +150,34 @@ def bench_truth(time: float, pose: Pose, models: SensorModels, site: Site | None
     mx, my, mz = (float(b) for b in turn @ np.array(site.magnetic_ned_t))
     p, q, r = pose.rates
     phi, theta, psi = pose.attitude
-    sensed = Sensed(
-        ax=ax,
-        ay=ay,
-        az=az,
-        p=p,
-        q=q,
-        r=r,
-        phi=phi,
-        theta=theta,
-        psi=psi,
-        alpha=alpha,
-        beta=beta,
-        V=pose.speed,
-        arm_left=pose.left,
-        arm_right=pose.right,
-        arm_r=pose.rudder,
-    )
+    left, right, rudder = pose.left, pose.right, pose.rudder
+    sensed = Sensed(ax, ay, az, p, q, r, phi, theta, psi, alpha, beta, pose.speed, left, right, rudder)
     return Truth(
         time=time,
-        phase="ground",
         specific_force=(ax, ay, az),
         rates=pose.rates,
         rate_derivatives=(0.0, 0.0, 0.0),
-        quaternion=quaternion(*pose.attitude),
         phi=phi,
         theta=theta,
         psi=psi,
         alpha=alpha,
         beta=beta,
         V=pose.speed,
-        air_velocity=(pose.speed, 0.0, 0.0),
         wind_ned=(0.0, 0.0, 0.0),
         velocity_ned=(0.0, 0.0, 0.0),
         position_ned=(0.0, 0.0, 0.0),
         latitude=site.latitude_deg,
         longitude=site.longitude_deg,
         altitude=site.elevation_m,
-        left_elevon=pose.left,
-        right_elevon=pose.right,
-        rudder=pose.rudder,
-        surface_e=0.5 * (pose.left + pose.right),
-        surface_a=0.5 * (pose.right - pose.left),
-        surface_r=pose.rudder,
-        cmd_left=pose.left,
-        cmd_right=pose.right,
-        cmd_rudder=pose.rudder,
+        left_elevon=left,
+        right_elevon=right,
+        rudder=rudder,
+        surface_e=0.5 * (left + right),
+        surface_a=0.5 * (right - left),
+        surface_r=rudder,
+        cmd_left=left,
+        cmd_right=right,
+        cmd_rudder=rudder,
         throttle=0.0,
         thrust=pose.load,
         p_static=pressure,
@@ -227,10 +208,10 @@ PROTRACTOR, STEPS, MANOMETER_M_S, WEIGHTS_N, TABLE_RAD_S, LEVEL, BAROMETER_PA = 
 def _angles(rng: np.random.Generator) -> SimulatedBench:
     """Vanes and surfaces at known angles, all moved together."""
     names = ("alpha_vane", "beta_vane", "elevon_left", "elevon_right", "rudder")
-    wanted = np.linspace(-0.42, 0.42, STEPS)
-    true = wanted + PROTRACTOR * rng.standard_normal((5, STEPS))
+    nominal = np.linspace(-0.42, 0.42, STEPS)
+    true = nominal + PROTRACTOR * rng.standard_normal((5, STEPS))
     poses = tuple(Pose(a, b, left, right, rudder) for a, b, left, right, rudder in true.T.tolist())
-    references = tuple(float(a) for a in wanted)
+    references = tuple(float(a) for a in nominal)
     options = {"method": "protractor, 13 positions", "reference_uncertainty": PROTRACTOR, "degree": 3}
     return SimulatedBench(
         "vanes and surfaces at known angles",
@@ -304,8 +285,8 @@ def _turntable(rng: np.random.Generator) -> SimulatedBench:
     poses, references = [], []
     rates = (0.0, 0.0, 0.0), *(tuple(s * (a == i) for a in range(3)) for i in range(3) for s in (-4.0, -1.5, 1.5, 4.0))
     for warmer, rate in itertools.product((0.0, 20.0), rates):
-        off = TABLE_RAD_S * rng.standard_normal(3) * (np.array(rate) != 0.0)
-        p, q, r = (float(v) for v in np.array(rate) + off)
+        table_error = TABLE_RAD_S * rng.standard_normal(3) * (np.array(rate) != 0.0)
+        p, q, r = (float(v) for v in np.array(rate) + table_error)
         poses.append(Pose(rates=(p, q, r), warmer_k=warmer))
         references.append((float(rate[0]), float(rate[1]), float(rate[2])))
     options = {
@@ -400,5 +381,5 @@ def _dwells(bench: SimulatedBench, references: Sequence[Reference], first_scan_s
         return
     for i, reference in enumerate(references):
         start, stop = (round(t - first_scan_s, 3) for t in bench.window(i))
-        shown = list(reference) if isinstance(reference, tuple) else reference
-        yield {"start": start, "stop": stop, "reference": shown}
+        reading = list(reference) if isinstance(reference, tuple) else reference
+        yield {"start": start, "stop": stop, "reference": reading}

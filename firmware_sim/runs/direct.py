@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.durable import write_text
-from daq.contract.manoeuvre import Manoeuvre
-from firmware_sim.physics.plant import Commands
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.simulation import Wiring
 from firmware_sim.world.world import simulate_many
@@ -64,43 +62,19 @@ def measured(truth: Mapping[str, Array], seed: int, noise: DirectNoise = ORDINAR
     def noisy(values: Array, sigma: float) -> Array:
         return values + noise.scale * sigma * rng.standard_normal(samples)
 
-    out = {"time": truth["time"].copy()}
+    columns = {"time": truth["time"].copy()}
     for name in ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V"):
-        out[name] = noisy(truth[f"sensed_{name}"], getattr(noise, name))
+        columns[name] = noisy(truth[f"sensed_{name}"], getattr(noise, name))
     left, right, rudder = (noisy(truth[f"sensed_arm_{arm}"], 0.0) for arm in ("left", "right", "r"))
-    out["delta_e"] = noisy(0.5 * (left + right), noise.surfaces)
-    out["delta_a"] = noisy(0.5 * (right - left), noise.surfaces)
-    out["delta_r"] = noisy(rudder, noise.surfaces)
+    columns["delta_e"] = noisy(0.5 * (left + right), noise.surfaces)
+    columns["delta_a"] = noisy(0.5 * (right - left), noise.surfaces)
+    columns["delta_r"] = noisy(rudder, noise.surfaces)
     for name in ("cmd_e", "cmd_a", "cmd_r"):
-        out[name] = truth[name].copy()
-    out["thrust"] = noisy(truth["thrust"], noise.thrust)
-    out["altitude"] = noisy(truth["altitude"], noise.altitude)
-    out["rho"] = truth["rho"].copy()
-    return out
-
-
-@dataclass(frozen=True, slots=True)
-class Injected:
-    """A designed manoeuvre straight on the sticks, without sequencer: hands still from `start_s` to its end."""
-
-    manoeuvre: Manoeuvre
-    start_s: float
-
-    def hands_still(self, time: float) -> bool:
-        """While it is flown."""
-        return self.start_s - 1e-9 <= time <= self.start_s + self.manoeuvre.duration_s
-
-    def route(self, time: float, wanted: Commands) -> Commands:
-        """The sticks plus the increments of this frame."""
-        if not self.hands_still(time):
-            return wanted
-        index = math.floor((time - self.start_s) / self.manoeuvre.time_step + 1e-6)
-        e, a, r = (self._increment(name, index) for name in ("delta_e", "delta_a", "delta_r"))
-        return Commands(wanted.left + e - a, wanted.right + e + a, wanted.rudder + r, wanted.throttle)
-
-    def _increment(self, name: str, index: int) -> float:
-        values = self.manoeuvre.increments.get(name, ())
-        return values[index] if index < len(values) else 0.0
+        columns[name] = truth[name].copy()
+    columns["thrust"] = noisy(truth["thrust"], noise.thrust)
+    columns["altitude"] = noisy(truth["altitude"], noise.altitude)
+    columns["rho"] = truth["rho"].copy()
+    return columns
 
 
 def direct_flights(
@@ -111,8 +85,8 @@ def direct_flights(
     wiring: Wiring | None = None,
 ) -> list[dict[str, Array]]:
     """Fly many scenarios side by side and look at them through the direct sensor model; columns DIRECT_COLUMNS."""
-    flown = simulate_many(scenarios, seeds, rate_hz, wiring=wiring)
-    return [measured(truth, seed, noise) for truth, seed in zip(flown, seeds, strict=True)]
+    truths = simulate_many(scenarios, seeds, rate_hz, wiring=wiring)
+    return [measured(truth, seed, noise) for truth, seed in zip(truths, seeds, strict=True)]
 
 
 def write_csv(path: Path, columns: Mapping[str, Array]) -> None:

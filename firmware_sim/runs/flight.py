@@ -24,24 +24,21 @@ from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPortCalls
 from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot
-from firmware_sim.hardware.board import Board, build_board
+from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, BoardWiring, addressed, build_board, laboratory_chips
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
-from firmware_sim.hardware.cockpit import Cockpit, parse_cockpit
-from firmware_sim.hardware.faults import ADDRESSES, ONLY_WITH_SEQUENCER, Events, FaultSet, PowerTaker, parse_faults
-from firmware_sim.hardware.laboratory import laboratory_chips
-from firmware_sim.hardware.multiplexer import Monostable
-from firmware_sim.hardware.radio import SimulatedRadioLink, parse_radio
+from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
+from firmware_sim.hardware.faults import FaultEvents, FaultSet, parse_faults
+from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.gnss import GnssReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments, TruthSource
-from firmware_sim.hardware.sensing.sensor_models import SensorModels, merged, parse_sensors
+from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.hardware.sensing.truth_log import TruthFile
 from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import ScenarioError, checked, merged, toml_text
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.world import World
 
@@ -68,11 +65,10 @@ class SimulatedHardware:
     clock: SimulatedClock
     instruments: Instruments
     faults: FaultSet
-    board: Board
     bus: SimulatedBus
     gnss: GnssReceiver
     autopilot: Autopilot
-    events: Events
+    events: FaultEvents
 
     def newest_pulse(self) -> int | None:
         """The pulse-per-second line of the GPS, as the kernel would tell it now."""
@@ -94,23 +90,20 @@ def build_aircraft(
     """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
-    board = build_board(instruments, faults, cockpit)
-    own = laboratory_chips(extra, instruments)
-    for address in own.keys() & board.chips.keys():
+    board = build_board(BoardWiring(instruments, faults.bend, faults.quiet, cockpit))
+    chips, laboratory = addressed(board), laboratory_chips(extra, instruments)
+    for address in laboratory.keys() & chips.keys():
         raise ScenarioError(
             f"sensors.extra: address 0x{address:02x} is taken by a chip of the aircraft; choose another"
         )
-    bus = SimulatedBus(clock, {**board.chips, **own}, instruments.models.bus, faults.disturb)
+    bus = SimulatedBus(clock, {**chips, **laboratory}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
-    powered: dict[str, PowerTaker] = {
-        device: board.chips[address] for device, address in ADDRESSES.items() if address in board.chips
-    }
-    events = Events(faults, {**powered, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
+    events = FaultEvents(faults, {**board, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
     events.at(origin)
     if events.any_left:
         clock.on_advance(events.at)
-    return SimulatedHardware(clock, instruments, faults, board, bus, gnss, autopilot, events)
+    return SimulatedHardware(clock, instruments, faults, bus, gnss, autopilot, events)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +147,9 @@ class SimulatedFlightRun:
         end_ns = self.clock.monotonic_ns() + round(self.duration_s * 1e9)
 
         def stop() -> bool:
-            now = self.clock.monotonic_ns()
-            self.each_scan(now)
-            return self.cancelled or now >= end_ns
+            now_ns = self.clock.monotonic_ns()
+            self.each_scan(now_ns)
+            return self.cancelled or now_ns >= end_ns
 
         books = self.assembly.logger.run(stop)
         self.truth.close()
@@ -172,13 +165,13 @@ class SimulatedFlightRun:
         link, logger = self.assembly.link, self.assembly.logger
         end_ns = self.clock.monotonic_ns() + round(limit_s * 1e9)
         while not until():
-            now = self.clock.monotonic_ns()
-            if now >= end_ns:
+            now_ns = self.clock.monotonic_ns()
+            if now_ns >= end_ns:
                 return False
             if link is not None:
-                link.service(now)
-                link.uplink.service(now, logger)
-            self.each_scan(now)
+                link.service(now_ns)
+                link.uplink.service(now_ns, logger)
+            self.each_scan(now_ns)
             self.clock.advance(SERVE_STEP_NS)
         return True
 
@@ -235,7 +228,7 @@ def prepare_flight(
     craft = load_aircraft(scenario.flight.aircraft)
     models = parse_sensors(merged(placed(craft), scenario.sensors), scenario.name)
     faults = FaultSet(parse_faults(scenario.faults, scenario.name), 0, seed)
-    radio_model = parse_radio(scenario.radio, scenario.name)
+    radio_model = checked(RadioModel, scenario.radio, scenario.name, "radio")
     config, text = logger_config(scenario, folder, config_file, calibration)
     if config.sequencer is not None:
         plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)  # before any file is made
@@ -304,7 +297,7 @@ def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | AutopilotCo
                 f"scenario {scenario.name}: faults: {lonely[0]!r} is there only with a table [sequencer]"
             )
         return None
-    table = parse_cockpit(scenario.sequencer, scenario.name)
+    table = checked(CockpitTable, scenario.sequencer, scenario.name, "sequencer")
     if table.autopilot is not None:
         return AutopilotCockpit(table, scenario.takeoff_s, clock.monotonic_ns() - BEFORE_NS)
     return Cockpit(table, Monostable(clock.monotonic_ns), scenario.takeoff_s)
@@ -333,8 +326,8 @@ def logger_config(
     """
     table = tomllib.loads(config_file.read_text(encoding="utf-8"))
     if scenario.sequencer is not None:
-        more = ARDUPILOT_FILE if scenario.sequencer.get("autopilot") else SEQUENCER_FILE
-        table = merged(table, tomllib.loads(more.read_text(encoding="utf-8")))
+        sequencer_file = ARDUPILOT_FILE if scenario.sequencer.get("autopilot") else SEQUENCER_FILE
+        table = merged(table, tomllib.loads(sequencer_file.read_text(encoding="utf-8")))
         table["sequencer"]["manoeuvre"] = str(MANOEUVRE_FILE)
     table = merged(table, scenario.logger)
     craft = load_aircraft(scenario.flight.aircraft)
@@ -342,18 +335,21 @@ def logger_config(
     table.pop("calibration", None)
     if table.get("downlink"):
         table["downlink"].pop("port", None)
-    here: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
-    told: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
+    local_paths: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
+    recorded_paths: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
     if scenario.sequencer is not None:
         manoeuvre = Path(table["sequencer"]["manoeuvre"]).resolve()
-        here["sequencer"], told["sequencer"] = {"manoeuvre": str(manoeuvre)}, {"manoeuvre": "manoeuvre.toml"}
+        local_paths["sequencer"], recorded_paths["sequencer"] = (
+            {"manoeuvre": str(manoeuvre)},
+            {"manoeuvre": "manoeuvre.toml"},
+        )
     if calibration is not None:
-        here["calibration"] = str(calibration.resolve())
-        told["calibration"] = calibration.name
+        local_paths["calibration"] = str(calibration.resolve())
+        recorded_paths["calibration"] = calibration.name
     if craft.name not in built_in_aircraft():
-        here["aircraft"] = {"file": str(Path(scenario.flight.aircraft).resolve())}
-        told["aircraft"] = {"file": "aircraft.toml"}
-    return parse_config(toml_text(merged(table, here)), config_file), toml_text(merged(table, told))
+        local_paths["aircraft"] = {"file": str(Path(scenario.flight.aircraft).resolve())}
+        recorded_paths["aircraft"] = {"file": "aircraft.toml"}
+    return parse_config(toml_text(merged(table, local_paths)), config_file), toml_text(merged(table, recorded_paths))
 
 
 def _refuse_old_recordings(folder: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daq.contract.constants import GRAVITY
 from firmware_sim.physics.atmosphere import Site, air_at, geodetic
 from firmware_sim.physics.effects.base import Sensed
-from firmware_sim.world.truth import Phase, Truth, supply_voltage
+from firmware_sim.world.truth import Truth, supply_voltage
 
 SITTING_PITCH = 0.10  # rad, nose up on its skid
 SITTING_HEIGHT = 0.15  # m of the CG above the field
@@ -41,14 +41,14 @@ class _Departure:
         gain = 0.6 * self.duration
         rise = 0.7 * self.duration
         coasted = max(time - gain, 0.0)
-        along = []
+        horizontal = []
         for end, end_velocity in zip(self.end[:2], self.end_velocity[:2], strict=True):
             run = end_velocity * 0.5 * gain
             start = end - end_velocity * (self.duration - gain) - run
             x, v, a = _quintic(start, start + run, end_velocity, gain, min(time, gain))
-            along.append((x + end_velocity * coasted, v, a))
-        up = _quintic(-SITTING_HEIGHT, self.end[2], self.end_velocity[2], rise, time - (self.duration - rise))
-        (xn, vn, an), (xe, ve, ae), (xd, vd, ad) = *along, up
+            horizontal.append((x + end_velocity * coasted, v, a))
+        vertical = _quintic(-SITTING_HEIGHT, self.end[2], self.end_velocity[2], rise, time - (self.duration - rise))
+        (xn, vn, an), (xe, ve, ae), (xd, vd, ad) = *horizontal, vertical
         return (xn, xe, xd), (vn, ve, vd), (an, ae, ad)
 
 
@@ -114,7 +114,7 @@ class ScriptedPath:
 
     def at(self, since: float, time: float) -> Truth:
         """Truth `since` seconds into the path (before or after it: still on the ground), stamped `time`."""
-        moving = 0.0 < since < self.duration
+        underway = 0.0 < since < self.duration
         position, velocity, acceleration = self._path(since)
         joint = self.joint
         share = self._share(since)
@@ -131,7 +131,6 @@ class ScriptedPath:
         latitude, longitude = geodetic(self.site, position[0], position[1])
         thrust = share * joint.thrust
         left, right, rudder = share * joint.left_elevon, share * joint.right_elevon, share * joint.rudder
-        phase: Phase = ("launch" if self.launch else "landing") if moving else "ground"
         force_x, force_y, force_z = _triple(force)
         p, q, r = rates
         sensed = Sensed(
@@ -140,17 +139,14 @@ class ScriptedPath:
         return replace(
             joint,
             time=time,
-            phase=phase,
             specific_force=(force_x, force_y, force_z),
             rates=rates,
             rate_derivatives=rate_derivatives,
-            quaternion=quaternion(phi, theta, joint.psi),
             phi=phi,
             theta=theta,
             alpha=alpha,
             beta=beta,
             V=speed,
-            air_velocity=_triple(air),
             velocity_ned=velocity,
             position_ned=position,
             latitude=latitude,
@@ -172,7 +168,7 @@ class ScriptedPath:
             temperature=float(state.temperature),
             rho=float(state.density),
             magnetic=_triple(turn @ np.array(self.site.magnetic_ned_t)),
-            digital=(0.0, 0.0 if moving else 1.0, 0.0, 0.0, 0.0),
+            digital=(0.0, 0.0 if underway else 1.0, 0.0, 0.0, 0.0),
             supply_voltage=supply_voltage(time, thrust),
             sensed=sensed,
         )
@@ -199,17 +195,4 @@ def direction_cosines(phi: float, theta: float, psi: float) -> Vector:
             [sp * st * cs - cp * ss, sp * st * ss + cp * cs, sp * ct],
             [cp * st * cs + sp * ss, cp * st * ss - sp * cs, cp * ct],
         ]
-    )
-
-
-def quaternion(phi: float, theta: float, psi: float) -> tuple[float, float, float, float]:
-    """Quaternion NED to body, scalar first, of Euler angles [rad]."""
-    sp, cp = math.sin(phi / 2), math.cos(phi / 2)
-    st, ct = math.sin(theta / 2), math.cos(theta / 2)
-    ss, cs = math.sin(psi / 2), math.cos(psi / 2)
-    return (
-        cp * ct * cs + sp * st * ss,
-        sp * ct * cs - cp * st * ss,
-        cp * st * cs + sp * ct * ss,
-        cp * ct * ss - sp * st * cs,
     )

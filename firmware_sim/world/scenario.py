@@ -9,15 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from daq.contract.input_files import read_toml
 from daq.contract.plain_words import file_name, meant
 from estimation.aircraft import load_aircraft
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Shape, StickInput
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import ScenarioError, checked, toml_text
 
 BUILT_IN_FOLDER = Path(__file__).parents[1] / "scenarios"
 
@@ -180,22 +179,17 @@ class Scenario(_ScenarioTable):
 
 def scenario_from(data: Mapping[str, Any], where: str) -> Scenario:
     """A checked scenario; raises ScenarioError naming the key."""
-    try:
-        return _at_flyable_speed(Scenario.model_validate(data), where)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(top level)"
-        hint = f"; axes are {', '.join(AXES)}, shapes {', '.join(SHAPES)}" if key.startswith("manoeuvre.") else ""
-        raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}{hint}") from error
+    hints = {"manoeuvre.": f"; axes are {', '.join(AXES)}, shapes {', '.join(SHAPES)}"}
+    return _at_flyable_speed(checked(Scenario, data, where, hints=hints), where)
 
 
 def _at_flyable_speed(scenario: Scenario, where: str) -> Scenario:
     """The scenario, at the trim speed of its aircraft where it states none; ScenarioError for one it cannot fly at."""
     aircraft, flight = load_aircraft(scenario.flight.aircraft), scenario.flight
-    flown = simulation_of(aircraft)
+    simulation = simulation_of(aircraft)
     if "speed_m_s" not in flight.model_fields_set:
-        return scenario.model_copy(update={"flight": flight.model_copy(update={"speed_m_s": flown.speed})})
-    slowest, fastest = flown.speed_range
+        return scenario.model_copy(update={"flight": flight.model_copy(update={"speed_m_s": simulation.speed})})
+    slowest, fastest = simulation.speed_range
     if not slowest <= flight.speed_m_s <= fastest:
         raise ScenarioError(
             f"scenario {where}: flight.speed_m_s = {flight.speed_m_s:g} is outside the {slowest:g} to {fastest:g} m/s"
@@ -228,9 +222,9 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
             return rich.model_copy(update={"name": text})
         path = Path(text)
     if not path.is_file():
-        known = sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml"))
-        likely = meant(text, known) or f" (built in: {', '.join(known)}, hidden_NAME)"
-        raise ScenarioError(f"scenario {text!r}: no such file and no built-in of that name{likely}")
+        built_in = sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml"))
+        suggestion = meant(text, built_in) or f" (built in: {', '.join(built_in)}, hidden_NAME)"
+        raise ScenarioError(f"scenario {text!r}: no such file and no built-in of that name{suggestion}")
     data = read_toml(path, "file", ScenarioError)
     data.setdefault("name", path.stem)
     return scenario_from(data, str(path))

@@ -7,12 +7,10 @@ gusts, effects), so it is the same flight alone or in a crowd.
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Protocol
 
 import numpy as np
 
 from estimation.aircraft import Aircraft, load_aircraft
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.physics.atmosphere import Site
 from firmware_sim.physics.effects.base import HiddenEffect, Sensed, overrides
@@ -32,6 +30,7 @@ from firmware_sim.physics.trim import Trim, level_trim
 from firmware_sim.physics.wind import GUST_STATES, NOISE_CHANNELS, gusts_for, stationary_start
 from firmware_sim.pilot.manoeuvres import StickInput, flown_set
 from firmware_sim.pilot.pilot import FRAME, Pilot, StickPlan, join_plans, plan_sticks
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import Scenario
 
 SETTLE = 5.0  # s flown before time zero, so that gusts, trim levers and lags are in their stride
@@ -49,13 +48,18 @@ def site_of(scenario: Scenario) -> Site:
     return Site(s.latitude_deg, s.longitude_deg, s.elevation_m, s.temperature_offset_k)
 
 
+def euler_angles(m: Motion, xp: Maths) -> tuple[Value, Value, Value]:
+    """phi, theta, psi of the aircraft itself [rad]."""
+    return xp.atan2(m.c23, m.c33), xp.asin(xp.clip(-m.c13, -1.0, 1.0)), xp.atan2(m.c12, m.c11)
+
+
 def derivatives_of(scenario: Scenario, seed: int | None = None) -> dict[str, float]:
     """The true derivatives of a scenario's aircraft: its file's, overrides, then scatter on the lateral ones."""
     flight = scenario.flight
     values = true_derivatives(load_aircraft(flight.aircraft), scenario.derivatives)
     if flight.derivative_scatter > 0.0:
-        chosen = flight.derivative_seed
-        rng = _stream(chosen if chosen is not None else (flight.seed if seed is None else seed), _SCATTER)
+        scatter_seed = flight.derivative_seed
+        rng = _stream(scatter_seed if scatter_seed is not None else (flight.seed if seed is None else seed), _SCATTER)
         for name in LATERAL:
             factor = 1.0 + flight.derivative_scatter * rng.uniform(-1.0, 1.0)
             if not name.endswith("_0"):
@@ -76,27 +80,16 @@ def _plan(scenario: Scenario, seed: int) -> StickPlan:
     return plan_sticks(manoeuvres_of(scenario, seed), flight.duration_s, flight.hand_deg, _stream(seed, _HAND))
 
 
-class Wiring(Protocol):
-    """What stands between the pilot's hands and the servos. Times are seconds of free flight, negative while settling."""
+class Wiring:
+    """What stands between the pilot's hands and the servos: by itself nothing. Times are seconds of free flight, negative while
+    settling."""
 
     def hands_still(self, time: float, /) -> bool:
         """Whether the pilot leaves his sticks where they are."""
-        ...
+        return False
 
     def route(self, time: float, wanted: Commands, /) -> Commands:
         """What the servos get in the frame that begins now."""
-        ...
-
-
-class Straight:
-    """Nothing stands between."""
-
-    def hands_still(self, time: float) -> bool:
-        """Never."""
-        return False
-
-    def route(self, time: float, wanted: Commands) -> Commands:
-        """What the pilot wants."""
         return wanted
 
 
@@ -127,7 +120,7 @@ class WorldSimulation:
         self, scenarios: Sequence[Scenario], seeds: Sequence[int], *, many: bool, wiring: Wiring | None = None
     ) -> None:
         first = scenarios[0]
-        self.wiring: Wiring = wiring or Straight()
+        self.wiring = wiring or Wiring()
         self._check_alike(scenarios, many)
         self.xp = xp = array_maths(len(scenarios)) if many else FLOATS
         self.aircraft: Aircraft = load_aircraft(first.flight.aircraft)
@@ -142,7 +135,7 @@ class WorldSimulation:
         speed = self._gather([s.flight.speed_m_s for s in scenarios])
         level = self._gather([np.radians(s.wind.gust_deg) for s in scenarios])
         gusty = any(s.wind.gust_deg > 0.0 for s in scenarios)
-        toward = [np.radians(s.wind.from_deg + 180.0) for s in scenarios]
+        directions = [np.radians(s.wind.from_deg + 180.0) for s in scenarios]
         strength = [s.wind.speed_m_s for s in scenarios]
         self.plant = Plant(
             self.aircraft,
@@ -151,8 +144,8 @@ class WorldSimulation:
             xp,
             gusts=gusts_for(level, speed, self.aircraft.span, xp) if gusty else None,
             wind_ned=(
-                self._gather([v * np.cos(a) for v, a in zip(strength, toward, strict=True)]),
-                self._gather([v * np.sin(a) for v, a in zip(strength, toward, strict=True)]),
+                self._gather([v * np.cos(a) for v, a in zip(strength, directions, strict=True)]),
+                self._gather([v * np.sin(a) for v, a in zip(strength, directions, strict=True)]),
                 0.0,
             ),
             step_size=self.h,
@@ -201,10 +194,10 @@ class WorldSimulation:
         x[POSITION + 2] = -trim.height
         wn, we, _ = self.plant.wind_ned
         # The ground velocity in body axes is the air velocity plus the wind, wings level.
-        along, across = wn * xp.cos(heading) + we * xp.sin(heading), we * xp.cos(heading) - wn * xp.sin(heading)
-        x[0] = x[0] + along * xp.cos(trim.alpha)
+        tailwind, across = wn * xp.cos(heading) + we * xp.sin(heading), we * xp.cos(heading) - wn * xp.sin(heading)
+        x[0] = x[0] + tailwind * xp.cos(trim.alpha)
         x[1] = x[1] + across
-        x[2] = x[2] + along * xp.sin(trim.alpha)
+        x[2] = x[2] + tailwind * xp.sin(trim.alpha)
         x[ARMS], x[ARMS + 1] = trim.elevator, trim.elevator
         x[THRUST] = trim.thrust
         if self.plant.gusts is not None:
@@ -251,24 +244,9 @@ class WorldSimulation:
 
     def sensed(self, m: Motion, x: State) -> Sensed:
         """What flawless instruments at the CG are shown in this motion."""
-        xp = self.xp
-        s = Sensed(
-            ax=m.ax,
-            ay=m.ay,
-            az=m.az,
-            p=m.p,
-            q=m.q,
-            r=m.r,
-            phi=xp.atan2(m.c23, m.c33),
-            theta=xp.asin(xp.clip(-m.c13, -1.0, 1.0)),
-            psi=xp.atan2(m.c12, m.c11),
-            alpha=m.alpha,
-            beta=m.beta,
-            V=m.V,
-            arm_left=m.arm_left,
-            arm_right=m.arm_right,
-            arm_r=m.arm_r,
-        )
+        angles = euler_angles(m, self.xp)
+        flow, arms = (m.alpha, m.beta, m.V), (m.arm_left, m.arm_right, m.arm_r)
+        s = Sensed(m.ax, m.ay, m.az, m.p, m.q, m.r, *angles, *flow, *arms)
         for sense in self._sensors:
             sense(s, m, x)
         return s

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from firmware_sim.physics.atmosphere import Site, geodetic, pressure_altitude
 from firmware_sim.physics.effects.base import Sensed
@@ -11,7 +11,6 @@ from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.plant import Commands
 
 Triple = tuple[Any, Any, Any]
-Phase = Literal["ground", "launch", "flight", "landing"]
 
 PULSE_CENTRE_US = 1500.0
 PULSE_PER_RAD_US = 500.0 / math.radians(25.0)  # +-25 deg make 1000..2000 us
@@ -33,9 +32,8 @@ TRUTH_COLUMNS = tuple(
 class Truth:
     """Everything an instrument can look at, at one instant. SI, radians, body axes x forward, y right, z down.
 
-    specific_force: at the CG [m/s2]. rates, rate_derivatives: p q r [rad/s] and their rates. quaternion: NED to body,
-    scalar first. air_velocity: velocity of the CG through the air, body axes. velocity_ned: over the ground. latitude,
-    longitude [deg], altitude: geometric, above the sea [m]. left_elevon, right_elevon (+ trailing edge down), rudder
+    specific_force: at the CG [m/s2]. rates, rate_derivatives: p q r [rad/s] and their rates. velocity_ned: over the ground.
+    latitude, longitude [deg], altitude: geometric, above the sea [m]. left_elevon, right_elevon (+ trailing edge down), rudder
     (+ trailing edge to port): servo arms, where the potentiometers sit. surface_*: what the air feels. pulses_us: six
     servo pulses: left elevon, right elevon, rudder, throttle, two spares. magnetic: body axes [T]. sensed: the CG
     quantities as hidden sensor effects bend them; equal to the truth without such effects. An instrument measures
@@ -43,18 +41,15 @@ class Truth:
     """
 
     time: float
-    phase: Phase
     specific_force: Triple
     rates: Triple
     rate_derivatives: Triple
-    quaternion: tuple[Any, Any, Any, Any]
     phi: Any
     theta: Any
     psi: Any
     alpha: Any
     beta: Any
     V: Any
-    air_velocity: Triple
     wind_ned: Triple
     velocity_ned: Triple
     position_ned: Triple
@@ -134,18 +129,15 @@ def truth_of(
     bn, be, bd = site.magnetic_ned_t
     return Truth(
         time=time,
-        phase="flight",
         specific_force=(m.ax, m.ay, m.az),
         rates=(m.p, m.q, m.r),
         rate_derivatives=(m.p_dot, m.q_dot, m.r_dot),
-        quaternion=(m.e0, m.e1, m.e2, m.e3),
         phi=phi,
         theta=theta,
         psi=psi,
         alpha=m.alpha,
         beta=m.beta,
         V=m.V,
-        air_velocity=(m.ua, m.va, m.wa),
         wind_ned=(m.wind_north, m.wind_east, m.wind_down),
         velocity_ned=(
             m.c11 * m.u + m.c21 * m.v + m.c31 * m.w,

@@ -3,21 +3,18 @@
 `World` serves a logger in lockstep; `simulate_truth` and `simulate_many` fly ahead and return arrays.
 """
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.durable import whole_text
 from estimation.aircraft import Aircraft
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.physics.motion import Motion
 from firmware_sim.world.ground import ScriptedPath
 from firmware_sim.world.scenario import GroundTable, Scenario
-from firmware_sim.world.simulation import SENSED_NAMES, Wiring, WorldSimulation, derivatives_of
+from firmware_sim.world.simulation import SENSED_NAMES, Wiring, WorldSimulation, derivatives_of, euler_angles
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth, truth_of
 
 Array = NDArray[np.float64]
@@ -82,8 +79,7 @@ class World:
 
 
 def _truth(simulation: WorldSimulation, m: Motion, x: object, time: float) -> Truth:
-    xp = simulation.xp
-    undisturbed = (xp.atan2(m.c23, m.c33), xp.asin(xp.clip(-m.c13, -1.0, 1.0)), xp.atan2(m.c12, m.c11))
+    undisturbed = euler_angles(m, simulation.xp)
     sensed: Sensed = simulation.sensed(m, x)
     plant = simulation.plant
     return truth_of(time, m, sensed, simulation.commands, simulation.pilot.event, plant.site, undisturbed)
@@ -126,15 +122,15 @@ def simulate_many(
     flights: list[dict[str, Array]] = [{} for _ in scenarios]
     for members in groups.values():
         for first in range(0, len(members), batch):
-            chosen = members[first : first + batch]
-            if len(chosen) < crowd_from:
-                for i in chosen:
+            crowd = members[first : first + batch]
+            if len(crowd) < crowd_from:
+                for i in crowd:
                     airborne = scenarios[i].model_copy(update={"ground": GroundTable()})
                     flights[i] = simulate_truth(airborne, seeds[i], rate_hz, wiring)
                 continue
-            together = _fly_together([scenarios[i] for i in chosen], [seeds[i] for i in chosen], rate_hz, wiring)
-            for place, i in enumerate(chosen):
-                flights[i] = {name: np.ascontiguousarray(values[:, place]) for name, values in together.items()}
+            columns = _fly_together([scenarios[i] for i in crowd], [seeds[i] for i in crowd], rate_hz, wiring)
+            for place, i in enumerate(crowd):
+                flights[i] = {name: np.ascontiguousarray(values[:, place]) for name, values in columns.items()}
     return flights
 
 
@@ -144,22 +140,13 @@ def _fly_together(
     simulation = WorldSimulation(scenarios, seeds, many=True, wiring=wiring)
     samples = math.floor(scenarios[0].flight.duration_s * rate_hz + 1e-9) + 1
     names = TRUTH_COLUMNS + tuple(f"sensed_{n}" for n in SENSED_NAMES)
-    out = {name: np.empty((samples, len(scenarios))) for name in names}
+    columns = {name: np.empty((samples, len(scenarios))) for name in names}
     for k in range(samples):
         time = k / rate_hz
         simulation.advance(time)
         truth = _truth(simulation, *simulation.look(max(time - simulation.time, 0.0)), time)
         for name, value in truth.columns().items():
-            out[name][k] = value
+            columns[name][k] = value
         for name in SENSED_NAMES:
-            out[f"sensed_{name}"][k] = getattr(truth.sensed, name)
-    return out
-
-
-def write_truth_csv(path: Path, columns: Mapping[str, Array]) -> None:
-    """Write the flight columns of a simulated truth, one row a sample; `sensed_*` columns are left out."""
-    names = [n for n in TRUTH_COLUMNS if n in columns]
-    with whole_text(path) as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows([f"{v:.10g}" for v in row] for row in np.column_stack([columns[n] for n in names]))
+            columns[f"sensed_{name}"][k] = getattr(truth.sensed, name)
+    return columns

@@ -1,4 +1,4 @@
-"""What a calibrated flight says of its making: provenance, and notes for a person."""
+"""What a calibrated flight says of its making: provenance, notes for a person, and one sigma of each column."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
+from daq.contract.constants import GRAVITY
+from groundstation.calibration import curves
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
-from groundstation.calibration.readings import Readings
-from groundstation.calibration.scan_table import ScanTable
-from groundstation.calibration.schema import CalibrationSet
-from groundstation.calibration.uncertainty import column_uncertainty
+from groundstation.calibration.calibration_set import CalibrationSet
+from groundstation.calibration.columns import direct_columns
+from groundstation.calibration.scan_table import Readings, ScanTable
+from groundstation.calibration.schema import Instrument
 from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
@@ -23,12 +25,12 @@ def account(
     columns: Mapping[str, Array],
     readings: Readings,
     aligned: bool,
-    asked: bool | None,
+    align_option: bool | None,
 ) -> tuple[dict[str, Any], list[str]]:
     """What the provenance carries about this calibration, and what a person should know of it."""
     notes = []
     part = completeness(table.number)
-    if not aligned and asked is None:
+    if not aligned and align_option is None:
         notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
     if aligned and part < COMPLETE:
         notes.append(
@@ -92,9 +94,9 @@ def _health_notes(table: ScanTable) -> list[str]:
             f"sensors not yet in order in the first {longest:.2f} s, not measured there: {', '.join(starting)}"
         )
     for group, ok in troubled.items():
-        later = int(np.sum(~ok[first[group] :])) if group not in never else 0
-        if later:
-            notes.append(f"sensor group {group} was not in order in {later} of {len(table)} scans: not measured there")
+        count = int(np.sum(~ok[first[group] :])) if group not in never else 0
+        if count:
+            notes.append(f"sensor group {group} was not in order in {count} of {len(table)} scans: not measured there")
     if never:
         notes.append(f"sensors never in order, their columns not measured: {', '.join(never)}")
     return notes
@@ -104,3 +106,93 @@ def _first_value(table: ScanTable, group: str) -> int | None:
     """Row of the first usable value of a group."""
     finite = np.any([np.isfinite(table.raw[c.name]) for c in channels_of(group)], axis=0)
     return int(np.argmax(finite)) if finite.any() else None
+
+
+def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]) -> dict[str, float]:
+    """One sigma of the calibration of each column at this flight's median reading, as the calibration files state it.
+
+    What the files do not state is not in it; noise is apart (`noise`).
+    """
+    sigmas: dict[str, float] = {}
+    _put(sigmas, "p_dynamic", _curve_sigma(calibration.get("pitot")))
+    for direct in direct_columns(calibration):
+        _put(sigmas, direct.column.name, _curve_sigma(direct.instrument))
+    _controls(calibration, sigmas)
+    _air(calibration, columns, sigmas)
+    _vanes(calibration, sigmas)
+    _triads(calibration, columns, sigmas)
+    item = calibration.get("attitude")
+    if item and item.attitude and any(item.attitude.uncertainty):
+        sigmas.update(zip(("phi", "theta", "psi"), item.attitude.uncertainty, strict=True))
+    return {name: sigma for name, sigma in sigmas.items() if name in columns and np.isfinite(columns[name]).any()}
+
+
+def _put(sigmas: dict[str, float], column: str, sigma: float | None) -> None:
+    if sigma:
+        sigmas[column] = sigma
+
+
+def _curve_sigma(item: Instrument | None) -> float | None:
+    """Root mean square over the calibrated range: the flight's readings are not at one place of it."""
+    if item is None or item.curve is None:
+        return None
+    grid = np.linspace(*item.curve.valid, 21)
+    return float(np.sqrt(np.mean(curves.standard_deviation(item.curve, grid) ** 2)))
+
+
+def _controls(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
+    item = calibration.get("mixing")
+    if item is None or item.mixing is None:
+        return
+    weights = {"e": item.mixing.elevator, "a": item.mixing.aileron}
+    for prefix, left_name, right_name in (("delta", "elevon_left", "elevon_right"), ("cmd", "pwm_1", "pwm_2")):
+        left, right = _curve_sigma(calibration.get(left_name)), _curve_sigma(calibration.get(right_name))
+        if left is not None and right is not None:
+            for axis, (a, b) in weights.items():
+                _put(sigmas, f"{prefix}_{axis}", float(np.hypot(a * left, b * right)))
+
+
+def _air(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
+    item = calibration.get("static")
+    if item is None or item.static is None:
+        return
+    pressure, warmth = item.static.uncertainty, item.static.temperature_uncertainty
+    _put(sigmas, "p_static", pressure)
+    _put(sigmas, "temperature", warmth)
+    rho, p, t, q, v = (_median(columns, n) for n in ("rho", "p_static", "temperature", "p_dynamic", "V"))
+    if rho is not None and p and t:
+        relative = float(np.hypot(pressure / p, warmth / t))
+        _put(sigmas, "rho", rho * relative)
+        _put(sigmas, "altitude", pressure / (rho * GRAVITY))
+        if v and q and q > 0 and "p_dynamic" in sigmas:
+            # V = sqrt(2 q / rho): half of each relative error
+            _put(sigmas, "V", 0.5 * v * float(np.hypot(sigmas["p_dynamic"] / q, relative)))
+            _put(sigmas, "V_cas", 0.5 * v * sigmas["p_dynamic"] / q)
+
+
+def _vanes(calibration: CalibrationSet, sigmas: dict[str, float]) -> None:
+    for column in ("alpha", "beta"):
+        item = calibration.get(f"{column}_vane")
+        sigma = _curve_sigma(item)
+        if item is not None and item.vane is not None and sigma is not None:
+            # the wash factor's share is stated at 0.1 rad
+            _put(
+                sigmas, column, float(np.hypot(sigma, 0.1 * item.vane.wash_factor_uncertainty) / item.vane.wash_factor)
+            )
+
+
+def _triads(calibration: CalibrationSet, columns: Mapping[str, Array], sigmas: dict[str, float]) -> None:
+    names = {"accelerometer": ("ax", "ay", "az"), "gyro": ("p", "q", "r"), "magnetometer": ("mx", "my", "mz")}
+    for instrument, axes in names.items():
+        item = calibration.get(instrument)
+        if item is None or item.triad is None:
+            continue
+        squares = [float(np.nanmean(columns[a] ** 2)) for a in axes if np.isfinite(columns[a]).any()]
+        size = float(np.sqrt(sum(squares)))
+        for axis, sigma in zip(axes, item.triad.uncertainty, strict=True):
+            _put(sigmas, axis, float(np.hypot(sigma, item.triad.matrix_uncertainty * size)))
+
+
+def _median(columns: Mapping[str, Array], name: str) -> float | None:
+    values = columns[name][np.isfinite(columns[name])]
+    return float(np.median(values)) if values.size else None

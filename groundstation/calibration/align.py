@@ -60,13 +60,13 @@ def runs(number: NDArray[np.int64], finite: Mask) -> tuple[list[NDArray[np.int64
 def to_scan_time(
     values: Array,
     sampled_at: Array,
-    wanted: Array,
+    target_times: Array,
     number: NDArray[np.int64],
     *,
     smooth: bool,
     furthest: float = math.inf,
 ) -> Array:
-    """`values` (N,) sampled at `sampled_at` (N,) [s], brought to `wanted` (N,) [s], run by run.
+    """`values` (N,) sampled at `sampled_at` (N,) [s], brought to `target_times` (N,) [s], run by run.
 
     number: (N,) scan counter. smooth: cubic instead of linear. A channel whose samples are further apart than `furthest` [s]
     or SLOWEST scans stays in its own scans; one read in every k-th scan gets a value in each scan of its runs. A run of one
@@ -74,20 +74,20 @@ def to_scan_time(
     a run than half its sample interval.
     """
     finite = np.isfinite(values) & np.isfinite(sampled_at)
-    if _seldom(finite, wanted, number, furthest):
+    if _too_sparse(finite, target_times, number, furthest):
         return np.where(finite, values, np.nan)
-    out = np.full_like(values, np.nan)
-    found, spacing = runs(number, finite)
-    for rows in found:
+    aligned_values = np.full_like(values, np.nan)
+    row_runs, spacing = runs(number, finite)
+    for rows in row_runs:
         t, y = sampled_at[rows], values[rows]
         if t.size >= 2 and np.all(np.diff(t) > 0):
             span = slice(max(0, rows[0] - spacing // 2), min(values.size, rows[-1] + 1 + spacing // 2))
-            aligned = _in_run(t, y, wanted[span], smooth and t.size >= 4)
-            out[span] = np.where(np.isnan(aligned), out[span], aligned)
-    return out
+            aligned = _in_run(t, y, target_times[span], smooth and t.size >= 4)
+            aligned_values[span] = np.where(np.isnan(aligned), aligned_values[span], aligned)
+    return aligned_values
 
 
-def _seldom(finite: Mask, time: Array, number: NDArray[np.int64], furthest: float) -> bool:
+def _too_sparse(finite: Mask, time: Array, number: NDArray[np.int64], furthest: float) -> bool:
     """Whether a channel is read so seldom that nothing can be said of what lies between."""
     if np.sum(finite) < 2:
         return False
@@ -96,35 +96,35 @@ def _seldom(finite: Mask, time: Array, number: NDArray[np.int64], furthest: floa
 
 def hold(values: Array, number: NDArray[np.int64]) -> Array:
     """A quantity that holds from one sample to the next (a pulse width): the last value in each scan of its runs."""
-    found, spacing = runs(number, np.isfinite(values))
-    out = np.full_like(values, np.nan)
-    for rows in found:
+    row_runs, spacing = runs(number, np.isfinite(values))
+    held_values = np.full_like(values, np.nan)
+    for rows in row_runs:
         span = np.arange(rows[0], min(values.size, rows[-1] + spacing))
         span = span[number[span] - number[rows[-1]] < spacing]
-        out[span] = values[rows[np.searchsorted(rows, span, side="right") - 1]]
-    return out
+        held_values[span] = values[rows[np.searchsorted(rows, span, side="right") - 1]]
+    return held_values
 
 
-def _in_run(t: Array, y: Array, wanted: Array, cubic: bool) -> Array:
-    i = np.clip(np.searchsorted(t, wanted) - 1, 0, t.size - 2)
-    out = y[i] + (wanted - t[i]) * ((y[i + 1] - y[i]) / (t[i + 1] - t[i]))
+def _in_run(t: Array, y: Array, target_times: Array, cubic: bool) -> Array:
+    i = np.clip(np.searchsorted(t, target_times) - 1, 0, t.size - 2)
+    interpolated = y[i] + (target_times - t[i]) * ((y[i + 1] - y[i]) / (t[i + 1] - t[i]))
     if cubic:
         j = np.clip(i - 1, 0, t.size - 4)
-        inside = (wanted >= t[0]) & (wanted <= t[-1])
-        out = np.where(inside, _lagrange(t, y, wanted, j), out)
-    exact = wanted == t[i]
-    out = np.where(exact, y[i], out)
+        within = (target_times >= t[0]) & (target_times <= t[-1])
+        interpolated = np.where(within, _lagrange(t, y, target_times, j), interpolated)
+    exact = target_times == t[i]
+    interpolated = np.where(exact, y[i], interpolated)
     reach = 0.5 * float(np.median(np.diff(t)))
-    return np.where((wanted < t[0] - reach) | (wanted > t[-1] + reach), np.nan, out)
+    return np.where((target_times < t[0] - reach) | (target_times > t[-1] + reach), np.nan, interpolated)
 
 
-def _lagrange(t: Array, y: Array, wanted: Array, first: NDArray[np.int64]) -> Array:
-    total = np.zeros_like(wanted)
+def _lagrange(t: Array, y: Array, target_times: Array, first: NDArray[np.int64]) -> Array:
+    total = np.zeros_like(target_times)
     for a in range(4):
-        weight = np.ones_like(wanted)
+        weight = np.ones_like(target_times)
         for b in range(4):
             if a != b:
-                weight = weight * (wanted - t[first + b]) / (t[first + a] - t[first + b])
+                weight = weight * (target_times - t[first + b]) / (t[first + a] - t[first + b])
         total = total + weight * y[first + a]
     return total
 
@@ -136,8 +136,8 @@ def undo_lag(values: Array, time: Array, number: NDArray[np.int64], lag: float) 
     has 97 % of the true one. Near the ends of a run the quieter slope of `derivative` is taken.
     """
     slope = derivative(values, time, number)
-    found, _ = runs(number, np.isfinite(values))
-    for rows in found:
+    row_runs, _ = runs(number, np.isfinite(values))
+    for rows in row_runs:
         if rows.size >= 5:
             slope[rows[2:-2]] = _local_slope(time[rows], values[rows], 5, 4)[2:-2]
     return np.where(np.isfinite(slope), values + lag * slope, values)
@@ -148,13 +148,13 @@ def derivative(values: Array, time: Array, number: NDArray[np.int64], half_width
 
     At the ends of a run the window is one-sided; a run shorter than three samples has none (NaN).
     """
-    out = np.full_like(values, np.nan)
-    found, _ = runs(number, np.isfinite(values))
-    for rows in found:
+    rate = np.full_like(values, np.nan)
+    row_runs, _ = runs(number, np.isfinite(values))
+    for rows in row_runs:
         if rows.size >= 3:
             width = min(2 * half_width + 1, rows.size)
-            out[rows] = _local_slope(time[rows], values[rows], width, 3 if width >= 5 else 2)
-    return out
+            rate[rows] = _local_slope(time[rows], values[rows], width, 3 if width >= 5 else 2)
+    return rate
 
 
 def _local_slope(t: Array, y: Array, width: int, order: int) -> Array:

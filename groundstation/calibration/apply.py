@@ -8,24 +8,22 @@ however many scans are calibrated at once.
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channel_rows import RAW_LIMITS
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
+from groundstation.calibration import conversions, curves
 from groundstation.calibration.account import account
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
-from groundstation.calibration.columns import GNSS, CombinedColumns
-from groundstation.calibration.conversions import air_data, curves, inertial
-from groundstation.calibration.conversions.direct import direct_columns
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.calibration_set import CalibrationSet
+from groundstation.calibration.columns import GNSS, CombinedColumns, direct_columns
 from groundstation.calibration.facts import RecordedFacts
-from groundstation.calibration.readings import Readings
-from groundstation.calibration.scan_table import ScanTable, bridged, scan_table
-from groundstation.calibration.schema import CalibrationCurve, CalibrationSet, Instrument, Triad
+from groundstation.calibration.scan_table import Readings, ScanTable, bridged, scan_table
+from groundstation.calibration.schema import CalibrationCurve, CalibrationError, Instrument, Triad
 from groundstation.flight import Flight, Provenance
 
 Array = NDArray[np.float64]
@@ -52,11 +50,11 @@ class Calibrator:
         self.facts = RecordedFacts({**calibration.facts, **(facts or {})})
         nvm = self.facts.nvm("static")
         self._direct = direct_columns(calibration)
-        plain = (d.channel for d in self._direct if d.as_it_is)
-        self._as_they_are = frozenset(c.name for c in plain if c.raw_type != "bit")
+        channels = (d.channel for d in self._direct if d.as_it_is)
+        self._as_they_are = frozenset(c.name for c in channels if c.raw_type != "bit")
         # of a channel that a table merely names it is not known that it is smooth
         self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.as_it_is or d.channel.package)}
-        self._static_chip = air_data.Bmp390Compensation.from_nvm(nvm) if nvm else None
+        self._static_chip = conversions.Bmp390Compensation.from_nvm(nvm) if nvm else None
 
     def sample(self, scan: Scan) -> dict[str, float]:
         """Calibrated columns of one scan, for live use: not aligned, only columns that have a value."""
@@ -69,9 +67,9 @@ class Calibrator:
         with np.errstate(all="ignore"):
             readings = self._readings(table)
             values = self._align(table, readings) if aligned else readings.values
-            made = CombinedColumns(self.calibration, table, values, aligned).make()
-        nothing = np.full(len(table), np.nan)
-        return {c.name: made.get(c.name, nothing) for c in COLUMNS}, readings
+            combined = CombinedColumns(self.calibration, table, values, aligned).make()
+        unmeasured = np.full(len(table), np.nan)
+        return {c.name: combined.get(c.name, unmeasured) for c in COLUMNS}, readings
 
     def check(self, table: ScanTable) -> None:
         """Raise CalibrationError for a channel that was recorded and of which its column cannot be made."""
@@ -82,28 +80,34 @@ class Calibrator:
     # -------------------------------------------------------------------------------------------- counts to values
 
     def _readings(self, table: ScanTable) -> Readings:
-        out = Readings({}, {}, {}, {}, {}, _clipped(table))
+        readings = Readings({}, {}, {}, {}, {}, table.clipped())
         for item in self.calibration.instruments.values():
             if item.curve is not None and item.channel is not None:
-                self._read_curve(item, item.curve, item.channel, table, out)
+                self._read_curve(item, item.curve, item.channel, table, readings)
             if item.triad is not None:
-                self._read_triad(item, item.triad, table, out)
-        self._read_static(table, out)
-        self._read_gnss(table, out)
+                self._read_triad(item, item.triad, table, readings)
+        self._read_static(table, readings)
+        self._read_gnss(table, readings)
         for name in self._as_they_are:
             group = CHANNEL_BY_NAME[name].group
-            _add(out, name, self.physical(table, name), group, self.facts.delay(name, group) - self.facts.after(name))
+            _put_reading(
+                readings,
+                name,
+                self.physical(table, name),
+                group,
+                self.facts.delay(name, group) - self.facts.after(name),
+            )
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
             name = f"quaternion_{axis}"
             delay = self.facts.delay("attitude", "attitude") + (attitude.delay if attitude else 0.0)
-            _add(out, name, self.physical(table, name), "attitude", delay)
+            _put_reading(readings, name, self.physical(table, name), "attitude", delay)
             if self.facts.lag("attitude"):
-                out.lag[name] = self.facts.lag("attitude")
-        return out
+                readings.lag[name] = self.facts.lag("attitude")
+        return readings
 
     def _read_curve(
-        self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, out: Readings
+        self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, readings: Readings
     ) -> None:
         reading = self.physical(table, channel)
         if item.ratiometric is not None:
@@ -117,13 +121,13 @@ class Calibrator:
             value = value - curves.evaluate(curve, zero)
         outside = int(np.sum(curves.extrapolated(curve, reading)))
         if outside:
-            out.extrapolated[item.instrument] = outside
+            readings.extrapolated[item.instrument] = outside
         group = CHANNEL_BY_NAME[channel].group
         # a channel read later within its group shows a later instant: less delay
         delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
-        _add(out, item.instrument, value, group, delay)
+        _put_reading(readings, item.instrument, value, group, delay)
 
-    def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, out: Readings) -> None:
+    def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, readings: Readings) -> None:
         x, y, z = (self.physical(table, c) for c in item.channels)
         reading = (x, y, z)
         group = CHANNEL_BY_NAME[item.channels[0]].group
@@ -134,16 +138,16 @@ class Calibrator:
         lowest, highest = triad.valid
         outside = sum(int(np.sum((axis < lowest) | (axis > highest))) for axis in reading)
         if outside:
-            out.extrapolated[item.instrument] = outside
+            readings.extrapolated[item.instrument] = outside
         delay = item.delay + self.facts.delay(item.instrument, group)
         lag = self.facts.lag(item.instrument)
-        warmth = held(table.time, self.physical(table, "imu_temperature"))
-        for axis, value in zip("xyz", inertial.apply_triad(triad, reading, warmth), strict=True):
-            _add(out, f"{item.instrument}_{axis}", value, group, delay)
+        warmth = hold_recent(table.time, self.physical(table, "imu_temperature"))
+        for axis, value in zip("xyz", conversions.apply_triad(triad, reading, warmth), strict=True):
+            _put_reading(readings, f"{item.instrument}_{axis}", value, group, delay)
             if lag:
-                out.lag[f"{item.instrument}_{axis}"] = lag
+                readings.lag[f"{item.instrument}_{axis}"] = lag
 
-    def _read_static(self, table: ScanTable, out: Readings) -> None:
+    def _read_static(self, table: ScanTable, readings: Readings) -> None:
         item = self.calibration.get("static")
         if item is None or item.static is None or self._static_chip is None:
             return
@@ -151,19 +155,19 @@ class Calibrator:
             table.raw["static_pressure"], table.raw["static_temperature"]
         )
         delay = item.delay + self.facts.delay("static", "static")
-        _add(out, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
-        _add(out, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
+        _put_reading(readings, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
+        _put_reading(readings, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
 
     def physical(self, table: ScanTable, channel: str) -> Array:
         """A raw channel (N,) at data-sheet scale of its range, as counts where the data sheet leaves the scale open."""
         scale = self.facts.scale(channel)
         return table.raw[channel] if scale is None else table.raw[channel] * scale + CHANNEL_BY_NAME[channel].offset
 
-    def _read_gnss(self, table: ScanTable, out: Readings) -> None:
+    def _read_gnss(self, table: ScanTable, readings: Readings) -> None:
         """Position and velocity of fixes in three dimensions; other fixes measure nothing."""
-        good = table.raw["gnss_fix"] >= _FIX_3D
+        has_fix = table.raw["gnss_fix"] >= _FIX_3D
         for name in GNSS:
-            _add(out, name, np.where(good, self.physical(table, name), np.nan), "gnss", 0.0)
+            _put_reading(readings, name, np.where(has_fix, self.physical(table, name), np.nan), "gnss", 0.0)
 
     def sensor_supply(self, table: ScanTable) -> Array:
         """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
@@ -172,13 +176,13 @@ class Calibrator:
             raise CalibrationError(
                 f"{self.calibration.name}: an instrument is corrected by the sensor supply, but the set has no sensor_supply.toml"
             )
-        return held(table.time, curves.evaluate(item.curve, self.physical(table, item.channel)))
+        return hold_recent(table.time, curves.evaluate(item.curve, self.physical(table, item.channel)))
 
     # ---------------------------------------------------------------------------------------------- one time base
 
     def _align(self, table: ScanTable, readings: Readings) -> dict[str, Array]:
         values = dict(readings.values)
-        values.update(_continuous_quaternion(values))
+        values.update(conversions.continuous_quaternion(values))
         furthest = BRIDGED if table.bridged else math.inf
         for name, reading in values.items():
             if name in _HELD:
@@ -186,13 +190,15 @@ class Calibrator:
             else:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
-                at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
+                sampled_at = table.time + table.known_offset(readings.group[name]) - readings.delay[name]
                 smooth = name not in self._linear
-                values[name] = to_scan_time(reading, at, table.time, table.number, smooth=smooth, furthest=furthest)
+                values[name] = to_scan_time(
+                    reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
+                )
         return values
 
 
-def held(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
+def hold_recent(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
     """A slowly changing auxiliary quantity, held from its last reading for at most `longest` seconds."""
     if not np.isnan(values).any():
         return values
@@ -202,38 +208,8 @@ def held(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
     return np.where(recent, values[last], np.nan)
 
 
-def known_offset(table: ScanTable, group: str) -> Array:
-    """Read offset of a group in each scan [s]; where a scan does not carry it, the group's median, else 0."""
-    offset = table.offset[group]
-    missing = np.isnan(offset)
-    if not missing.any():
-        return offset
-    return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
-
-
-def _add(out: Readings, name: str, values: Array, group: str, delay: float) -> None:
-    out.values[name], out.group[name], out.delay[name] = values, group, delay
-
-
-def _clipped(table: ScanTable) -> dict[str, int]:
-    """Samples at the ends of the raw range of the signed channels: the truth lay beyond."""
-    found = {}
-    for name, values in table.raw.items():
-        if CHANNEL_BY_NAME[name].raw_type == "i16" and CHANNEL_BY_NAME[name].group != "attitude":
-            low, high = RAW_LIMITS["i16"]
-            count = int(np.sum((values <= low) | (values >= high)))
-            if count:
-                found[name] = count
-    return found
-
-
-def _continuous_quaternion(values: Mapping[str, Array]) -> dict[str, Array]:
-    """q and -q are the same attitude: signs chosen so that no component jumps from one sample to the next."""
-    names = [f"quaternion_{axis}" for axis in "wxyz"]
-    q = np.stack([values[n] for n in names])
-    dot = np.sum(q[:, 1:] * q[:, :-1], axis=0)
-    sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0, -1.0, 1.0))])
-    return {n: q[i] * sign for i, n in enumerate(names)}
+def _put_reading(readings: Readings, name: str, values: Array, group: str, delay: float) -> None:
+    readings.values[name], readings.group[name], readings.delay[name] = values, group, delay
 
 
 # ------------------------------------------------------------------------------------------------------ whole flights
@@ -260,22 +236,15 @@ def calibrate(
     table = scan_table(scans)
     if len(table) < 2:
         raise CalibrationError(f"{name}: only one scan in this recording; a flight needs at least two")
-    whole = completeness(table.number) >= COMPLETE
-    aligned = (whole or connectedness(table.time) >= COMPLETE) if align is None else align
+    complete = completeness(table.number) >= COMPLETE
+    aligned = (complete or connectedness(table.time) >= COMPLETE) if align is None else align
     calibrator = Calibrator(calibration, facts)
     calibrator.check(table)
-    columns, readings = calibrator.columns(bridged(table) if aligned and not whole else table, aligned=aligned)
+    columns, readings = calibrator.columns(bridged(table) if aligned and not complete else table, aligned=aligned)
     detail, notes = account(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset
     origin = provenance or Provenance()
-    origin = Provenance(
-        source=origin.source,
-        path=origin.path,
-        sha256=origin.sha256,
-        aircraft=origin.aircraft,
-        software=origin.software,
-        calibration=calibration.hashes,
-        detail=MappingProxyType({**origin.detail, **detail}),
-    )
+    details = MappingProxyType({**origin.detail, **detail})
+    origin = replace(origin, calibration=calibration.hashes, detail=details)
     return Flight.build(name, table.time, columns, provenance=origin, notes=[*table.notes, *notes])

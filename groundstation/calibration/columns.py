@@ -3,18 +3,20 @@
 Air data, rates, specific force at the CG, attitude, flow angles at the CG, elevator and aileron.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.channels import CHANNEL_BY_NAME, CHANNELS, COLUMNS, Channel, FlightColumn, sources_of
 from daq.contract.constants import ROUND_EARTH_RADIUS, SEA_LEVEL_PRESSURE
+from groundstation.calibration import conversions
 from groundstation.calibration.align import derivative
-from groundstation.calibration.conversions import air_data, flow, inertial
-from groundstation.calibration.conversions.direct import direct_columns
+from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.scan_table import ScanTable
-from groundstation.calibration.schema import CalibrationSet, MountingAngles, Vector
+from groundstation.calibration.schema import CalibrationError, Instrument, MountingAngles, Vector
+from groundstation.flight.atmosphere import density
 
 Array = NDArray[np.float64]
 
@@ -36,8 +38,8 @@ class CombinedColumns:
 
     def make(self) -> dict[str, Array]:
         steps: tuple[Callable[[], None], ...] = (
-            *(self._air, self._rates, self._acceleration, self._attitude, self._flow, self._controls),
-            *(self._magnetic, self._gnss, self._direct),
+            *(self._air, self._rates_and_field, self._acceleration, self._attitude, self._flow, self._controls),
+            *(self._gnss, self._direct),
         )
         for step in steps:
             step()
@@ -46,7 +48,7 @@ class CombinedColumns:
     def _value(self, name: str) -> Array:
         return self.values[name] if name in self.values else np.full(len(self.table), np.nan)
 
-    def _axes(self, instrument: str) -> inertial.Axes:
+    def _axes(self, instrument: str) -> conversions.Axes:
         return self._value(f"{instrument}_x"), self._value(f"{instrument}_y"), self._value(f"{instrument}_z")
 
     def _air(self) -> None:
@@ -59,14 +61,15 @@ class CombinedColumns:
             static = static - site.position_error * true_impact
             impact = true_impact
         self.columns["p_dynamic"], self.columns["p_static"], self.columns["temperature"] = impact, static, temperature
-        self.columns["rho"] = air_data.density(static, temperature)
-        self.columns["V"] = air_data.true_airspeed(impact, static, temperature)
-        self.columns["V_cas"] = air_data.calibrated_airspeed(impact)
+        self.columns["rho"] = density(static, temperature)
+        self.columns["V"] = conversions.true_airspeed(impact, static, temperature)
+        self.columns["V_cas"] = conversions.calibrated_airspeed(impact)
         reference = site.sea_level_pressure if site else SEA_LEVEL_PRESSURE
-        self.columns["altitude"] = air_data.pressure_altitude(static, reference)
+        self.columns["altitude"] = conversions.pressure_altitude(static, reference)
 
-    def _rates(self) -> None:
+    def _rates_and_field(self) -> None:
         self.columns.update(zip("pqr", self._axes("gyro"), strict=True))
+        self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
 
     def _acceleration(self) -> None:
         axes = self._axes("accelerometer")
@@ -77,23 +80,25 @@ class CombinedColumns:
             if self.aligned:
                 p, q, r = (derivative(rate, self.table.time, self.table.number) for rate in rates)
                 slopes = (p, q, r)
-            axes = inertial.at_cg(axes, rates, slopes, item.mount.position)
+            axes = conversions.at_cg(axes, rates, slopes, item.mount.position)
         self.columns.update(zip(("ax", "ay", "az"), axes, strict=True))
 
     def _attitude(self) -> None:
         item = self.calibration.get("attitude")
         attitude = item.attitude if item and item.attitude else MountingAngles()
         w, x, y, z = (self._value(f"quaternion_{axis}") for axis in "wxyz")
-        self.columns.update(zip(("phi", "theta", "psi"), inertial.euler_angles(w, x, y, z, attitude), strict=True))
+        self.columns.update(zip(("phi", "theta", "psi"), conversions.euler_angles(w, x, y, z, attitude), strict=True))
 
     def _flow(self) -> None:
         alpha_item, beta_item = self.calibration.get("alpha_vane"), self.calibration.get("beta_vane")
         alpha, beta = self._value("alpha_vane"), self._value("beta_vane")
         if alpha_item and alpha_item.vane and beta_item and beta_item.vane:
-            alpha = flow.undo_wash(alpha, alpha_item.vane)
-            beta = flow.undo_wash(beta, beta_item.vane)
+            alpha = conversions.undo_wash(alpha, alpha_item.vane)
+            beta = conversions.undo_wash(beta, beta_item.vane)
             rates = self._axes("gyro")
-            alpha, beta = flow.flow_angles(alpha, beta, self.columns["V"], rates, alpha_item.vane, beta_item.vane)
+            alpha, beta = conversions.flow_angles(
+                alpha, beta, self.columns["V"], rates, alpha_item.vane, beta_item.vane
+            )
         self.columns["alpha"], self.columns["beta"] = alpha, beta
 
     def _controls(self) -> None:
@@ -104,9 +109,6 @@ class CombinedColumns:
                 left, right = self._value(left_name), self._value(right_name)
                 for column, weights in ((elevator, item.mixing.elevator), (aileron, item.mixing.aileron)):
                     self.columns[column] = weights[0] * left + weights[1] * right
-
-    def _magnetic(self) -> None:
-        self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
 
     def _direct(self) -> None:
         """Columns of one channel each. A bit is as it was read: there is nothing between 0 and 1."""
@@ -129,10 +131,84 @@ class CombinedColumns:
         they stay those of the antenna."""
         c = self.columns
         attitude, rates = (c["phi"], c["theta"], c["psi"]), (c["p"], c["q"], c["r"])
-        place, speed = inertial.point_in_earth_axes(position, attitude, rates)
+        place, speed = conversions.point_in_earth_axes(position, attitude, rates)
         north, east, down = (np.nan_to_num(v) for v in place)
         c["latitude"] = c["latitude"] - np.degrees(north / ROUND_EARTH_RADIUS)
         c["longitude"] = c["longitude"] - np.degrees(east / (ROUND_EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
         c["altitude_gnss"] = c["altitude_gnss"] + down
         for column, of_antenna in zip(("vn", "ve", "vd"), speed, strict=True):
             c[column] = c[column] - np.nan_to_num(of_antenna)
+
+
+COMBINED = frozenset(
+    "ax ay az p q r phi theta psi alpha beta V V_cas delta_e delta_a cmd_e cmd_a rho p_static p_dynamic temperature "
+    "altitude latitude longitude altitude_gnss vn ve vd mx my mz".split()
+)
+"""Columns that `columns.Columns` makes by a rule of their own."""
+
+
+_NEEDS_FILE = {"supply": "it is behind a divider whose ratio the channel table does not know"}
+"""Channels in the unit of their column that are not it."""
+
+
+@dataclass(frozen=True, slots=True)
+class DirectColumn:
+    """A column, the channel it comes from, and the calibration file that turns one into the other.
+
+    None: counts at data-sheet scale. why_not: what is missing where neither gives the column; empty otherwise.
+    """
+
+    column: FlightColumn
+    channel: Channel
+    instrument: Instrument | None
+    why_not: str = ""
+
+    @property
+    def as_it_is(self) -> bool:
+        """Whether counts at data-sheet scale are the column."""
+        return self.instrument is None and not self.why_not
+
+    @property
+    def reading(self) -> str:
+        """Name of its values among the readings of all instruments."""
+        return self.channel.name if self.instrument is None else self.instrument.instrument
+
+
+def direct_columns(
+    calibration: CalibrationSet, columns: Iterable[FlightColumn] = COLUMNS, channels: Sequence[Channel] = CHANNELS
+) -> tuple[DirectColumn, ...]:
+    """The direct columns in table order. Raises CalibrationError for a column that no single channel leads to."""
+    return tuple(_direct(c, calibration, channels) for c in columns if c.name not in COMBINED)
+
+
+def _direct(column: FlightColumn, calibration: CalibrationSet, channels: Sequence[Channel]) -> DirectColumn:
+    sources = sources_of(column.name, channels)
+    if len(sources) != 1 or len(sources[0].columns) != 1:
+        names = ", ".join(c.name for c in sources) or "none"
+        raise CalibrationError(
+            f"column {column.name} of the channel table: its channels are {names}; a column that no rule combines is made"
+            " of exactly one channel, and that channel of no other column; correct `columns` in the table"
+        )
+    channel = sources[0]
+    curves = [i for i in calibration.instruments.values() if i.curve is not None and i.channel == channel.name]
+    if not curves:
+        return DirectColumn(column, channel, None, _why_not(column, channel))
+    curve = curves[0].curve
+    if curve is not None and curve.output_unit != column.unit:
+        raise CalibrationError(
+            f"{calibration.name}: {curves[0].instrument} gives {curve.output_unit!r} and column {column.name} is in"
+            f" {column.unit!r}; correct output_unit or the unit of the column"
+        )
+    return DirectColumn(column, channel, curves[0])
+
+
+def _why_not(column: FlightColumn, channel: Channel) -> str:
+    """Why counts at data-sheet scale are not the column; empty where they are."""
+    way_out = f"add a file of kind curve with channel = {channel.name!r} and output_unit = {column.unit!r} to the calibration set"
+    if channel.name in _NEEDS_FILE:
+        return f"{channel.name}: {_NEEDS_FILE[channel.name]}; {way_out}"
+    if channel.raw_type != "bit" and channel.scale is None:
+        return f"the channel table has no scale for {channel.name}; {way_out}"
+    if (channel.unit or "1") != column.unit:
+        return f"{channel.name} is in {channel.unit!r} and column {column.name} in {column.unit!r}; {way_out}"
+    return ""

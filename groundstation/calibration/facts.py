@@ -7,10 +7,11 @@ recording says takes precedence.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from groundstation.calibration.conversions.air_data import Bmp390Compensation
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.conversions import Bmp390Compensation
+from groundstation.calibration.schema import CalibrationError
 
 _SCALE_KEYS = {
     **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "imu.accel_scale_m_s2"),
@@ -88,14 +89,13 @@ class RecordedFacts:
         text = self.values.get(key)
         if text is None:
             return None
-        why = _why_not(key, text)
-        if why:
-            raise CalibrationError(f"{why}; correct logger.toml")
+        reason = _why_not(key, text)
+        if reason:
+            raise CalibrationError(f"{reason}; correct logger.toml")
         return float(text)
 
 
-@dataclass(frozen=True)
-class Reported:
+class Reported(NamedTuple):
     """Facts as a sender, or a recording of one, gave them, after the check of each. refused: name -> why it is not used."""
 
     facts: Mapping[str, str]
@@ -104,8 +104,8 @@ class Reported:
 
 def reported(values: Mapping[str, str]) -> Reported:
     """Each fact held against what it can be. A fact that this program does not use stays as it is; nothing raises."""
-    refused = {key: why for key, text in values.items() if (why := _why_not(key, text))}
-    return Reported({k: v for k, v in values.items() if k not in refused}, refused)
+    refused_facts = {key: reason for key, text in values.items() if (reason := _why_not(key, text))}
+    return Reported({k: v for k, v in values.items() if k not in refused_facts}, refused_facts)
 
 
 def _why_not(key: str, text: str) -> str:
@@ -129,8 +129,8 @@ def _why_no_coefficients(key: str, text: str) -> str:
         if coefficients and key.startswith("static."):
             Bmp390Compensation.from_nvm(coefficients)
     except (ValueError, CalibrationError) as error:
-        said = f": {error}" if isinstance(error, CalibrationError) else ""
-        return f"fact {key} = {text[:40]!r} holds no coefficients in hexadecimal{said}"
+        detail = f": {error}" if isinstance(error, CalibrationError) else ""
+        return f"fact {key} = {text[:40]!r} holds no coefficients in hexadecimal{detail}"
     return ""
 
 

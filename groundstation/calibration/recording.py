@@ -11,11 +11,12 @@ from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify_recording
 from daq.contract.recordings.reading import Recording, read_recordings, sound
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
+from daq.contract.scan import SCAN_TOPIC
 from groundstation.calibration.apply import calibrate
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 from groundstation.calibration.facts import Reported, reported
-from groundstation.calibration.schema import CalibrationSet, load_calibration
-from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance
+from groundstation.calibration.schema import CalibrationError
+from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 
 _TOLD = 20  # damages of a recording told one by one in a flight's notes
 
@@ -47,14 +48,14 @@ def open_recording(path: str | Path, *, salvage: bool = False) -> tuple[Recordin
 
     Raises RecordingError when there is none or, unless `salvage`, when it is damaged.
     """
-    found = read_recordings(path)
-    taken = max(found, key=lambda r: len(r.numbers))
-    others = ", ".join(f"{r.info.session} ({len(r.numbers)} scans)" for r in found if r is not taken)
+    recordings = read_recordings(path)
+    largest = max(recordings, key=lambda r: len(r.numbers))
+    left_out = ", ".join(f"{r.info.session} ({len(r.numbers)} scans)" for r in recordings if r is not largest)
     notes = [
-        f"{len(found)} sessions in one file: {taken.info.session} ({len(taken.numbers)} scans) taken, {others} left out; "
-        f"'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"
+        f"{len(recordings)} sessions in one file: {largest.info.session} ({len(largest.numbers)} scans) taken, "
+        f"{left_out} left out; 'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"
     ]
-    return taken if salvage else sound(taken), notes if others else []
+    return largest if salvage else sound(largest), notes if left_out else []
 
 
 def calibrate_opened(
@@ -65,19 +66,34 @@ def calibrate_opened(
     salvage: bool = False,
 ) -> Flight:
     """The flight in a raw recording that has been opened; see `calibrate_recording`."""
-    chosen = _chosen(recording, calibration)
-    given = {**recording.info.details, **_zeroed(recording)}
-    facts = reported(given) if salvage else Reported(given, {})
+    calibration_set = _calibration_set(recording, calibration)
+    details = {**recording.info.details, **_pitot_zero(recording)}
+    facts = reported(details) if salvage else Reported(details, {})
     flight = calibrate(
         recording.scans(),
-        chosen,
+        calibration_set,
         name=recording.path.stem,
         facts=facts.facts,
         align=align,
         provenance=_provenance(recording),
     )
-    refused = [f"{why}: what the calibration set says is used in its place" for why in facts.refused.values()]
-    return flight.with_notes(*refused[:_TOLD], *_undescribed(recording), *_gaps(recording))
+    notes = [f"{reason}: what the calibration set says is used in its place" for reason in facts.refused.values()]
+    return flight.with_notes(*notes[:_TOLD], *_undescribed(recording), *_gaps(recording))
+
+
+def is_raw(file: Path) -> bool:
+    """Whether a path holds scans as counts: a folder of segments, or a .mcap that says so in its first bytes."""
+    if file.is_dir():
+        return True
+    if file.suffix != ".mcap" or not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        return SCAN_TOPIC.encode() in stream.read(65536)
+
+
+def open_flight(file: Path, calibration: Path | None = None) -> Flight:
+    """A flight file as it is, a raw recording (file or directory of segments) calibrated, as `sideslip calibrate` does."""
+    return calibrate_recording(file, calibration, salvage=True) if is_raw(file) else read_flight(file)
 
 
 def _undescribed(recording: Recording) -> list[str]:
@@ -110,11 +126,11 @@ def _gaps(recording: Recording) -> list[str]:
     return notes
 
 
-def _zeroed(recording: Recording) -> dict[str, str]:
+def _pitot_zero(recording: Recording) -> dict[str, str]:
     """The last zeroing of the pitot before flight, as a fact: it takes the sensor's turn-on offset out."""
     counts = [parse_pitot_zero(e.text) for e in recording.events]
-    known = [c for c in counts if c is not None]
-    return {"pitot.zero_count": f"{known[-1]!r}"} if known else {}
+    zero_counts = [c for c in counts if c is not None]
+    return {"pitot.zero_count": f"{zero_counts[-1]!r}"} if zero_counts else {}
 
 
 def embedded_calibration(recording: Recording) -> CalibrationSet:
@@ -137,7 +153,7 @@ def embedded_calibration(recording: Recording) -> CalibrationSet:
         ) from error
 
 
-def _chosen(recording: Recording, calibration: CalibrationSet | str | Path | None) -> CalibrationSet:
+def _calibration_set(recording: Recording, calibration: CalibrationSet | str | Path | None) -> CalibrationSet:
     if calibration is None:
         return embedded_calibration(recording)
     return calibration if isinstance(calibration, CalibrationSet) else load_calibration(calibration)

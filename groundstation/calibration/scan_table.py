@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import CHANNELS, GROUP_NAMES
+from daq.contract.channel_rows import RAW_LIMITS
+from daq.contract.channels import CHANNEL_BY_NAME, CHANNELS, GROUP_NAMES
 from daq.contract.scan import Scan
 from groundstation.calibration.align import BRIDGED
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.schema import CalibrationError
 
 Array = NDArray[np.float64]
 
@@ -46,18 +47,32 @@ class ScanTable:
     def __len__(self) -> int:
         return int(self.time.size)
 
+    def known_offset(self, group: str) -> Array:
+        """Read offset of a group in each scan [s]; where a scan does not carry it, the group's median, else 0."""
+        offset = self.offset[group]
+        missing = np.isnan(offset)
+        if not missing.any():
+            return offset
+        return np.where(missing, 0.0 if missing.all() else float(np.median(offset[~missing])), offset)
+
+    def clipped(self) -> dict[str, int]:
+        """Samples at the ends of the raw range of the signed channels: the truth lay beyond."""
+        counts = {}
+        low, high = RAW_LIMITS["i16"]
+        for name, values in self.raw.items():
+            if CHANNEL_BY_NAME[name].raw_type == "i16" and CHANNEL_BY_NAME[name].group != "attitude":
+                count = int(np.sum((values <= low) | (values >= high)))
+                if count:
+                    counts[name] = count
+        return counts
+
     def part(self, rows: slice | NDArray[np.bool_]) -> "ScanTable":
-        """A range of rows."""
-        return ScanTable(
-            self.number[rows],
-            self.time[rows],
-            MappingProxyType({k: v[rows] for k, v in self.raw.items()}),
-            MappingProxyType({k: v[rows] for k, v in self.offset.items()}),
-            MappingProxyType({k: v[rows] for k, v in self.usable.items()}),
-            self.notes,
-            self.utc_offset,
-            self.bridged,
-        )
+
+        def part_of(columns: Mapping[str, Any]) -> Mapping[str, Any]:
+            return MappingProxyType({name: values[rows] for name, values in columns.items()})
+
+        raw, offset, usable = (part_of(columns) for columns in (self.raw, self.offset, self.usable))
+        return replace(self, number=self.number[rows], time=self.time[rows], raw=raw, offset=offset, usable=usable)
 
 
 def bridged(table: ScanTable) -> ScanTable:
@@ -87,27 +102,27 @@ def scan_table(scans: Iterable[Scan]) -> ScanTable:
     order = np.lexsort((number, time_ns))
     if np.any(order[1:] < order[:-1]):
         notes.append("scans were not in order of time: sorted")
-    again = np.diff(number[order]) == 0
-    again &= np.diff(time_ns[order]) == 0
-    kept = order[np.concatenate([[True], ~again])]
-    if kept.size < order.size:
-        notes.append(f"{order.size - kept.size} scans came more than once: the first of each kept")
-    in_place = kept.size == order.size and not notes
+    repeated = np.diff(number[order]) == 0
+    repeated &= np.diff(time_ns[order]) == 0
+    rows = order[np.concatenate([[True], ~repeated])]
+    if rows.size < order.size:
+        notes.append(f"{order.size - rows.size} scans came more than once: the first of each kept")
+    in_place = rows.size == order.size and not notes
 
-    nothing = np.full(kept.size, np.nan)
-    nothing.flags.writeable = False
+    unmeasured = np.full(rows.size, np.nan)
+    unmeasured.flags.writeable = False
 
     def column(name: str) -> NDArray[Any]:
         """One column of all blocks; taken out of them, for two copies of the whole table are one too many."""
         if not any(name in b for b in blocks):
-            return nothing  # one for all channels that nothing was read of
+            return unmeasured  # one for all channels that nothing was read of
         parts = [b.pop(name, np.full(b["number"].size, np.nan)) for b in blocks]
-        whole = np.concatenate(parts) if len(parts) > 1 else parts[0]
-        return whole if in_place else whole[kept]
+        values = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        return values if in_place else values[rows]
 
     return ScanTable(
-        number=number if in_place else number[kept],
-        time=(time_ns if in_place else time_ns[kept]) * 1e-9,
+        number=number if in_place else number[rows],
+        time=(time_ns if in_place else time_ns[rows]) * 1e-9,
         raw=MappingProxyType({c.name: column(c.name) for c in CHANNELS}),
         offset=MappingProxyType({g: column(f"{g} offset") for g in GROUP_NAMES}),
         usable=MappingProxyType({g: column(f"{g} usable") for g in GROUP_NAMES}),
@@ -118,30 +133,47 @@ def scan_table(scans: Iterable[Scan]) -> ScanTable:
 
 def _utc_offset(scans: list[Scan]) -> tuple[float, float] | None:
     """UTC minus monotonic time and its accuracy [s], from the scan that knew it best; None where none knew it."""
-    known = [s for s in scans if s.time_utc_ns > 0]
-    if not known:
+    timed = [s for s in scans if s.time_utc_ns > 0]
+    if not timed:
         return None
-    best = min(known, key=lambda s: s.utc_accuracy_ns or _UNKNOWN_ACCURACY_NS)
-    accuracy = best.utc_accuracy_ns or _UNKNOWN_ACCURACY_NS
-    return (best.time_utc_ns - best.time_monotonic_ns) * 1e-9, accuracy * 1e-9
+    most_accurate = min(timed, key=lambda s: s.utc_accuracy_ns or _UNKNOWN_ACCURACY_NS)
+    accuracy = most_accurate.utc_accuracy_ns or _UNKNOWN_ACCURACY_NS
+    return (most_accurate.time_utc_ns - most_accurate.time_monotonic_ns) * 1e-9, accuracy * 1e-9
 
 
 def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
     """Some scans as columns; a channel or offset that none of them has is left out."""
-    found: dict[str, NDArray[Any]] = {
+    columns: dict[str, NDArray[Any]] = {
         "number": np.array([s.number for s in scans], np.int64),
         "time_ns": np.array([s.time_monotonic_ns for s in scans], np.uint64),
     }
     for g in GROUP_NAMES:
-        found[f"{g} usable"] = np.array([g not in s.groups or s.groups[g].state.usable for s in scans])
+        columns[f"{g} usable"] = np.array([g not in s.groups or s.groups[g].state.usable for s in scans])
         offsets = [s.groups[g].offset_us if g in s.groups else np.nan for s in scans]
         if offsets.count(np.nan) < len(scans):  # the very same object: nothing was read
-            found[f"{g} offset"] = np.array(offsets, float) * 1e-6
+            columns[f"{g} offset"] = np.array(offsets, float) * 1e-6
     nan = float("nan")
     for channel in CHANNELS:
         read = [s.values.get(channel.name, nan) for s in scans]
         if read.count(nan) == len(scans):  # the very same object each time: nothing was read
             continue
         values = np.array(read, float)
-        found[channel.name] = np.where(found[f"{channel.group} usable"], values, np.nan)
-    return found
+        columns[channel.name] = np.where(columns[f"{channel.group} usable"], values, np.nan)
+    return columns
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Physical value of each instrument axis, with what is known of its instant.
+
+    values: name -> (N,). group: name -> sensor group. delay: name -> by which it lags [s]. lag: name -> time constant of a
+    first-order low pass in front of it [s].
+    extrapolated, clipped: instrument or channel -> number of samples.
+    """
+
+    values: dict[str, Array]
+    group: dict[str, str]
+    delay: dict[str, float]
+    lag: dict[str, float]
+    extrapolated: dict[str, int]
+    clipped: dict[str, int]

@@ -1,26 +1,20 @@
-"""Calibration files: one TOML per instrument, read into frozen models and kept with their text and hash.
+"""Calibration files: one TOML per instrument, read into frozen models."""
 
-A set is a directory of such files. It is embedded in every recording as text, so that a flight can be calibrated again
-from the file alone, and a later, better set can take its place (`--calibration DIR`).
-"""
-
-import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.constants import SEA_LEVEL_PRESSURE
-from daq.contract.input_files import parse_toml, read_text
-from groundstation.calibration.errors import CalibrationError
+from daq.contract.errors import UserError
+
+
+class CalibrationError(UserError):
+    """A calibration file, set or recording that cannot be used for calibrating."""
+
 
 FORMAT = 1
-NOMINAL_DIRECTORY = Path(__file__).parent / "files"
 
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
 """A number of a calibration. Its bound keeps a polynomial of degree five over 24-bit counts (1e36) far from the largest float."""
@@ -171,17 +165,6 @@ class SupplySensitivity(_CalibrationTable):
     reference: Annotated[float, Field(gt=0)] = 5.0
 
 
-_KINDS = {
-    "curve": ("curve",),
-    "triad": ("triad",),
-    "static": ("static",),
-    "mixing": ("mixing",),
-    "attitude": ("attitude",),
-    "logger": ("logger",),
-    "antenna": ("mount",),
-}
-
-
 class Instrument(_CalibrationTable):
     """One calibration file.
 
@@ -213,9 +196,9 @@ class Instrument(_CalibrationTable):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Instrument":
-        for table in _KINDS[self.kind]:
-            if getattr(self, table) is None:
-                raise ValueError(f"a file of kind {self.kind} needs the table [{table}]")
+        table = "mount" if self.kind == "antenna" else self.kind
+        if getattr(self, table) is None:
+            raise ValueError(f"a file of kind {self.kind} needs the table [{table}]")
         unknown = [c for c in (self.channel, *self.channels) if c is not None and c not in CHANNEL_BY_NAME]
         if unknown:
             raise ValueError(f"channel: {unknown[0]} is not in the channel table")
@@ -224,83 +207,3 @@ class Instrument(_CalibrationTable):
         if self.kind == "triad" and len(self.channels) != 3:
             raise ValueError("channels: a file of kind triad names three raw channels")
         return self
-
-
-@dataclass(frozen=True)
-class CalibrationSet:
-    """The calibration of every instrument of one aircraft, with the texts it was read from.
-
-    texts: file name -> TOML text, as embedded in a recording. A set without some instrument leaves its columns unmeasured.
-    """
-
-    name: str
-    instruments: Mapping[str, Instrument]
-    texts: Mapping[str, str]
-
-    @classmethod
-    def from_texts(cls, name: str, texts: Mapping[str, str]) -> "CalibrationSet":
-        """A set from TOML texts by file name (with or without '.toml').
-
-        Raises CalibrationError naming file and key.
-        """
-        instruments: dict[str, Instrument] = {}
-        for file, text in sorted(texts.items()):
-            item = _parse(f"{name}/{file}", text)
-            if item.instrument in instruments:
-                raise CalibrationError(f"{name}/{file}: instrument {item.instrument} is calibrated twice in this set")
-            instruments[item.instrument] = item
-        if not instruments:
-            raise CalibrationError(f"{name}: no calibration file in it; give a directory of .toml files")
-        return cls(name, MappingProxyType(instruments), MappingProxyType(dict(sorted(texts.items()))))
-
-    @property
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of each file's text."""
-        return {file: hashlib.sha256(text.encode()).hexdigest() for file, text in self.texts.items()}
-
-    def get(self, instrument: str) -> Instrument | None:
-        """The calibration of an instrument, None when the set has none."""
-        return self.instruments.get(instrument)
-
-    @property
-    def facts(self) -> Mapping[str, str]:
-        """Facts about the logger's sensors that the set holds."""
-        item = self.get("logger")
-        return item.logger.facts if item and item.logger else {}
-
-    def with_texts(self, texts: Mapping[str, str]) -> "CalibrationSet":
-        """A set with files added or replaced, by file name."""
-        return CalibrationSet.from_texts(self.name, {**self.texts, **texts})
-
-
-def load_calibration(directory: str | Path = "cdfp") -> CalibrationSet:
-    """Read a calibration set from a directory, or a built-in one by name ('cdfp').
-
-    Raises CalibrationError naming the file and the key that is wrong.
-    """
-    path = Path(directory)
-    if not path.is_dir():
-        built_in = NOMINAL_DIRECTORY / str(directory)
-        if path.name != str(directory) or not built_in.is_dir():
-            raise CalibrationError(
-                f"{directory}: no such directory of calibration files (built in: {', '.join(built_in_sets())})"
-            )
-        path = built_in
-    texts = {file.name: read_text(file, "file", CalibrationError) for file in sorted(path.glob("*.toml"))}
-    return CalibrationSet.from_texts(path.name, texts)
-
-
-def built_in_sets() -> tuple[str, ...]:
-    """Names of the calibration sets that come with the software."""
-    return tuple(sorted(p.name for p in NOMINAL_DIRECTORY.iterdir() if p.is_dir()))
-
-
-def _parse(where: str, text: str) -> Instrument:
-    try:
-        return Instrument.model_validate(parse_toml(text, where, CalibrationError))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(k) for k in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}{more}") from error

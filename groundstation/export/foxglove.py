@@ -7,7 +7,8 @@ forward, y left, z up. Rerun's importer makes nothing but one value of each samp
 columns are there once more as ROS 2 `JointState`, under `/scalars`, grouped as in the live view.
 """
 
-from collections.abc import Iterator
+import struct
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.constants import EARTH_RADIUS
 from daq.contract.durable import whole
-from groundstation.export import joint_state as js
-from groundstation.export.timescale import stamps_ns
+from groundstation.export.tracks import height_above_sea, stamps_ns
 from groundstation.flight import Array, Flight
 from groundstation.flight.writing import Encoded, open_flight_writer
 
@@ -27,15 +27,9 @@ def write_foxglove(flight: Flight, path: Path) -> None:
     """Write the file; topics without values (no GPS, no attitude) are absent."""
     stamps = stamps_ns(flight)
     with whole(path) as new, open_flight_writer(flight, new, stamps) as add:
-        for topic, stamp, message in sorted(_messages(flight, stamps), key=lambda row: row[1]):
+        messages = [m for make in (_fixes, _poses, _events, _scalars) for m in make(flight, stamps)]
+        for topic, stamp, message in sorted(messages, key=lambda row: row[1]):
             add(topic, stamp, message)
-
-
-def _messages(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Any]]:
-    yield from _fixes(flight, stamps)
-    yield from _poses(flight, stamps)
-    yield from _events(flight, stamps)
-    yield from _scalars(flight, stamps)
 
 
 def _scalars(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Encoded]]:
@@ -43,16 +37,16 @@ def _scalars(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, i
     groups: dict[str, list[str]] = {}
     for name in flight.columns:
         if flight.measured(name):
-            known = COLUMN_BY_NAME.get(name)
-            groups.setdefault(known.entity if known else "/others", []).append(name)
+            column = COLUMN_BY_NAME.get(name)
+            groups.setdefault(column.entity if column else "/others", []).append(name)
     for entity, names in groups.items():
         units = [COLUMN_BY_NAME[n].unit if n in COLUMN_BY_NAME else "" for n in names]
-        joints = js.JointStates([f"{n} [{u}]" if u not in ("", "1") else n for n, u in zip(names, units, strict=True)])
+        joints = JointStates([f"{n} [{u}]" if u not in ("", "1") else n for n, u in zip(names, units, strict=True)])
         table = np.column_stack([flight[n] for n in names])
         for i in np.flatnonzero(np.isfinite(table).any(axis=1)):
             data = joints.encode(int(stamps[i]), table[i].tolist())
-            made = Encoded(data, js.SCHEMA, js.SCHEMA_ENCODING, js.DEFINITION, js.MESSAGE_ENCODING)
-            yield f"/scalars{entity}", int(stamps[i]), made
+            message = Encoded(data, SCHEMA, SCHEMA_ENCODING, DEFINITION, MESSAGE_ENCODING)
+            yield f"/scalars{entity}", int(stamps[i]), message
 
 
 def _fixes(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Any]]:
@@ -60,7 +54,7 @@ def _fixes(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int
 
     if not (flight.measured("latitude") and flight.measured("longitude")):
         return
-    height = _height(flight)
+    height = height_above_sea(flight)
     for i in np.flatnonzero(np.isfinite(flight["latitude"]) & np.isfinite(flight["longitude"])):
         fix = LocationFix(frame_id="gnss", latitude=flight["latitude"][i], longitude=flight["longitude"][i])
         if np.isfinite(height[i]):
@@ -102,28 +96,23 @@ def _stamped(message: Any, stamp: int) -> Any:
     return message
 
 
-def _height(flight: Flight) -> Array:
-    source = next((name for name in ("altitude_gnss", "altitude") if flight.measured(name)), None)
-    return flight[source] if source else np.full(len(flight), np.nan)
-
-
 def local_position(flight: Flight) -> Array:
     """(N, 3) east, north, up of the first fix [m], held between fixes; zeros where the flight has no position."""
     if not (flight.measured("latitude") and flight.measured("longitude")):
         return np.zeros((len(flight), 3))
-    latitude, longitude = np.radians(_held(flight["latitude"])), np.radians(_held(flight["longitude"]))
-    height = _height(flight)
-    up = _held(height) if np.isfinite(height).any() else np.zeros(len(flight))
+    latitude, longitude = np.radians(_hold_last(flight["latitude"])), np.radians(_hold_last(flight["longitude"]))
+    height = height_above_sea(flight)
+    up = _hold_last(height) if np.isfinite(height).any() else np.zeros(len(flight))
     east = (longitude - longitude[0]) * np.cos(latitude[0]) * EARTH_RADIUS
     north = (latitude - latitude[0]) * EARTH_RADIUS
     return np.column_stack([east, north, up - up[0]])
 
 
-def _held(values: Array) -> Array:
+def _hold_last(values: Array) -> Array:
     """The last finite value before each sample; the first finite one before that."""
-    known = np.flatnonzero(np.isfinite(values))
-    at = np.maximum(np.searchsorted(known, np.arange(values.size), side="right") - 1, 0)
-    return values[known[at]]
+    finite = np.flatnonzero(np.isfinite(values))
+    index = np.maximum(np.searchsorted(finite, np.arange(values.size), side="right") - 1, 0)
+    return values[finite[index]]
 
 
 def quaternion_flu_to_enu(phi: Array, theta: Array, psi: Array) -> Array:
@@ -144,3 +133,57 @@ def quaternion_flu_to_enu(phi: Array, theta: Array, psi: Array) -> Array:
             cr * cp * sy - sr * sp * cy,
         ]
     )
+
+
+SCHEMA = "sensor_msgs/msg/JointState"
+SCHEMA_ENCODING, MESSAGE_ENCODING = "ros2msg", "cdr"
+_RULE = "=" * 80
+DEFINITION = f"""std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+{_RULE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_RULE}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_HEAD = b"\x00\x01\x00\x00"
+_NS = 1_000_000_000
+
+
+class JointStates:
+    """Messages with always the same names; values may be NaN, where they are not known."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._count = len(names)
+        body = bytearray(8) + _text("")  # the time goes into the first eight bytes
+        _align(body, 4)
+        body += struct.pack("<I", len(names))
+        for name in names:
+            _align(body, 4)
+            body += _text(name)
+        _align(body, 4)
+        body += struct.pack("<I", len(names))
+        _align(body, 8)
+        self._before = bytes(body[8:])
+        self._values = struct.Struct(f"<{len(names)}d")
+        self._after = bytes(8)  # no velocities, no efforts
+
+    def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
+        """The message of one instant; stamp_ns: UTC or monotonic, below 2^31 seconds."""
+        time = struct.pack("<iI", *divmod(stamp_ns, _NS))
+        return _HEAD + time + self._before + self._values.pack(*values) + self._after
+
+
+def _align(body: bytearray, size: int) -> None:
+    body += bytes(-len(body) % size)
+
+
+def _text(words: str) -> bytes:
+    data = words.encode() + b"\0"
+    return struct.pack("<I", len(data)) + data

@@ -1,16 +1,22 @@
 """Any flight or recording to any format that the ending of the output's name chooses."""
 
-from collections.abc import Callable, Sequence
+import csv
+import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from daq.contract.durable import whole
+import numpy as np
+
+from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.durable import whole, whole_text
 from daq.contract.errors import UserError
-from groundstation.flight import Flight, read_flight
+from groundstation.calibration.recording import open_flight
+from groundstation.flight.tables import ColumnTable, TableColumn, flight_table
 
 if TYPE_CHECKING:
-    from groundstation.flight.tables import ColumnTable
+    from groundstation.calibration.scan_table import ScanTable
 
 TABLES = (".csv", ".parquet", ".mat")
 FORMATS = (*TABLES, ".kml", ".gpx", ".rrd", ".mcap")
@@ -29,114 +35,108 @@ class ExportSummary:
 
 
 def export_file(
-    file: Path, out: Path, *, units_row: bool = False, raw: bool = False, calibration: Path | None = None
+    file: Path, target: Path, *, units_row: bool = False, raw: bool = False, calibration: Path | None = None
 ) -> ExportSummary:
-    """Write FILE, a flight or a raw recording, in the format of `out`'s ending.
+    """Write FILE, a flight or a raw recording, in the format of `target`'s ending.
 
     units_row: a second line of units in a CSV. raw: counts instead of calibrated columns (recordings, tables only).
     calibration: directory in place of the embedded set. Raises UserError with one sentence.
     """
-    check_output(file, out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    suffix = out.suffix.lower()
+    check_output(file, target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    suffix = target.suffix.lower()
     if suffix == ".rrd":
         from groundstation.viewer.recorded import as_rrd
 
-        as_rrd(file, out, calibration=calibration)
-        return ExportSummary(out)
+        as_rrd(file, target, calibration=calibration)
+        return ExportSummary(target)
     if raw:
-        return _export_counts(file, out, units_row)
+        return ExportSummary(target, _export_counts(file, target, units_row))
+    from groundstation.export import foxglove, tracks
+
     flight = open_flight(file, calibration)
-    writer: dict[str, Callable[[Flight, Path], Sequence[str]]] = {
-        ".kml": _kml,
-        ".gpx": _gpx,
-        ".mcap": _foxglove,
-    }
-    notes = writer[suffix](flight, out) if suffix in writer else _write_table(flight, out, units_row)
-    return ExportSummary(out, tuple(notes))
+    writers = {".kml": tracks.write_kml, ".gpx": tracks.write_gpx, ".mcap": foxglove.write_foxglove}
+    if suffix not in writers:
+        return ExportSummary(target, save_table(tracks.with_utc(flight_table(flight), flight), target, units_row))
+    writers[suffix](flight, target)
+    untimed = "the flight does not know UTC: times count from the aircraft's start"
+    return ExportSummary(target, (untimed,) if tracks.utc_offset(flight) is None else ())
 
 
-def check_output(file: Path, out: Path) -> None:
+def check_output(file: Path, target: Path) -> None:
     """Refuse a format that nobody knows and an output that is the input."""
-    if out.suffix.lower() not in FORMATS:
-        raise ExportError(f"{out}: no known format; end the name in one of {' '.join(FORMATS)}")
-    if out.exists() and file.exists() and out.samefile(file):
-        raise ExportError(f"{out}: that is the file to export; give another name")
+    if target.suffix.lower() not in FORMATS:
+        raise ExportError(f"{target}: no known format; end the name in one of {' '.join(FORMATS)}")
+    if target.exists() and file.exists() and target.samefile(file):
+        raise ExportError(f"{target}: that is the file to export; give another name")
 
 
-def open_flight(file: Path, calibration: Path | None = None) -> Flight:
-    """A flight file as it is, a raw recording (file or directory of segments) calibrated, as `sideslip calibrate` does."""
-    from groundstation.viewer.recorded import is_raw
-
-    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
-        from groundstation.calibration.recording import calibrate_recording
-
-        return calibrate_recording(file, calibration, salvage=True)
-    return read_flight(file)
-
-
-def _export_counts(file: Path, out: Path, units_row: bool) -> ExportSummary:
+def _export_counts(file: Path, target: Path, units_row: bool) -> tuple[str, ...]:
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.scan_table import scan_table
-    from groundstation.export.writers import raw_table
 
-    if out.suffix.lower() not in TABLES:
-        raise ExportError(f"{out}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
+    if target.suffix.lower() not in TABLES:
+        raise ExportError(f"{target}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
     recording = read_recording(file, salvage=True)
-    scans = scan_table(recording.scans())
-    return ExportSummary(out, tuple(_write(raw_table(scans, recording.path.stem), out, units_row)))
+    return save_table(raw_table(scan_table(recording.scans()), recording.path.stem), target, units_row)
 
 
-def _write_table(flight: Flight, out: Path, units_row: bool) -> list[str]:
-    from groundstation.export.timescale import with_utc
-    from groundstation.flight.tables import flight_table
-
-    return _write(with_utc(flight_table(flight), flight), out, units_row)
-
-
-def _write(table: "ColumnTable", out: Path, units_row: bool) -> list[str]:
-    from groundstation.export import writers
-
-    match out.suffix.lower():
+def save_table(table: ColumnTable, target: Path, units_row: bool) -> tuple[str, ...]:
+    """Write a table in the format of `target`'s ending; notes for a person."""
+    match target.suffix.lower():
         case ".csv":
-            writers.write_csv(table, out, units_row=units_row)
+            write_csv(table, target, units_row=units_row)
         case ".parquet":
             import pyarrow.parquet as pq
 
             from groundstation.flight.tables import arrow_table
 
-            with whole(out) as new:
+            with whole(target) as new:
                 pq.write_table(arrow_table(table), new)
         case _:
-            left = writers.write_matlab(table, out)
-            return [f"column {name}: no name that MATLAB takes, left out" for name in left]
-    return []
+            nameless = write_matlab(table, target)
+            return tuple(f"column {name}: no name that MATLAB takes, left out" for name in nameless)
+    return ()
 
 
-def _kml(flight: Flight, out: Path) -> list[str]:
-    from groundstation.export.tracks import write_kml
-
-    write_kml(flight, out)
-    return _untimed(flight)
+_MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+"""What MATLAB takes as the name of a field; 63 characters are its `namelengthmax`."""
 
 
-def _gpx(flight: Flight, out: Path) -> list[str]:
-    from groundstation.export.tracks import write_gpx
-
-    write_gpx(flight, out)
-    return _untimed(flight)
-
-
-def _foxglove(flight: Flight, out: Path) -> list[str]:
-    from groundstation.export.foxglove import write_foxglove
-
-    write_foxglove(flight, out)
-    return _untimed(flight)
+def raw_table(scans: "ScanTable", name: str) -> ColumnTable:
+    """Scan number, time and every raw channel as counts; NaN where a sensor was not in order."""
+    columns = [
+        TableColumn("scan", scans.number.astype(float), "1", "scan number", whole=True),
+        TableColumn("time", scans.time, "s", "time on the aircraft's clock"),
+    ]
+    columns += [TableColumn(c, v, "count", CHANNEL_BY_NAME[c].meaning) for c, v in scans.raw.items()]
+    return ColumnTable(tuple(columns), {"name": name, "notes": json.dumps(list(scans.notes))})
 
 
-def _untimed(flight: Flight) -> list[str]:
-    from groundstation.export.timescale import utc_offset
+def write_csv(table: ColumnTable, path: Path, *, units_row: bool = False) -> None:
+    """A CSV; with `units_row` a second line holds the units. Empty cells were not measured."""
+    with whole_text(path) as handle:
+        writer = csv.writer(handle)
+        writer.writerow([c.name for c in table.columns])
+        if units_row:
+            writer.writerow([c.unit for c in table.columns])
+        listed = [(c.values.astype(np.int64) if c.whole else c.values).tolist() for c in table.columns]
+        for row in zip(*listed, strict=True):
+            writer.writerow(["" if v != v else v for v in row])
 
-    if utc_offset(flight) is not None:
-        return []
-    return ["the flight does not know UTC: times count from the aircraft's start"]
+
+def write_matlab(table: ColumnTable, path: Path) -> list[str]:
+    """A MATLAB 5 file with one struct `flight`: a column vector per column, structs `units`, `meaning` and `about`.
+
+    Gives the names of columns that MATLAB cannot name and that are left out.
+    """
+    from scipy.io import savemat
+
+    columns = [c for c in table.columns if _MATLAB_NAME.fullmatch(c.name)]
+    struct: dict[str, Any] = {c.name: c.values.reshape(-1, 1) for c in columns}
+    struct["units"] = {c.name: c.unit for c in columns}
+    struct["meaning"] = {c.name: c.meaning for c in columns}
+    struct["about"] = dict(table.about)
+    with whole(path) as new:
+        savemat(new, {"flight": struct}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+    return [c.name for c in table.columns if not _MATLAB_NAME.fullmatch(c.name)]

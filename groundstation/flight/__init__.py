@@ -14,6 +14,5 @@ __all__ = [
     "FlightError",
     "MissingColumnError",
     "Provenance",
-    "read_flight",
-    "write_flight",
 ]
+__all__ += ["read_flight", "write_flight"]

@@ -1,7 +1,6 @@
 """The standard atmosphere's troposphere, and density of the air from what a flight measures (ICAO Doc 7488/3)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.constants import (
     GAS_CONSTANT,
@@ -10,8 +9,7 @@ from daq.contract.constants import (
     SEA_LEVEL_PRESSURE,
     SEA_LEVEL_TEMPERATURE,
 )
-
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
 
 _EXPONENT = 5.255876  # g / (R lapse)
 

@@ -23,10 +23,12 @@ class MissingColumnError(FlightError):
         self.missing = tuple(missing)
         names = ", ".join(missing)
         plural = "s" if len(missing) > 1 else ""
-        instead = f", or choose a model that does without: {', '.join(models)}" if models else ""
+        alternatives = f", or choose a model that does without: {', '.join(models)}" if models else ""
         if unknown:
-            shown = ", ".join(unknown[:UNKNOWN_SHOWN]) + (", ..." if len(unknown) > UNKNOWN_SHOWN else "")
-            instead += f"; if it is there by another name ({shown}), 'sideslip import' with --map gives it its own"
+            examples = ", ".join(unknown[:UNKNOWN_SHOWN]) + (", ..." if len(unknown) > UNKNOWN_SHOWN else "")
+            alternatives += (
+                f"; if it is there by another name ({examples}), 'sideslip import' with --map gives it its own"
+            )
         super().__init__(
-            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{instead}"
+            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{alternatives}"
         )

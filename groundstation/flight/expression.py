@@ -12,16 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError
 
-Array = NDArray[np.float64]
-
-LONGEST = 500
-"""Characters of an expression: one that a person reads."""
-DEEPEST = 40
-"""Brackets within brackets."""
+LONGEST = 500  # characters of an expression: one that a person reads
+DEEPEST = 40  # brackets within brackets
 
 FUNCTIONS: Mapping[str, tuple[int, Callable[..., Array]]] = {
     "sqrt": (1, np.sqrt), "abs": (1, np.abs), "sin": (1, np.sin), "cos": (1, np.cos), "tan": (1, np.tan),
@@ -35,11 +31,16 @@ _TOKEN = re.compile(
     r"|mode:\s*(?P<mode>\w+(?: \d+)?)"
     r"|(?P<name>[^\W\d]\w*(?:\[\d+\])?(?:\.[^\W\d]\w*(?:\[\d+\])?)*)|(?P<sign>\*\*|[<>=!]=|[-+*/(),<>]))"
 )
-_COMPARED: Mapping[str, Callable[..., Array]] = {
-    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal, "!=": np.not_equal,
-}  # fmt: skip
-MODE = "mode:"
-"""What the pseudo-column of a flight mode begins with: 1 in it, 0 else."""
+Function = Callable[..., Array]
+_OR: Mapping[str, Function] = {"or": np.logical_or}
+_AND: Mapping[str, Function] = {"and": np.logical_and}
+_SUM: Mapping[str, Function] = {"+": np.add, "-": np.subtract}
+_PRODUCT: Mapping[str, Function] = {"*": np.multiply, "/": np.divide}
+_COMPARISON: Mapping[str, Function] = {
+    **{"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal},
+    **{"==": np.equal, "!=": np.not_equal},
+}
+MODE = "mode:"  # what the pseudo-column of a flight mode begins with: 1 in it, 0 else
 
 
 class ExpressionError(FlightError):
@@ -47,10 +48,10 @@ class ExpressionError(FlightError):
 
 
 @dataclass(frozen=True)
-class _Value:
-    """What a part of an expression is worth; condition: whether that is true or false."""
+class _Term:
+    """A part of an expression; condition: whether it is true or false."""
 
-    of: Callable[[Mapping[str, Array]], Array | float]
+    values: Callable[[Mapping[str, Array]], Array | float]
     condition: bool = False
 
 
@@ -60,15 +61,15 @@ class Expression:
 
     text: str
     columns: tuple[str, ...]
-    _value: _Value
+    _term: _Term
 
-    def of(self, columns: Mapping[str, Array]) -> Array:
+    def values(self, columns: Mapping[str, Array]) -> Array:
         """Its value (N,) from columns (N,) by name; NaN where it is not defined."""
         size = next(iter(columns.values())).size if columns else 1
         with np.errstate(all="ignore"):
-            found = np.broadcast_to(np.asarray(self._value.of(columns), float), (size,)).copy()
-        found[~np.isfinite(found)] = np.nan
-        return found
+            values = np.broadcast_to(np.asarray(self._term.values(columns), float), (size,)).copy()
+        values[~np.isfinite(values)] = np.nan
+        return values
 
 
 def parse(text: str) -> Expression:
@@ -84,164 +85,157 @@ def parse_condition(text: str) -> Expression:
 def _parsed(text: str, *, condition: bool) -> Expression:
     if len(text) > LONGEST:
         raise ExpressionError(f"expression of {len(text)} characters; at most {LONGEST}")
-    reader = _ExpressionParser(text, _tokens(text))
-    value = reader.either()
-    while condition and reader.takes(","):
-        value = reader.logical(np.logical_or, value, reader.either())
-    if reader.left:
-        raise ExpressionError(f"expression {text!r}: {reader.peek()!r} is not expected there")
-    if not reader.columns:
+    parser = _ExpressionParser(text, _tokens(text))
+    term = parser.disjunction()
+    while condition and parser.accept(","):
+        term = parser.combined(np.logical_or, term, parser.disjunction(), conditions=True)
+    if parser.unread:
+        raise ExpressionError(f"expression {text!r}: {parser.peek()!r} is not expected there")
+    if not parser.columns:
         raise ExpressionError(f"expression {text!r} names no column")
-    if value.condition != condition:
-        wanted = "a condition, like V > 12 or mode:MANUAL" if condition else "a number, and no condition"
-        raise ExpressionError(f"expression {text!r}: {wanted} is expected")
-    return Expression(text, tuple(dict.fromkeys(reader.columns)), value)
+    if term.condition != condition:
+        expectation = "a condition, like V > 12 or mode:MANUAL" if condition else "a number, and no condition"
+        raise ExpressionError(f"expression {text!r}: {expectation} is expected")
+    return Expression(text, tuple(dict.fromkeys(parser.columns)), term)
 
 
 def _tokens(text: str) -> list[tuple[str, str]]:
-    out, at = [], 0
-    while text[at:].strip():
-        match = _TOKEN.match(text, at)
+    tokens, position = [], 0
+    while text[position:].strip():
+        match = _TOKEN.match(text, position)
         if match is None or match.lastgroup is None:
             raise ExpressionError(
-                f"expression {text!r}: cannot read {text[at:].strip()[:20]!r}; numbers, column names (in backquotes where they "
-                f"hold blanks or signs), + - * / ** and {', '.join(FUNCTIONS)} are known"
+                f"expression {text!r}: cannot read {text[position:].strip()[:20]!r}; numbers, column names (in backquotes "
+                f"where they hold blanks or signs), + - * / ** and {', '.join(FUNCTIONS)} are known"
             )
-        out.append((match.lastgroup, match[match.lastgroup]))
-        at = match.end()
-    return out
+        tokens.append((match.lastgroup, match[match.lastgroup]))
+        position = match.end()
+    return tokens
 
 
 class _ExpressionParser:
     """Recursive descent: conditions of comparisons of sums of products of powers."""
 
     def __init__(self, text: str, tokens: list[tuple[str, str]]) -> None:
-        self._text, self._tokens, self._at, self._depth = text, tokens, 0, 0
+        self._text, self._tokens, self._position, self._depth = text, tokens, 0, 0
         self.columns: list[str] = []
 
+    def _error(self, problem: str) -> ExpressionError:
+        return ExpressionError(f"expression {self._text!r}{problem}")
+
     @property
-    def left(self) -> bool:
+    def unread(self) -> bool:
         """Whether something is not read yet."""
-        return self._at < len(self._tokens)
+        return self._position < len(self._tokens)
 
     def peek(self) -> str:
         """The next sign or word; empty at the end."""
-        return self._tokens[self._at][1] if self.left else ""
+        return self._tokens[self._position][1] if self.unread else ""
 
-    def takes(self, *signs: str) -> str:
+    def accept(self, *signs: str) -> str:
         """The next token if it is one of these signs or words, else an empty string."""
-        if self.left and self._tokens[self._at][0] in ("sign", "name") and self.peek() in signs:
-            self._at += 1
-            return self._tokens[self._at - 1][1]
+        if self.unread and self._tokens[self._position][0] in ("sign", "name") and self.peek() in signs:
+            self._position += 1
+            return self._tokens[self._position - 1][1]
         return ""
 
     def _expect(self, sign: str) -> None:
-        if not self.takes(sign):
-            raise ExpressionError(f"expression {self._text!r}: {sign!r} is missing before {self.peek() or 'the end'!r}")
+        if not self.accept(sign):
+            raise self._error(f": {sign!r} is missing before {self.peek() or 'the end'!r}")
 
-    def either(self) -> _Value:
+    def _nested(self, parse_inner: Callable[[], _Term]) -> _Term:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise self._error(f": brackets within brackets, more than {DEEPEST} deep")
+        term = parse_inner()
+        self._depth -= 1
+        return term
+
+    def combined(self, function: Function, first: _Term, second: _Term, *, conditions: bool) -> _Term:
+        """Two terms as one: two conditions, or two numbers."""
+        if conditions and not (first.condition and second.condition):
+            raise self._error(": and, or, not and commas stand between conditions, like V > 12")
+        if not conditions and (first.condition or second.condition):
+            raise self._error(": a condition stands where a number is expected")
+        return _Term(lambda c: function(first.values(c), second.values(c)), conditions)
+
+    def _chain(self, operators: Mapping[str, Function], operand: Callable[[], _Term], *, conditions: bool) -> _Term:
+        """Operands with operators of one rank between them, from the left."""
+        term = operand()
+        while sign := self.accept(*operators):
+            term = self.combined(operators[sign], term, operand(), conditions=conditions)
+        return term
+
+    def disjunction(self) -> _Term:
         """Conditions of which one is to be true, or a number."""
-        self._depth += 1
-        if self._depth > DEEPEST:
-            raise ExpressionError(f"expression {self._text!r}: brackets within brackets, more than {DEEPEST} deep")
-        value = self._all()
-        while self.takes("or"):
-            value = self.logical(np.logical_or, value, self._all())
-        self._depth -= 1
-        return value
+        return self._nested(lambda: self._chain(_OR, self._conjunction, conditions=True))
 
-    def _all(self) -> _Value:
-        value = self._negated()
-        while self.takes("and"):
-            value = self.logical(np.logical_and, value, self._negated())
-        return value
+    def _conjunction(self) -> _Term:
+        return self._chain(_AND, self._negation, conditions=True)
 
-    def _negated(self) -> _Value:
-        turned = False
-        while self.takes("not"):
-            turned = not turned
-        value = self._compared()
-        return self.logical(np.logical_xor, value, _Value(lambda c: 1.0, True)) if turned else value
+    def _negation(self) -> _Term:
+        negated = False
+        while self.accept("not"):
+            negated = not negated
+        term = self._comparison()
+        return self.combined(np.logical_xor, term, _Term(lambda c: 1.0, True), conditions=True) if negated else term
 
-    def _compared(self) -> _Value:
+    def _comparison(self) -> _Term:
         first = self._sum()
-        found: _Value | None = None
-        while sign := self.takes(*_COMPARED):
+        comparison: _Term | None = None
+        while sign := self.accept(*_COMPARISON):
             second = self._sum()
-            here = _Value(self._both(_COMPARED[sign], first, second).of, True)
-            found = here if found is None else self.logical(np.logical_and, found, here)
+            term = _Term(self.combined(_COMPARISON[sign], first, second, conditions=False).values, True)
+            comparison = self.combined(np.logical_and, comparison, term, conditions=True) if comparison else term
             first = second
-        return first if found is None else found
+        return comparison or first
 
-    def logical(self, function: Callable[..., Array], first: _Value, second: _Value) -> _Value:
-        """Two conditions as one."""
-        if not (first.condition and second.condition):
-            raise ExpressionError(
-                f"expression {self._text!r}: and, or, not and commas stand between conditions, like V > 12"
-            )
-        return _Value(lambda c: function(first.of(c), second.of(c)), True)
+    def _sum(self) -> _Term:
+        return self._chain(_SUM, self._product, conditions=False)
 
-    def _both(self, function: Callable[..., Array], first: _Value, second: _Value) -> _Value:
-        if first.condition or second.condition:
-            raise ExpressionError(f"expression {self._text!r}: a condition stands where a number is expected")
-        return _Value(lambda c: function(first.of(c), second.of(c)))
+    def _product(self) -> _Term:
+        return self._chain(_PRODUCT, self._signed, conditions=False)
 
-    def _sum(self) -> _Value:
-        value = self._product()
-        while sign := self.takes("+", "-"):
-            value = self._both(np.add if sign == "+" else np.subtract, value, self._product())
-        return value
+    def _signed(self) -> _Term:
+        return self._nested(self._signed_or_power)
 
-    def _product(self) -> _Value:
-        value = self._signed()
-        while sign := self.takes("*", "/"):
-            value = self._both(np.multiply if sign == "*" else np.divide, value, self._signed())
-        return value
-
-    def _signed(self) -> _Value:
-        self._depth += 1
-        if self._depth > DEEPEST:
-            raise ExpressionError(f"expression {self._text!r}: brackets within brackets, more than {DEEPEST} deep")
-        sign = self.takes("-", "+")
+    def _signed_or_power(self) -> _Term:
+        sign = self.accept("-", "+")
         if sign:
-            inner = self._signed()
-            value = self._both(np.multiply, inner, _Value(lambda c: -1.0 if sign == "-" else 1.0))
-        else:
-            value = self._atom()
-            if self.takes("**"):
-                value = self._both(np.power, value, self._signed())
-        self._depth -= 1
-        return value
+            factor = _Term(lambda c: -1.0 if sign == "-" else 1.0)
+            return self.combined(np.multiply, self._signed(), factor, conditions=False)
+        term = self._atom()
+        return self.combined(np.power, term, self._signed(), conditions=False) if self.accept("**") else term
 
-    def _atom(self) -> _Value:
-        if self.takes("("):
-            value = self.either()
+    def _atom(self) -> _Term:
+        if self.accept("("):
+            term = self.disjunction()
             self._expect(")")
-            return value
-        if not self.left:
-            raise ExpressionError(f"expression {self._text!r} ends where a number or a column is expected")
-        kind, word = self._tokens[self._at]
-        self._at += 1
+            return term
+        if not self.unread:
+            raise self._error(" ends where a number or a column is expected")
+        kind, word = self._tokens[self._position]
+        self._position += 1
         if kind == "number":
             number = float(word)
-            return _Value(lambda c: number)
+            return _Term(lambda c: number)
         if kind == "name" and word in FUNCTIONS and self.peek() == "(":
             return self._call(word)
         if kind == "sign":
-            raise ExpressionError(f"expression {self._text!r}: {word!r} where a number or a column is expected")
+            raise self._error(f": {word!r} where a number or a column is expected")
         name = f"{MODE}{word.upper()}" if kind == "mode" else word
         self.columns.append(name)
-        return _Value(lambda c: c[name], kind == "mode")
+        return _Term(lambda c: c[name], kind == "mode")
 
-    def _call(self, name: str) -> _Value:
+    def _call(self, name: str) -> _Term:
         count, function = FUNCTIONS[name]
         self._expect("(")
         arguments = [self._sum()]
-        while self.takes(","):
+        while self.accept(","):
             arguments.append(self._sum())
         self._expect(")")
         if len(arguments) != count:
-            raise ExpressionError(f"expression {self._text!r}: {name} takes {count} arguments, not {len(arguments)}")
+            raise self._error(f": {name} takes {count} arguments, not {len(arguments)}")
         if any(a.condition for a in arguments):
-            raise ExpressionError(f"expression {self._text!r}: a condition stands where a number is expected")
-        return _Value(lambda c: function(*(a.of(c) for a in arguments)))
+            raise self._error(": a condition stands where a number is expected")
+        return _Term(lambda c: function(*(a.values(c) for a in arguments)))

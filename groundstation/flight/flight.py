@@ -17,28 +17,21 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import plain_name
+from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
-from groundstation.flight.notes import Note, NoteKind, as_note, once
+from groundstation.flight.findings import Finding, FindingKind, as_finding, without_repeats
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-Array = NDArray[np.float64]
-
-GAP_FACTOR = 4.5
-"""A step in time longer than this many median sample intervals is a gap: never integrated across."""
-
-LATEST = 9e9
-"""Latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years."""
-
-FASTEST = 1e9
-"""Rate [Hz] beyond which nothing is sampled: a nanosecond, of which time is made."""
+GAP_FACTOR = 4.5  # a step in time longer than this many median sample intervals is a gap: never integrated across
+LATEST = 9e9  # latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years
+FASTEST = 1e9  # rate [Hz] beyond which nothing is sampled: a nanosecond, of which time is made
 
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
-CHANNELS = "channels"
-"""Key of a provenance's detail: where each column comes from, see `Flight.channels`."""
+CHANNELS = "channels"  # key of a provenance's detail: where each column comes from, see `Flight.channels`
 CHANNEL_KINDS = ("measured", "computed", "assumed")
 """By a sensor, by a program of others, or by nobody at the place and time."""
 HELD, INTERVAL = "held", "interval_s"
@@ -73,7 +66,7 @@ class Flight:
     columns: Mapping[str, Array]
     segment: NDArray[np.int64]
     provenance: Provenance = Provenance()
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Finding, ...] = ()
 
     @classmethod
     def build(
@@ -84,7 +77,7 @@ class Flight:
         *,
         segment: NDArray[Any] | None = None,
         provenance: Provenance | None = None,
-        notes: Iterable[Note | str] = (),
+        notes: Iterable[Finding | str] = (),
         gap_factor: float = GAP_FACTOR,
     ) -> "Flight":
         """A flight from raw arrays: sorts time, drops repeats, splits at gaps, and notes what it did.
@@ -98,25 +91,25 @@ class Flight:
                 raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
         name = plain_name(name)
         labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
-        keep, order = _order(name, time)
+        keep, order_notes = _order(name, time)
         time, labels = time[keep], labels[keep]
         arrays = {k: v[keep] for k, v in arrays.items()}
         segments, gaps = _split(time, labels, gap_factor)
         # a flight read again finds the gaps it was written with
-        said = (*notes, *(Note(NoteKind.TIME_ORDER, w) for w in order), *(Note(NoteKind.GAP, w) for w in gaps))
-        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), once(said))
+        all_notes = without_repeats([*notes, *order_notes, *gaps])
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), all_notes)
 
     def __repr__(self) -> str:
-        about = self.provenance
-        known = f"{about.aircraft or 'unnamed aircraft'}, {about.source}"
+        provenance = self.provenance
+        origin = f"{provenance.aircraft or 'unnamed aircraft'}, {provenance.source}"
         return (
             f"<Flight {self.name!r:.80}: {len(self)} samples, {self.time[-1] - self.time[0]:.2f} s at "
             f"{1.0 / self.sample_interval:.1f} Hz, {len(self.segments)} segment{'s' * (len(self.segments) > 1)}, "
-            f"{sum(map(self.measured, self.columns))} columns measured, {known:.80}>"
+            f"{sum(map(self.measured, self.columns))} columns measured, {origin:.80}>"
         )
 
     def _repr_html_(self) -> str:
-        from groundstation.flight.show import flight_html
+        from groundstation.flight.tables import flight_html
 
         return flight_html(self)
 
@@ -147,7 +140,7 @@ class Flight:
 
         ax: one matplotlib axes, or as many as there are columns. Angles are drawn in degrees.
         """
-        from groundstation.flight.show import plot_flight
+        from groundstation.flight.tables import plot_flight
 
         return plot_flight(self, columns, ax)
 
@@ -210,16 +203,16 @@ class Flight:
     def channels(self) -> Mapping[str, Mapping[str, Any]]:
         """Where the columns come from, as an import says it: column -> {"from", "kind": "measured" | "computed" | "assumed",
         "rate_hz"}; empty where the flight does not say, or says what is none of it."""
-        stated = self.provenance.detail.get(CHANNELS)
-        found = stated.items() if isinstance(stated, Mapping) else ()
-        return {str(n): dict(c) for n, c in found if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
+        channels = self.provenance.detail.get(CHANNELS)
+        entries = channels.items() if isinstance(channels, Mapping) else ()
+        return {str(n): dict(c) for n, c in entries if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
 
     def held(self, column: str) -> float | None:
         """Interval [s] at which a column that is a command was recorded: it holds in between, has no noise, and may have changed
         up to so long before. None for what a sensor saw, or where the flight does not say."""
-        about = self.channels.get(column, {})
-        interval = about.get(INTERVAL)
-        return float(interval) if about.get(HELD) is True and isinstance(interval, float | int) else None
+        channel = self.channels.get(column, {})
+        interval = channel.get(INTERVAL)
+        return float(interval) if channel.get(HELD) is True and isinstance(interval, float | int) else None
 
     @property
     def known_columns(self) -> tuple[str, ...]:
@@ -235,9 +228,9 @@ class Flight:
         """A copy with columns added or replaced."""
         return replace(self, columns=MappingProxyType({**self.columns, **columns}))
 
-    def with_notes(self, *notes: Note | str) -> "Flight":
+    def with_notes(self, *notes: Finding | str) -> "Flight":
         """A copy with notes added."""
-        return replace(self, notes=(*self.notes, *map(as_note, notes)))
+        return replace(self, notes=(*self.notes, *map(as_finding, notes)))
 
     def part(self, keep: slice | NDArray[np.bool_], name: str | None = None) -> "Flight":
         """A copy of a range of samples; segments are renumbered from 0."""
@@ -253,44 +246,44 @@ def _plain(provenance: Provenance) -> Provenance:
     return replace(provenance, calibration=dict(provenance.calibration), detail=dict(provenance.detail))
 
 
-def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[str]]:
+def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[Finding]]:
     """Indices that make time strictly increasing, and what had to be done for it."""
     notes: list[str] = []
     with np.errstate(invalid="ignore"):
-        finite = np.flatnonzero(np.abs(time) < LATEST)
+        order = np.flatnonzero(np.abs(time) < LATEST)
     endless = int(np.sum(np.abs(time[np.isfinite(time)]) >= LATEST))
     if endless:
         notes.append(f"{endless} rows with a time beyond 285 years dropped; is time in seconds?")
-    if finite.size + endless < time.size:
-        notes.append(f"{time.size - finite.size - endless} rows without a time dropped")
-    steps = np.diff(time[finite])
-    order = finite
-    if np.any(steps < 0):
-        order = finite[np.argsort(time[finite], kind="stable")]
-        at = time[finite][1:][steps < 0][0]
-        notes.append(f"time runs backwards {int(np.sum(steps < 0))} times (first at t = {at:g} s): rows sorted by time")
-    repeated = np.concatenate([[False], np.diff(time[order]) == 0]) if order.size else np.zeros(0, bool)
+    if order.size + endless < time.size:
+        notes.append(f"{time.size - order.size - endless} rows without a time dropped")
+    backwards = np.diff(time[order]) < 0
+    if backwards.any():
+        first = time[order][1:][backwards][0]
+        notes.append(
+            f"time runs backwards {int(backwards.sum())} times (first at t = {first:g} s): rows sorted by time"
+        )
+        order = order[np.argsort(time[order], kind="stable")]
+    repeated = np.diff(time[order], prepend=np.nan) == 0
     if repeated.any():
-        at = time[order][repeated][0]
-        notes.append(f"{int(repeated.sum())} repeated instants (first at t = {at:g} s): the first row of each kept")
+        first = time[order][repeated][0]
+        notes.append(f"{int(repeated.sum())} repeated instants (first at t = {first:g} s): the first row of each kept")
     order = order[~repeated]
     if order.size < 2:
         hint = " in seconds (there are times beyond 285 years)" if endless else ""
         raise FlightError(
             f"{name}: only {order.size} usable samples; a flight needs at least two rows with a time{hint}"
         )
-    return order, notes
+    return order, [Finding(FindingKind.TIME_ORDER, text) for text in notes]
 
 
-def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[NDArray[np.int64], list[str]]:
+def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[NDArray[np.int64], list[Finding]]:
     """Segment number of each sample from the given labels and the gaps in time."""
     steps = np.diff(time)
     gap = steps > gap_factor * np.median(steps)
-    notes = [
-        f"gap of {steps[i]:.3g} s at t = {time[i]:g} s: split there, never integrated across"
-        for i in np.flatnonzero(gap)
-    ]
+    rows = np.flatnonzero(gap)
+    notes = [f"gap of {steps[i]:.3g} s at t = {time[i]:g} s: split there, never integrated across" for i in rows]
     if len(notes) > 5:
         notes = [*notes[:5], f"{len(notes) - 5} more gaps"]
     edge = gap | (np.diff(labels) != 0)
-    return np.concatenate([[0], np.cumsum(edge)]).astype(np.int64), notes
+    segments = np.concatenate([[0], np.cumsum(edge)]).astype(np.int64)
+    return segments, [Finding(FindingKind.GAP, text) for text in notes]

@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError
 from groundstation.flight.flight import Flight
-
-Array = NDArray[np.float64]
 
 CONTROLS = ("delta_a", "delta_r", "delta_e")
 SMALLEST = 0.0175  # rad: a control movement below 1 deg is trimming, not a manoeuvre
@@ -50,7 +49,7 @@ def find_manoeuvres(
 
     smallest: movement from trim [rad] that counts. A window never reaches across a gap.
     """
-    found: list[ManoeuvreStretch] = []
+    manoeuvres: list[ManoeuvreStretch] = []
     present = [c for c in controls if flight.measured(c)]
     for segment in flight.segments:
         time = flight.time[segment]
@@ -61,19 +60,19 @@ def find_manoeuvres(
         if not active:
             continue
         for first, last in _windows(np.any(list(active.values()), axis=0), time):
-            found.append(_describe(time, first, last, departures, active))
-    return tuple(found)
+            manoeuvres.append(_describe(time, first, last, departures, active))
+    return tuple(manoeuvres)
 
 
-def cut(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], name: str | None = None) -> Flight:
+def cut_to_manoeuvres(flight: Flight, manoeuvres: Iterable[ManoeuvreStretch], name: str | None = None) -> Flight:
     """The flight reduced to the windows, each a segment of its own, with initial states of its own in an estimate.
 
     Raises FlightError when no sample lies in a window.
     """
     label = np.full(len(flight), -1, np.int64)
     for number, m in enumerate(manoeuvres):
-        inside = (flight.time >= m.start) & (flight.time <= m.stop) & (label < 0)
-        label[inside] = number
+        rows = (flight.time >= m.start) & (flight.time <= m.stop) & (label < 0)
+        label[rows] = number
     keep = label >= 0
     if int(keep.sum()) < 2:
         raise FlightError(f"{flight.name}: no manoeuvre to cut out; the controls did not move beyond trim")
@@ -87,20 +86,20 @@ def _departure(values: Array, time: Array) -> Array:
     """Movement away from trim: the value less its running median, 0 where not measured."""
     width = max(3, int(TRIM_TIME / float(np.median(np.diff(time)))) | 1)
     filled = values.copy()
-    bad = ~np.isfinite(filled)
-    if bad.all():
+    missing = ~np.isfinite(filled)
+    if missing.all():
         return np.zeros_like(values)
-    filled[bad] = np.interp(time[bad], time[~bad], filled[~bad])
+    filled[missing] = np.interp(time[missing], time[~missing], filled[~missing])
     if filled.size <= width:
         trim: Array = np.full_like(filled, float(np.median(filled)))
     else:
         half = width // 2
         padded = np.pad(filled, half, mode="reflect")
         # every fifth median is enough for something that varies over seconds
-        at = np.arange(0, filled.size, 5)
-        medians = np.array([np.median(padded[i : i + width]) for i in at])
-        trim = np.interp(np.arange(filled.size), at, medians)
-    return np.where(bad, 0.0, filled - trim)
+        rows = np.arange(0, filled.size, 5)
+        medians = np.array([np.median(padded[i : i + width]) for i in rows])
+        trim = np.interp(np.arange(filled.size), rows, medians)
+    return np.where(missing, 0.0, filled - trim)
 
 
 def _active(departure: Array, smallest: float) -> NDArray[np.bool_]:
@@ -125,11 +124,11 @@ def _describe(
     sizes = {c: float(np.max(np.abs(departures[c][span]))) for c in departures if active[c][span].any()}
     order = sorted(sizes, key=lambda c: -sizes[c])
     # a control that merely rides along (mixing, gusts on the linkage) moves much less than the leading one
-    moved = tuple(c for c in order if sizes[c] > 0.3 * sizes[order[0]])
+    leading = tuple(c for c in order if sizes[c] > 0.3 * sizes[order[0]])
     lead = order[0]
-    kind = _kind(departures[lead][span], time[span], sizes[lead]) if len(moved) == 1 else "mixed"
+    kind = _kind(departures[lead][span], time[span], sizes[lead]) if len(leading) == 1 else "mixed"
     return ManoeuvreStretch(
-        float(max(time[0], time[first] - LEAD)), float(min(time[-1], time[last] + TAIL)), moved, kind, sizes[lead]
+        float(max(time[0], time[first] - LEAD)), float(min(time[-1], time[last] + TAIL)), leading, kind, sizes[lead]
     )
 
 

@@ -12,12 +12,9 @@ from typing import Any
 from daq.contract.plain_words import one_line
 from groundstation.flight.flight import LATEST, Flight
 
-MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"
-"""Keys of a provenance's detail."""
-MOST = 20_000
-"""Marks of a kind that are kept: a mode every second for five hours."""
-LONGEST_TEXT = 200
-"""Characters of a mark; MAVLink's messages have 50, PX4's 127."""
+MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"  # keys of a provenance's detail
+MOST = 20_000  # marks of a kind that are kept: a mode every second for five hours
+LONGEST_TEXT = 200  # characters of a mark; MAVLink's messages have 50, PX4's 127
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,38 +63,33 @@ class Marks:
         }
 
 
-def together(parts: Iterable[Marks]) -> Marks:
+def joined_marks(parts: Iterable[Marks]) -> Marks:
     """The marks of several records in a row."""
-    every = tuple(parts)
+    records = tuple(parts)
     return Marks(
-        tuple(m for p in every for m in p.modes),
-        tuple(m for p in every for m in p.events),
-        tuple(m for p in every for m in p.messages),
+        tuple(m for record in records for m in record.modes),
+        tuple(m for record in records for m in record.events),
+        tuple(m for record in records for m in record.messages),
     )
 
 
 def marks_of(flight: Flight) -> Marks:
     """The marks that a flight carries; what is none (a flight may come from anybody) is left out."""
     detail = flight.provenance.detail
-    modes = [
-        FlightMode(one_line(str(row["mode"]), LONGEST_TEXT), float(row["from"]), float(row["to"]))
-        for row in _rows(detail, MODES, ("from", "to"), ("mode",))
-    ]
+
+    def text(row: Mapping[str, Any], key: str) -> str:
+        return one_line(str(row.get(key, "")), LONGEST_TEXT)
+
+    rows = _rows(detail, MODES, ("from", "to"), "mode")
+    modes = [FlightMode(text(row, "mode"), float(row["from"]), float(row["to"])) for row in rows]
     events, messages = (
-        [
-            Mark(
-                float(r["time"]),
-                one_line(str(r["text"]), LONGEST_TEXT),
-                one_line(str(r.get("origin", "")), LONGEST_TEXT),
-            )
-            for r in _rows(detail, key, ("time",), ("text",))
-        ]
+        tuple(Mark(float(r["time"]), text(r, "text"), text(r, "origin")) for r in _rows(detail, key, ("time",), "text"))
         for key in (EVENTS, MESSAGES)
     )
-    return Marks(tuple(m for m in modes if m.start <= m.stop), tuple(events), tuple(messages))
+    return Marks(tuple(m for m in modes if m.start <= m.stop), events, messages)
 
 
-def changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
+def mode_changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[FlightMode, ...]:
     """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
     pairs = list(zip(time, names, strict=True))
     begins = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]
@@ -105,14 +97,12 @@ def changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[Fl
     return tuple(FlightMode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
 
 
-def _rows(
-    detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], words: tuple[str, ...]
-) -> list[Mapping[str, Any]]:
+def _rows(detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], word: str) -> list[Mapping[str, Any]]:
     rows = detail.get(key)
     return [
         row
         for row in (rows[:MOST] if isinstance(rows, list) else [])
         if isinstance(row, Mapping)
         and all(isinstance(row.get(n), int | float) and abs(row[n]) < LATEST for n in numbers)
-        and all(isinstance(row.get(w), str) for w in words)
+        and isinstance(row.get(word), str)
     ]

@@ -1,7 +1,7 @@
 """Stretches of a flight by times, by the name of a flight mode, or by a condition over its columns, as `--segments` writes them.
 
 `2:12,15:25` [s], `mode:MANUAL`, `V > 12 and abs(phi) < 0.5`, `mode:FBWA and V > 12`. Stretches by name or condition leave out
-what is no flight (`airborne`), and runs too short for a manoeuvre.
+when the aircraft was not on its wings (on the ground, rolling, hovering), and runs too short for a manoeuvre.
 """
 
 import re
@@ -11,19 +11,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.plain_words import listed
-from groundstation.flight.airborne import airborne, stretches_of
+from groundstation.flight.arrays import Array, Mask, true_runs
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import MODE, Expression, parse_condition
 from groundstation.flight.flight import Flight
 from groundstation.flight.marks import FlightMode, marks_of
 
-Array = NDArray[np.float64]
-
-SHORTEST = 1.0
-"""[s] of a stretch by name or condition: less holds no manoeuvre."""
+SHORTEST = 1.0  # [s] of a stretch by name or condition: less holds no manoeuvre
+MOST_MODES_SHOWN = 12
+STANDS = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no airspeed is measured well
+SLOW = (
+    0.55  # of the usual airspeed in flight: wings carry a third of the weight there, so something else carries the rest
+)
+LASTS = 2.0  # [s] that it is slow before it counts: a stall or a gust passes
+OFF_THE_GROUND = 3.0
+"""[m] above where it stood before or after, below which an aeroplane that begins or ends slow still rolls or flares."""
+LONGEST_ROLL = 60.0  # [s] from standing to that height, and back
 _TIMES = re.compile(r"(?:[\s\d.eE+\-,]|inf|nan)*:(?:[\s\d.eE+\-:,]|inf|nan)*|[\s\d.eE+\-,]+")
-_SHOWN = 12
 
 
 class StretchError(FlightError):
@@ -43,34 +49,28 @@ def is_times(text: str) -> bool:
     return not text.strip() or _TIMES.fullmatch(text.strip()) is not None
 
 
-def where(flight: Flight, text: str) -> LabelledStretches:
+def stretches_where(flight: Flight, text: str) -> LabelledStretches:
     """The stretches of a flight in which a condition holds. Raises FlightError where the text is none, or names a column or a
     mode that the flight has not, and where nothing is left."""
     condition = parse_condition(text)
-    columns = _columns(flight, condition)
-    holds = (condition.of(columns) > 0.0) & np.all([np.isfinite(c) for c in columns.values()], axis=0)
-    notes: list[str] = []
-    flown = airborne(flight)
-    if flown.text and (holds & ~flown.flying).any():
-        notes.append(flown.text)
-    long_enough, short = [], 0
-    for a, b in stretches_of(holds & flown.flying, flight):
-        if flight.time[b - 1] - flight.time[a] >= SHORTEST:
-            long_enough.append((a, b))
-        else:
-            short += 1
-    if short:
-        notes.append(f"{short} stretches of '{text}' shorter than {SHORTEST:g} s left out")
+    columns = _condition_columns(flight, condition)
+    holds = (condition.values(columns) > 0.0) & np.all([np.isfinite(c) for c in columns.values()], axis=0)
+    flight_phase = airborne(flight)
+    notes = [flight_phase.text] if flight_phase.text and (holds & ~flight_phase.flying).any() else []
+    runs = true_runs(holds & flight_phase.flying, flight.segments)
+    stretches = [(a, b) for a, b in runs if flight.time[b - 1] - flight.time[a] >= SHORTEST]
+    if len(runs) > len(stretches):
+        notes.append(f"{len(runs) - len(stretches)} stretches of '{text}' shorter than {SHORTEST:g} s left out")
+    if not stretches:
+        reason = "; ".join(notes) or f"it holds at {int(holds.sum())} of {len(flight)} samples"
+        raise StretchError(f"--segments {text!r}: nothing of {flight.name} is left: {reason}")
     label = np.full(len(flight), -1, np.int64)
-    for number, (a, b) in enumerate(long_enough):
+    for number, (a, b) in enumerate(stretches):
         label[a:b] = number
-    if not long_enough:
-        left = "; ".join(notes) or f"it holds at {int(holds.sum())} of {len(flight)} samples"
-        raise StretchError(f"--segments {text!r}: nothing of {flight.name} is left: {left}")
     return LabelledStretches(label, tuple(notes))
 
 
-def _columns(flight: Flight, condition: Expression) -> dict[str, Array]:
+def _condition_columns(flight: Flight, condition: Expression) -> dict[str, Array]:
     """What a condition reads."""
     modes = marks_of(flight).modes
     columns: dict[str, Array] = {}
@@ -82,8 +82,8 @@ def _columns(flight: Flight, condition: Expression) -> dict[str, Array]:
         elif flight.measured(name):
             columns[name] = flight[name]
         else:
-            known = listed(["time", *(c for c in flight.columns if flight.measured(c))], 40)
-            raise StretchError(f"--segments {condition.text!r}: {flight.name} has no column {name}; it has {known}")
+            measured = listed(["time", *(c for c in flight.columns if flight.measured(c))], 40)
+            raise StretchError(f"--segments {condition.text!r}: {flight.name} has no column {name}; it has {measured}")
     return columns
 
 
@@ -91,12 +91,84 @@ def _in_mode(flight: Flight, name: str, modes: Iterable[FlightMode]) -> Array:
     """(N,) 1 where the autopilot was in a mode, 0 elsewhere."""
     spans = [m for m in modes if m.name.upper() == name.upper()]
     if not spans:
-        known = listed(dict.fromkeys(m.name for m in modes), _SHOWN)
-        raise StretchError(
-            f"--segments mode:{name}: {flight.name} was never in it; "
-            + (f"its modes are {known}" if known else "its file names no flight modes; write times like 2:12")
-        )
-    inside = np.zeros(len(flight))
+        names = listed(dict.fromkeys(m.name for m in modes), MOST_MODES_SHOWN)
+        hint = f"its modes are {names}" if names else "its file names no flight modes; write times like 2:12"
+        raise StretchError(f"--segments mode:{name}: {flight.name} was never in it; {hint}")
+    in_mode = np.zeros(len(flight))
     for span in spans:
-        inside[(flight.time >= span.start) & (flight.time < span.stop)] = 1.0
-    return inside
+        in_mode[(flight.time >= span.start) & (flight.time < span.stop)] = 1.0
+    return in_mode
+
+
+# ------------------------------------------------------------------------------------------------------- on its wings
+
+
+@dataclass(frozen=True)
+class Airborne:
+    """flying: (N,) samples on the wings. text: what was left out and why; empty where nothing was."""
+
+    flying: Mask
+    text: str
+
+
+def airborne(flight: Flight) -> Airborne:
+    """When the aircraft flew; all of the flight where no speed tells."""
+    speed = _speed(flight)
+    rolling_speeds = speed[np.isfinite(speed) & (speed > STANDS)]
+    limit = max(SLOW * float(np.median(rolling_speeds)), STANDS) if rolling_speeds.size else 0.0
+    with np.errstate(invalid="ignore"):
+        slow_runs = true_runs(speed < limit, flight.segments)
+    slow = np.zeros(len(flight), bool)
+    for a, b in slow_runs:
+        slow[a:b] = flight.time[b - 1] - flight.time[a] >= LASTS
+    if not slow.any():
+        return Airborne(~slow, "")
+    rolls = _rolls(flight, slow)
+    flying = ~(slow | rolls)
+    seconds = int((~flying).sum()) * flight.sample_interval
+    text = (
+        f"{seconds:.1f} s on the ground, at lift-off or landing, or in a hover are left out: slower than {limit:.3g} m/s"
+        + (f", or within {OFF_THE_GROUND:g} m of the ground before and after" if (rolls & ~slow).any() else "")
+    )
+    return Airborne(flying, text)
+
+
+def _speed(flight: Flight) -> Array:
+    """Airspeed [m/s], or what the pressures make of it; over ground where neither is measured; NaN without any."""
+    if flight.measured("V"):
+        return flight["V"]
+    if flight.measured("p_dynamic"):
+        density = flight["rho"] if flight.measured("rho") else np.full(len(flight), SEA_LEVEL_DENSITY)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(2.0 * np.maximum(flight["p_dynamic"], 0.0) / density))
+    if flight.measured("V_cas"):
+        return flight["V_cas"]
+    if flight.measured("vn") and flight.measured("ve"):
+        return np.asarray(np.hypot(flight["vn"], flight["ve"]))
+    return np.full(len(flight), np.nan)
+
+
+def _rolls(flight: Flight, slow: Mask) -> Mask:
+    """Samples between standing and some height, before and after."""
+    rolls = np.zeros(len(flight), bool)
+    height = next((flight[c] for c in ("altitude", "altitude_gnss") if flight.measured(c)), None)
+    if height is None:
+        return rolls
+    for part in flight.segments:
+        for step in (1, -1):
+            rolls[part][::step] |= _first_roll(flight.time[part][::step], slow[part][::step], height[part][::step])
+    return rolls
+
+
+def _first_roll(time: Array, slow: Mask, height: Array) -> Mask:
+    """The same from the beginning on of a segment that begins slow."""
+    rolls = np.zeros(slow.size, bool)
+    if not slow[0]:
+        return rolls
+    stop = int(np.argmin(slow)) if not slow.all() else slow.size
+    ground = float(np.nanmedian(height[:stop])) if np.isfinite(height[:stop]).any() else np.nan
+    with np.errstate(invalid="ignore"):
+        high = np.flatnonzero((height > ground + OFF_THE_GROUND) & (np.arange(slow.size) >= stop))
+    if high.size and abs(time[high[0]] - time[stop - 1]) <= LONGEST_ROLL:
+        rolls[stop : high[0]] = True
+    return rolls

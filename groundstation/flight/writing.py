@@ -1,27 +1,32 @@
-"""Flights into files: MCAP, CSV and Parquet; a file is replaced whole, or not at all."""
+"""Flights into files: MCAP, CSV and Parquet; a file is replaced whole, or not at all. Stamps in MCAP are UTC if known."""
 
 import csv
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.durable import whole
-from groundstation.flight.credible_columns import field_names
+from daq.contract.durable import whole, write_bytes
 from groundstation.flight.errors import FlightError
-from groundstation.flight.notes import to_meta
+from groundstation.flight.findings import to_meta
 from groundstation.flight.tables import FlightView
-from groundstation.flight.utc import offset_in, stamps
+
+if TYPE_CHECKING:
+    import rerun as rr
 
 FLIGHT_TOPIC = "/flight"
 FLIGHT_SCHEMA = "sideslip.FlightSample"
 METADATA_NAME = "sideslip.flight"
+UTC_KEY = "utc_offset_s"
+"""In a flight's provenance: UTC [s since 1970] minus flight time [s]; absent where the aircraft never learnt it."""
+LAST_UTC_S = 4.0e9  # in 2096: a receiver that says more is wrong, and nanoseconds would soon no longer fit into 64 bits
 
 
 def write_flight(flight: FlightView, path: str | Path) -> None:
@@ -70,6 +75,19 @@ def _provenance_to(flight: FlightView) -> dict[str, Any]:
     }
 
 
+def field_names(names: Iterable[str]) -> list[str]:
+    """Names that can be fields of an MCAP flight, each of its own: letters, digits and underscores for what is anything else."""
+    unique: dict[str, None] = {}
+    for name in names:
+        first = label = (
+            name if name.isascii() and name.isidentifier() else "_" + re.sub(r"\W+", "_", name, flags=re.ASCII)
+        )
+        while label in unique:
+            label = f"{first}_{len(unique)}"
+        unique[label] = None
+    return list(unique)
+
+
 def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
     """Protobuf class with one optional double per column, and its serialised descriptor set."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -78,14 +96,8 @@ def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
     file = descriptor_pb2.FileDescriptorProto(name="sideslip/flight.proto", package="sideslip", syntax="proto3")
     message = file.message_type.add(name=FLIGHT_SCHEMA.split(".")[1])
     for i, name in enumerate(names):
-        message.field.add(
-            name=name,
-            number=i + 1,
-            type=kind.TYPE_DOUBLE,
-            label=kind.LABEL_OPTIONAL,
-            proto3_optional=True,
-            oneof_index=i,
-        )
+        number = {"number": i + 1, "oneof_index": i, "proto3_optional": True}
+        message.field.add(name=name, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL, **number)
         message.oneof_decl.add(name=f"_{name}")
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)  # type: ignore[no-untyped-call]
@@ -94,7 +106,7 @@ def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
 
 
 def _write_mcap(flight: FlightView, path: Path) -> None:
-    with open_flight_writer(flight, path, stamps(flight.time, offset_in(flight.provenance.detail))):
+    with open_flight_writer(flight, path, utc_stamps(flight.time, provenance_utc_offset(flight.provenance.detail))):
         pass
 
 
@@ -118,11 +130,10 @@ def open_flight_writer(
         writer.add_metadata(METADATA_NAME, {"json": text, "sha256": value_digest(text, names, table)})
         schema_id = writer.register_schema(FLIGHT_SCHEMA, "protobuf", schema)
         channel = writer.register_channel(FLIGHT_TOPIC, "protobuf", schema_id)
-        for i, row in enumerate(table.tolist()):
+        for i, (row, stamp) in enumerate(zip(table.tolist(), np.maximum(stamps, 0).tolist(), strict=True)):
             data = cls(**{n: v for n, v in zip(names, row, strict=True) if v == v}).SerializeToString()
-            stamp = max(0, int(stamps[i]))
             writer.add_message(channel, stamp, data, stamp, i)
-        yield _Adder(writer)
+        yield _MessageAdder(writer)
         writer.finish()
 
 
@@ -137,7 +148,7 @@ class Encoded:
     encoding: str
 
 
-class _Adder:
+class _MessageAdder:
     """Messages of other schemas beside a flight's own; schemas and channels are registered when first used."""
 
     def __init__(self, writer: Any) -> None:
@@ -145,23 +156,23 @@ class _Adder:
         self._channels: dict[str, int] = {}
 
     def __call__(self, topic: str, stamp: int, message: Any) -> None:
+        encoded = isinstance(message, Encoded)
+        if topic not in self._channels:
+            kind, encoding, definition = self._schema(message)
+            schema = self._writer.register_schema(kind, encoding, definition)
+            channel_encoding = message.encoding if encoded else "protobuf"
+            self._channels[topic] = self._writer.register_channel(topic, channel_encoding, schema)
+        data = message.data if encoded else message.SerializeToString()
+        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+
+    @staticmethod
+    def _schema(message: Any) -> tuple[str, str, bytes]:
         if isinstance(message, Encoded):
-            self._add_encoded(topic, stamp, message)
-            return
-        if topic not in self._channels:
-            from mcap_protobuf.schema import build_file_descriptor_set
+            return message.schema, message.schema_encoding, message.definition.encode()
+        from mcap_protobuf.schema import build_file_descriptor_set
 
-            described = build_file_descriptor_set(type(message)).SerializeToString()
-            schema = self._writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", described)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        self._writer.add_message(self._channels[topic], stamp, message.SerializeToString(), stamp)
-
-    def _add_encoded(self, topic: str, stamp: int, message: Encoded) -> None:
-        if topic not in self._channels:
-            found = (message.schema, message.schema_encoding, message.definition.encode())
-            schema = self._writer.register_schema(*found)
-            self._channels[topic] = self._writer.register_channel(topic, message.encoding, schema)
-        self._writer.add_message(self._channels[topic], stamp, message.data, stamp)
+        described = build_file_descriptor_set(type(message)).SerializeToString()
+        return message.DESCRIPTOR.full_name, "protobuf", described
 
 
 def value_digest(provenance: str, names: Sequence[str], table: NDArray[np.float64]) -> str:
@@ -170,3 +181,31 @@ def value_digest(provenance: str, names: Sequence[str], table: NDArray[np.float6
     for rows in np.array_split(table, max(1, table.size // 1_000_000)):  # no copy of the whole table
         digest.update(np.ascontiguousarray(np.where(np.isnan(rows), np.nan, rows), "<f8").tobytes())
     return digest.hexdigest()
+
+
+def provenance_utc_offset(detail: Mapping[str, Any]) -> float | None:
+    """UTC minus flight time [s] by the detail of a provenance; None where it does not say, or says what cannot be."""
+    value = detail.get(UTC_KEY)
+    return float(value) if isinstance(value, int | float) and 0 <= value < LAST_UTC_S else None
+
+
+def utc_stamps(time: NDArray[np.float64], offset: float | None) -> NDArray[np.int64]:
+    """(N,) nanoseconds: UTC since 1970 where the offset is known, else flight time; never negative, rising with the samples."""
+    return np.maximum(np.round(time * 1e9).astype(np.int64) + round((offset or 0.0) * 1e9), 0)
+
+
+@contextmanager
+def rerun_file(stream: "rr.RecordingStream", path: Path, blueprint: Any) -> Iterator[None]:
+    """Everything logged to a rerun stream inside goes to `path` at the end, whole or not at all; blueprint: its layout.
+
+    rerun's own file sink says nothing when the disk is full, and then waits for ever. OSError names the file.
+    It is held in memory until then, some 10 bytes a value: each reading of rerun's stream is a recording of its own.
+    """
+    encoded = stream.binary_stream()
+    try:
+        # active: the stream names its recording first, and a viewer would lay that out by itself
+        stream.send_blueprint(blueprint)
+        yield
+        write_bytes(path, encoded.read() or b"")
+    finally:
+        stream.disconnect()

@@ -13,7 +13,7 @@ from daq.identification.movement import ManoeuvreDetector
 from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
 from daq.identification.regression import LiveAircraft
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.schema import CalibrationError
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import LiveHistory
 from groundstation.identification.wanted import ExcitationMeter, TimeToBound, Together, together, wanted_bounds

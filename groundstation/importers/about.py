@@ -1,20 +1,22 @@
-"""What is in a log of another program, as `sideslip info` says it."""
+"""What is in a log of another program: as `sideslip info` says it, and its servo outputs for a person who writes a mapping."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from groundstation.flight.marks import together
+from groundstation.flight.marks import joined_marks
 from groundstation.importers.endings import BAGS, LOGS
 from groundstation.importers.formats.bags import is_bag
-from groundstation.importers.formats.dataflash_text import is_text
+from groundstation.importers.formats.dataflash import HEAD, is_text
+from groundstation.importers.functions import ENDINGS, OUTPUT, function_name
 from groundstation.importers.run import read_logs
 from groundstation.importers.series import Log, native_rate
+from groundstation.importers.servos import parameter_of
 
-_DATAFLASH = b"\xa3\x95"
-_ENOUGH = 64
-"""Bytes of a file that tell a dataflash log."""
+_ENOUGH = 64  # bytes of a file that tell a dataflash log
 
 
 def is_foreign_log(path: Path) -> bool:
@@ -28,7 +30,7 @@ def is_foreign_log(path: Path) -> bool:
         return True
     with path.open("rb") as file:
         head = file.read(_ENOUGH)
-    return head.startswith(_DATAFLASH) or is_text(head)
+    return head.startswith(HEAD) or is_text(head)
 
 
 def log_info(path: Path) -> dict[str, Any]:
@@ -53,7 +55,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "channels": [{"name": n, "unit": logs[0].units.get(n, ""), "samples": c} for n, c in counted.items()],
         "software": logs[0].detail.get("firmware", ""),
         "boots": [{"from": a, "to": b} for a, b in spans],
-        **together(log.marks for log in logs).to_json(),
+        **joined_marks(log.marks for log in logs).to_json(),
         "parameters": {n: v for log in logs for n, v in log.parameters.items()},
         "notes": [note for log in logs for note in log.notes],
     }
@@ -62,3 +64,39 @@ def log_info(path: Path) -> dict[str, Any]:
 def _span(log: Log) -> tuple[float, float]:
     times = [s.time[np.isfinite(s.time)] for s in log.series.values()]
     return min(float(t.min()) for t in times if t.size), max(float(t.max()) for t in times if t.size)
+
+
+@dataclass(frozen=True, slots=True)
+class ServoOutput:
+    """A servo output that moves: least, largest and median output, in the log's own unit (us, or -1 to 1).
+
+    parameters: what the autopilot's say of it (MIN, TRIM, MAX, REVERSED, FUNCTION), as far as the log has them.
+    """
+
+    name: str
+    low: float
+    high: float
+    median: float
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def line(self) -> str:
+        """For a person."""
+        text = f"{self.name}: {self.low:g} to {self.high:g}, most often {self.median:g}"
+        words = [
+            f"{n} {v:g}" + (f" ({function_name(v)})" if n == "FUNCTION" else "") for n, v in self.parameters.items()
+        ]
+        return f"{text}; its parameters say {', '.join(words)}" if words else text
+
+
+def servo_outputs(path: Path) -> list[ServoOutput]:
+    """The servo outputs of a log that move. Raises ImportDataError where it cannot be read."""
+    outputs = []
+    for log, _ in read_logs(path):
+        for name, series in log.series.items():
+            values = series.values[np.isfinite(series.values)]
+            if OUTPUT.fullmatch(name) and values.size and np.ptp(values) > 0.0:
+                labels = {ending: parameter_of(name, ending) or "" for ending in ENDINGS}
+                parameters = {e: log.parameters[label] for e, label in labels.items() if label in log.parameters}
+                low, high, median = float(values.min()), float(values.max()), float(np.median(values))
+                outputs.append(ServoOutput(name, low, high, median, parameters))
+    return outputs

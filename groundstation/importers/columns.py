@@ -1,20 +1,21 @@
-"""Flight columns from the series of a log: combined, in SI, on one time base, with whence each comes."""
+"""Flight columns from the series of a log: combined, in SI, on one time base, each with its origin."""
 
 import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.plain_words import LONGEST_NAME, listed
-from groundstation.flight.contradictions.air import independent_density
+from groundstation.flight.arrays import Array
+from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse
+from groundstation.flight.findings import Finding, FindingKind, unknown_columns
 from groundstation.flight.flight import HELD, INTERVAL
-from groundstation.flight.notes import Note, NoteKind, unknown_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import ColumnSource, Kind, Map
@@ -22,16 +23,14 @@ from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kin
 from groundstation.importers.series import DATED_BACK, Log, TimeSeries, lagged, native_rate, resample
 from groundstation.importers.units import conversion, find_unit, known_units
 
-Array = NDArray[np.float64]
-
 _WRAPPED = ("phi", "psi")
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
-    """A flight column as made: source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz], None for
-    that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
-    servo that follows it [s]."""
+class ColumnOrigin:
+    """How a flight column was made. source: the one chosen, with its unit; kind: measured, computed or assumed; rate: its own
+    [Hz], None for that of the table; name: under which it stands in the flight; held: of a command, the interval of its
+    records [s]; lag: of the servo that follows it [s]."""
 
     source: ColumnSource
     kind: Kind
@@ -42,66 +41,64 @@ class Made:
 
     def to_json(self, rate: float) -> dict[str, object]:
         """As in `channels` of `import --json`. rate: of the time base [Hz]."""
-        about = {
-            "from": self.source.formula,
-            "kind": self.kind,
-            "rate_hz": self.rate if self.rate is not None else rate,
-        }
+        own_rate = self.rate if self.rate is not None else rate
+        entry = {"from": self.source.formula, "kind": self.kind, "rate_hz": own_rate}
         if self.held is not None:
-            back = DATED_BACK * self.held if self.rate is not None else 0.0
-            about |= {HELD: True, INTERVAL: self.held, "dated_back_s": back, "servo_lag_s": self.lag}
-        return about | ({"column": self.name} if self.name != "" else {})
+            dated_back = DATED_BACK * self.held if self.rate is not None else 0.0
+            entry |= {HELD: True, INTERVAL: self.held, "dated_back_s": dated_back, "servo_lag_s": self.lag}
+        return entry | {"column": self.name}
 
 
 @dataclass(frozen=True)
 class ImportedColumns:
-    """values: by name in the flight (N,); made: flight column -> how; notes."""
+    """values: by name in the flight (N,); origins: flight column -> how; notes."""
 
     values: dict[str, Array]
-    made: dict[str, Made]
-    notes: tuple[Note | str, ...]
+    origins: dict[str, ColumnOrigin]
+    notes: tuple[Finding | str, ...]
 
 
-def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> ImportedColumns:
+def flight_columns(log: Log, mapping: Map, time: Array, resampled: bool) -> ImportedColumns:
     """All that a mapping makes of a log on a time base (N,), and of a table the columns that no mapping names.
 
     What a program of the aircraft computed of attitude and a guessed wind is no airspeed and no flow angle: it stands under a
     name of its own. Raises ImportDataError for a unit that nobody states.
     """
     values: dict[str, Array] = {}
-    made: dict[str, Made] = {}
+    origins: dict[str, ColumnOrigin] = {}
     absent: list[str] = []
-    notes: list[Note | str] = []
-    for name, sources in chosen.columns.items():
+    notes: list[Finding | str] = []
+    for name, sources in mapping.columns.items():
         source = chosen_source(log, sources)
         if source is None:
             absent.append(f"{name} ({' + '.join(t.column for t in sources[0].parts)})")
             continue
         source = source.model_copy(update={"unit": _unit(log, source, name)})
         kind = flight_kind(log, source)
-        under = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
+        label = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
         rate = min(native_rate(log.series[t.column]) for t in source.parts) if resampled else None
-        made[name] = Made(source, kind, rate, under, *_held(log, source))
-        values[under] = _value(log, source, name, time)
-        if under != name:
-            text = f"{name} by {source.formula} is computed, not measured: kept as {under}, and not used as {name}"
-            notes.append(Note(NoteKind.NOT_MEASURED, text))
-    _made_true(values, made, notes)
+        origins[name] = ColumnOrigin(source, kind, rate, label, *_held(log, source))
+        values[label] = _value(log, source, name, time)
+        if label != name:
+            text = f"{name} by {source.formula} is computed, not measured: kept as {label}, and not used as {name}"
+            notes.append(Finding(FindingKind.NOT_MEASURED, text))
+    _true_airspeed(values, origins, notes)
     if absent:
         notes.append(f"not in the file, so not measured: {listed(absent, 60)}")
     if log.common:
-        notes += _others(log, chosen, time, values, made)
-    return ImportedColumns(values, made, tuple(notes))
+        notes += _unmapped(log, mapping, time, values, origins)
+    return ImportedColumns(values, origins, tuple(notes))
 
 
 def chosen_source(log: Log, sources: Iterable[ColumnSource]) -> ColumnSource | None:
     """The first source of which the log has all; one that was measured before one that was computed."""
-    there = [s for s in sources if all(t.column in log.series for t in s.parts)]
-    return next((s for s in there if flight_kind(log, s) != COMPUTED), there[0] if there else None)
+    complete = [s for s in sources if all(t.column in log.series for t in s.parts)]
+    return next((s for s in complete if flight_kind(log, s) != COMPUTED), complete[0] if complete else None)
 
 
 def flight_kind(log: Log, source: ColumnSource) -> Kind:
-    """Whence a source is: of an expression that of its first column, which the others correct; of several, the worst."""
+    """Whether a source is measured, computed or assumed: an expression as its first column, which the others correct; several
+    columns as the worst of them."""
     if source.kind is not None:
         return source.kind
     parts = [t.column for t in source.parts]
@@ -117,42 +114,36 @@ def _held(log: Log, source: ColumnSource) -> tuple[float | None, float]:
     return (1.0 / slowest if slowest > 0.0 else 0.0), max((p.lag for p in parts), default=0.0)
 
 
-def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Note | str]) -> None:
+def _true_airspeed(values: dict[str, Array], origins: dict[str, ColumnOrigin], notes: list[Finding | str]) -> None:
     """Equivalent airspeed made true by the density of the flight, in place; and that density as a column where there is none."""
-    about = made.get("V")
-    if about is None or not about.source.equivalent or about.name not in values:
+    airspeed = origins.get("V")
+    if airspeed is None or not airspeed.source.equivalent or airspeed.name not in values:
         return
-    known = {n: v for n, v in values.items() if np.isfinite(v).any()}
-    found = (known["rho"], "rho") if "rho" in known else independent_density(known)
-    if found is None:
-        notes.append(
-            f"V by {about.source.formula} is equivalent airspeed, and nothing tells the density: taken for true airspeed"
-        )
+    words = f"V by {airspeed.source.formula} is equivalent airspeed"
+    measured = {n: v for n, v in values.items() if np.isfinite(v).any()}
+    air = air_density(measured)
+    if air is None:
+        notes.append(f"{words}, and nothing tells the density: taken for true airspeed")
         return
-    density, by = found
-    if "rho" not in known:
+    density, columns = air
+    if "rho" not in measured:
         values["rho"] = density
-        source = ColumnSource(column=by.split(" and ")[0], unit="kg/m3")
-        made["rho"] = Made(source.model_copy(update={"column": by}), COMPUTED, about.rate, "rho")
+        source = ColumnSource(column=columns, unit="kg/m3")
+        origins["rho"] = ColumnOrigin(source, COMPUTED, airspeed.rate, "rho")
     with np.errstate(invalid="ignore", divide="ignore"):
-        values[about.name] = values[about.name] * np.sqrt(SEA_LEVEL_DENSITY / density)
-    notes.append(
-        f"V by {about.source.formula} is equivalent airspeed: made true by the density of {by} "
-        f"({float(np.nanmedian(density)):.3g} kg/m3)"
-    )
+        values[airspeed.name] = values[airspeed.name] * np.sqrt(SEA_LEVEL_DENSITY / density)
+    notes.append(f"{words}: made true by the density of {columns} ({float(np.nanmedian(density)):.3g} kg/m3)")
 
 
-def _others(log: Log, chosen: Map, time: Array, values: dict[str, Array], made: dict[str, Made]) -> list[Note | str]:
+def _unmapped(
+    log: Log, mapping: Map, time: Array, values: dict[str, Array], origins: dict[str, ColumnOrigin]
+) -> list[Finding | str]:
     """The columns of a table that no mapping names, under plain names, and notes on them."""
-    taken = {t.column for m in made.values() for t in m.source.parts} | {chosen.segment or RECORD, RECORD}
-    left = {n: _plain_name(n, set(values)) for n in log.series if n not in taken}
-    values.update(
-        {
-            to: log.series[n].values if time is log.series[n].time else resample(log.series[n], time)
-            for n, to in left.items()
-        }
-    )
-    notes: list[Note | str] = [unknown_columns({to: n for n, to in left.items()})] if left else []
+    mapped = {t.column for m in origins.values() for t in m.source.parts} | {mapping.segment or RECORD, RECORD}
+    labels = {_plain_name(n, set(values)): n for n in log.series if n not in mapped}
+    series = {name: log.series[label] for name, label in labels.items()}
+    values |= {n: s.values if time is s.time else resample(s, time) for n, s in series.items()}
+    notes: list[Finding | str] = [unknown_columns(labels)] if labels else []
     if log.text_columns:
         notes.append(f"columns that are not numbers, left out: {listed(log.text_columns)}")
     return notes
@@ -161,15 +152,12 @@ def _others(log: Log, chosen: Map, time: Array, values: dict[str, Array], made: 
 def _plain_name(name: str, taken: set[str]) -> str:
     """A column name of letters, digits and underscores, as the flight format needs it; not one that is taken."""
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    plain = re.sub(r"\W+", "_", ascii_name[:LONGEST_NAME]).strip("_") or "column"
-    plain = f"_{plain}" if plain[0].isdigit() else plain
-    if plain in ("time", "segment") or (plain != name and plain in COLUMN_BY_NAME):
-        plain += "_other"
-    first, number = plain, 1
-    while plain in taken:
-        plain, number = f"{first}_{number}", number + 1
-    taken.add(plain)
-    return plain
+    label = re.sub(r"\W+", "_", ascii_name[:LONGEST_NAME]).strip("_") or "column"
+    label = f"_{label}" if label[0].isdigit() else label
+    if label in ("time", "segment") or (label != name and label in COLUMN_BY_NAME):
+        label += "_other"
+    numbered = (label if n == 0 else f"{label}_{n}" for n in count())
+    return next(name for name in numbered if name not in taken)
 
 
 def _unit(log: Log, source: ColumnSource, name: str) -> str:
@@ -177,16 +165,16 @@ def _unit(log: Log, source: ColumnSource, name: str) -> str:
     neither does."""
     if source.unit is not None:
         return source.unit
-    stated = {log.units.get(t.column, "") for t in source.parts}
-    if len(stated) == 1 and find_unit(unit := stated.pop()) is not None and unit:
+    units = {log.units.get(t.column, "") for t in source.parts}
+    if len(units) == 1 and find_unit(unit := units.pop()) is not None and unit:
         return unit
     si = COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else "1"
     if si == "1":
         return si
-    named = listed(t.column for t in source.parts)
+    columns = listed(t.column for t in source.parts)
     raise ImportDataError(
-        f"column {name}: the mapping does not say in which unit {named} is; add it, for example "
-        f'{name} = {{ column = "{named}", unit = "{si}" }}, or one of: {known_units(si)}'
+        f"column {name}: the mapping does not say in which unit {columns} is; add it, for example "
+        f'{name} = {{ column = "{columns}", unit = "{si}" }}, or one of: {known_units(si)}'
     )
 
 
@@ -202,11 +190,9 @@ def _value(log: Log, source: ColumnSource, name: str, time: Array) -> Array:
 
     if source.expression is not None:
         expression = parse(source.expression)
-        total = expression.of({n: on_base(n) for n in expression.columns})
+        total = expression.values({n: on_base(n) for n in expression.columns})
     else:
-        total = np.zeros(time.size)
-        for term in source.parts:
-            total = total + term.factor * on_base(term.column)
+        total = sum((term.factor * on_base(term.column) for term in source.parts), np.zeros(time.size))
     value = (source.sign * source.factor * total + source.offset) * scale + offset
     if name in _WRAPPED and not log.common:
         value = (value + np.pi) % (2 * np.pi) - np.pi
@@ -218,12 +204,12 @@ def _unwrapped(series: TimeSeries, name: str, scale: float) -> TimeSeries:
     if name not in _WRAPPED:
         return series
     values = series.values.copy()
-    good = np.isfinite(values)
-    values[good] = np.unwrap(values[good] * scale) / scale
+    finite = np.isfinite(values)
+    values[finite] = np.unwrap(values[finite] * scale) / scale
     return TimeSeries(series.time, values)
 
 
-def spoken(source: ColumnSource) -> str:
+def source_text(source: ColumnSource) -> str:
     """How a column was made, for the provenance."""
     if source.expression is not None:
         terms = source.expression

@@ -12,22 +12,29 @@ from daq.contract.errors import UserError
 from daq.contract.input_files import check_file, parse_toml, read_bytes
 from daq.contract.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
-from groundstation.importers.draft_names import fits, meant, time_column, time_unit, unit_in_name, unit_of
+from groundstation.importers.draft_names import (
+    UnitGuess,
+    candidate_columns,
+    time_column,
+    time_unit,
+    unit_fits,
+    unit_in_name,
+    unit_of,
+)
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import EXAMPLE, ColumnSource, FileFormat, Map, Time
 from groundstation.importers.run import import_data, read_logs
-from groundstation.importers.series import Log, native_rate
+from groundstation.importers.series import Array, Log, native_rate
+from groundstation.importers.units import UNITS
 
 if TYPE_CHECKING:
     from groundstation.importers.formats.tables import ImportedTable
 
-FIRST_BYTES = 65_536
-"""Of a file, among which its header line is."""
+FIRST_BYTES = 65_536  # of a file, among which its header line is
 SURFACES = ("delta_e", "delta_a", "delta_r")
-MOST_LEFT = 40
-"""Columns in no flight column that are listed."""
+MOST_LEFT = 40  # columns in no flight column that are listed
 
 
 def draft_map(paths: Sequence[Path]) -> str:
@@ -51,99 +58,90 @@ def _head(path: Path) -> list[str]:
 
 def _of_log(path: Path) -> list[str]:
     """A log whose messages a built-in mapping knows."""
-    log, chosen = read_logs(path)[0]
-    rates = {
-        n: s.parts[0].column
-        for n in ("p", "q", "r")
-        if (s := chosen_source(log, chosen.columns.get(n, ()))) is not None
-    }
-    servos = drafted_servos(log, rates)
-    lines = [*_head(path), *servos.lines, "", "[columns]"]
-    lines += surface_lines(servos.shares, [s for s in SURFACES if s not in servos.shares and s not in chosen.columns])
-    return [*lines, *_columns(log, chosen)]
+    log, mapping = read_logs(path)[0]
+    gyros = {n: chosen_source(log, mapping.columns.get(n, ())) for n in ("p", "q", "r")}
+    lines, shares = drafted_servos(log, {n: s.parts[0].column for n, s in gyros.items() if s is not None})
+    missing = [s for s in SURFACES if s not in shares and s not in mapping.columns]
+    return [*_head(path), *lines, "", "[columns]", *surface_lines(shares, missing), *_columns(log, mapping)]
 
 
-def _columns(log: Log, chosen: Map) -> Iterator[str]:
+def _columns(log: Log, mapping: Map) -> Iterator[str]:
     """Each flight column as the built-in mapping makes it, with what its values are."""
-    for name, sources in chosen.columns.items():
+    for name, sources in mapping.columns.items():
         source = chosen_source(log, sources)
         if source is None:
             yield f"# {name}: not in the log ({sources[0].formula})"
             continue
         series = [log.series[t.column] for t in source.parts]
-        known = series[0].values[np.isfinite(series[0].values)]
-        values = (
-            f"{np.min(known):.4g} to {np.max(known):.4g}, median {np.median(known):.4g}" if known.size else "no values"
-        )
+        x = series[0].values[np.isfinite(series[0].values)]
+        values = f"{np.min(x):.4g} to {np.max(x):.4g}, median {np.median(x):.4g}" if x.size else "no values"
         rate = min(native_rate(s) for s in series)
-        yield f"{name} = {_toml(source)}      # {flight_kind(log, source)}; {source.parts[0].column} {values}; {rate:.3g} Hz"
+        kind = flight_kind(log, source)
+        yield f"{name} = {_toml(source)}      # {kind}; {source.parts[0].column} {values}; {rate:.3g} Hz"
 
 
 def _toml(source: ColumnSource) -> str:
-    given = source.model_dump(exclude_defaults=True, exclude={"terms"})
-    cells = [f"{k} = {_value(v)}" for k, v in given.items()]
+    fields = source.model_dump(exclude_defaults=True, exclude={"terms"})
+    cells = [f"{k} = {_toml_value(v)}" for k, v in fields.items()]
     if source.terms:
         terms = ", ".join(f'{{ column = "{t.column}", factor = {t.factor:g} }}' for t in source.terms)
         cells.insert(0, f"terms = [{terms}]")
     return f"{{ {', '.join(cells)} }}"
 
 
-def _value(value: object) -> str:
+def _toml_value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return (
-        f"{value:g}"
-        if isinstance(value, int | float)
-        else '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
-    )
+    if isinstance(value, int | float):
+        return f"{value:g}"
+    return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _of_table(path: Path) -> list[str]:
-    """A table, whose columns are told by their names and values."""
+    """A table, whose columns are recognised by their names and values."""
     from groundstation.importers.formats.tables import header_map
 
     table = _table(path)
-    known, _ = header_map(table)
-    names = list(table.numeric)
-    lines = [*_head(path), "", "[time]"]
-    column = (
-        known.time.column
-        if known.time is not None and known.time.column
-        else time_column([*names, *table.words, *table.dates])
-    )
-    time = None
-    if column is None:
-        lines += [
-            "rate_hz = 1      # UNKNOWN: no column looks like time; write the rate of the rows, or column = and unit ="
-        ]
-    elif column in table.numeric:
-        unit, why = time_unit(table.numeric[column])
-        lines += [f"column = {_value(column)}", f'unit = "{unit}"      # {why}']
-        time = table.numeric[column] * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
-    else:
-        lines += [f"column = {_value(column)}", 'unit = "iso"      # dates, times of day or IRIG time']
-    lines += ["", "[columns]"]
-    found = meant([n for n in names if n != column])
-    chosen = {c: n[0] for c, n in found.items()}
-    for flight_column, name in chosen.items():
-        stated = table.units.get(name)
-        unit, why, sure = unit_of(flight_column, chosen, table.numeric, time)
-        if flight_column in known.columns and known.columns[flight_column][0].unit:
-            unit, why, sure = str(known.columns[flight_column][0].unit), f"by its header; {why}", True
-        elif stated:
-            unit, why, sure = stated, f"by the row of units; {why}", True
-        elif (named := unit_in_name(name)) is not None and fits(named, flight_column):
-            unit, why, sure = named, f"the unit stands in its name; {why}", True
-        others = f"; also {', '.join(map(one_line, found[flight_column][1:]))}" if len(found[flight_column]) > 1 else ""
-        doubt = "" if sure else "CHECK: "
-        lines.append(
-            f'{flight_column} = {{ column = {_value(name)}, unit = "{unit}" }}      # {doubt}by its name; {why}{others}'
-        )
-    left = [n for n in names if n not in chosen.values() and n != column]
-    lines += [f"# {one_line(n)}: UNKNOWN, in no flight column of this draft" for n in left[:MOST_LEFT]]
-    lines += [f"# {len(left) - MOST_LEFT} more columns are UNKNOWN"] if len(left) > MOST_LEFT else []
-    missing = [c for c in ("ax", "p", "phi", "V", *SURFACES) if c not in chosen and c in COLUMN_BY_NAME]
-    return [*lines, *(f"# {c} = UNKNOWN: no column looks like it" for c in missing)]
+    by_header, _ = header_map(table)
+    header_time = by_header.time.column if by_header.time is not None else None
+    time_name = header_time or time_column([*table.numeric, *table.words, *table.dates])
+    time_lines, time = _time_lines(table, time_name)
+    names = [n for n in table.numeric if n != time_name]
+    candidates = candidate_columns(names)
+    columns = {column: labels[0] for column, labels in candidates.items()}
+    lines = []
+    for column, name in columns.items():
+        guess = unit_of(column, columns, table.numeric, time)
+        header_unit = by_header.columns[column][0].unit if column in by_header.columns else None
+        name_unit = unit_in_name(name)
+        if header_unit:
+            guess = UnitGuess(header_unit, f"by its header; {guess.why}", True)
+        elif table.units.get(name):
+            guess = UnitGuess(table.units[name], f"by the row of units; {guess.why}", True)
+        elif name_unit is not None and unit_fits(name_unit, column):
+            guess = UnitGuess(name_unit, f"the unit stands in its name; {guess.why}", True)
+        evidence = f"{'' if guess.sure else 'CHECK: '}by its name; {guess.why}"
+        if len(candidates[column]) > 1:
+            evidence += f"; also {', '.join(map(one_line, candidates[column][1:]))}"
+        lines.append(f'{column} = {{ column = {_toml_value(name)}, unit = "{guess.unit}" }}      # {evidence}')
+    unmapped = [n for n in names if n not in columns.values()]
+    lines += [f"# {one_line(n)}: UNKNOWN, in no flight column of this draft" for n in unmapped[:MOST_LEFT]]
+    lines += [f"# {len(unmapped) - MOST_LEFT} more columns are UNKNOWN"] if len(unmapped) > MOST_LEFT else []
+    missing = [c for c in ("ax", "p", "phi", "V", *SURFACES) if c not in columns and c in COLUMN_BY_NAME]
+    lines += [f"# {c} = UNKNOWN: no column looks like it" for c in missing]
+    return [*_head(path), "", "[time]", *time_lines, "", "[columns]", *lines]
+
+
+def _time_lines(table: "ImportedTable", name: str | None) -> tuple[list[str], Array | None]:
+    """The lines that say where time is, and time [s] where it is a number."""
+    if name is None:
+        hint = "UNKNOWN: no column looks like time; write the rate of the rows, or column = and unit ="
+        return [f"rate_hz = 1      # {hint}"], None
+    column = f"column = {_toml_value(name)}"
+    if name not in table.numeric:
+        return [column, 'unit = "iso"      # dates, times of day or IRIG time'], None
+    unit, evidence = time_unit(table.numeric[name])
+    return [column, f'unit = "{unit}"      # {evidence}'], table.numeric[name] * UNITS[unit].scale
 
 
 def _table(path: Path) -> "ImportedTable":
@@ -153,23 +151,23 @@ def _table(path: Path) -> "ImportedTable":
     try:
         return read_table(path, FileFormat(), None)
     except ImportDataError:
-        bare = read_table(path, FileFormat(), Time(rate_hz=1.0))
+        timeless = read_table(path, FileFormat(), Time(rate_hz=1.0))
     words = re.split(r"[,;\t\r\n]", read_bytes(path, error=ImportDataError)[:FIRST_BYTES].decode("utf-8", "replace"))
     column = time_column([w.strip(' "') for w in words])
     if column is None:
-        return bare
+        return timeless
     try:
-        return read_table(path, FileFormat(), Time(column=column, unit="s" if column in bare.numeric else "iso"))
+        return read_table(path, FileFormat(), Time(column=column, unit="s" if column in timeless.numeric else "iso"))
     except ImportDataError:
-        return bare
+        return timeless
 
 
 def _tried(path: Path, text: str) -> Iterator[str]:
     """What an import with the draft finds, as comments."""
     yield "# An import with this draft says:"
     try:
-        chosen = Map.model_validate(parse_toml(text, "draft", ImportDataError))
-        flight = import_data(path, chosen, accept_implausible=True)
+        mapping = Map.model_validate(parse_toml(text, "draft", ImportDataError))
+        flight = import_data(path, mapping, accept_implausible=True)
     except UserError as error:
         yield f"# {one_line(str(error))}"
         return

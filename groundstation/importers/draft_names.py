@@ -9,13 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.constants import GRAVITY
+from groundstation.flight.arrays import Array
 from groundstation.importers.units import UNITS, find_unit
-
-Array = NDArray[np.float64]
 
 _MEANT: tuple[tuple[str, str], ...] = (
     ("ax", r"(acc?(el(eration)?)?|specific_force|nx|imu_acc?)_?(x|lon\w*)|a_?x"),
@@ -57,23 +55,20 @@ _SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s",
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
 _GRAVITY = {"m/s2": GRAVITY, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
-_CLOSE = 0.25
-"""Of gravity, by which the median specific force of a flight may differ from it: turns, and a filter."""
-_RATE_AGREES = 0.15
-"""Of the ratio of an angle's slope and its rate to what two units make it."""
+_CLOSE = 0.25  # of gravity, by which the median specific force of a flight may differ from it: turns, and a filter
+_RATE_AGREES = 0.15  # of the ratio of an angle's slope and its rate to what two units make it
 
 
 @dataclass(frozen=True, slots=True)
-class Guess:
-    """A proposed source. sure: whether values say the unit; evidence: for the comment."""
+class UnitGuess:
+    """The unit of a column, why, and whether its values say it."""
 
-    column: str
     unit: str
-    evidence: str
-    sure: bool
+    why: str
+    sure: bool = False
 
 
-def plain(name: str) -> str:
+def normalised_name(name: str) -> str:
     """A name as the table of names knows them."""
     return re.sub(r"[^a-z0-9]+", "_", _UNIT_IN_NAME.sub("", name).lower()).strip("_")
 
@@ -87,22 +82,20 @@ def unit_in_name(name: str) -> str | None:
     return word if find_unit(_SPELT.get(word, word)) is not None and word not in _SPELT else _SPELT.get(word)
 
 
-def fits(unit: str, column: str) -> bool:
+def unit_fits(unit: str, column: str) -> bool:
     """Whether a unit is one of the quantity of a flight column."""
-    found = find_unit(unit)
-    return found is not None and found.si == COLUMN_BY_NAME[column].unit
+    si_unit = find_unit(unit)
+    return si_unit is not None and si_unit.si == COLUMN_BY_NAME[column].unit
 
 
-def meant(names: Sequence[str]) -> dict[str, list[str]]:
+def candidate_columns(names: Sequence[str]) -> dict[str, list[str]]:
     """Flight column -> names that may mean it, an exact one first."""
-    found: dict[str, list[str]] = {}
+    candidates: dict[str, list[str]] = {}
     for name in names:
-        word = plain(name)
-        for column, pattern in _MEANT:
-            if re.fullmatch(pattern, word):
-                found.setdefault(column, []).append(name)
-                break
-    return {c: sorted(n, key=lambda x: plain(x) != c) for c, n in found.items()}
+        column = next((c for c, pattern in _MEANT if re.fullmatch(pattern, normalised_name(name))), None)
+        if column is not None:
+            candidates.setdefault(column, []).append(name)
+    return {c: sorted(labels, key=lambda label: normalised_name(label) != c) for c, labels in candidates.items()}
 
 
 def time_column(names: Sequence[str]) -> str | None:
@@ -120,28 +113,31 @@ def time_unit(time: Array) -> tuple[str, str]:
     return "s", f"UNKNOWN unit: rows every {step:.4g}"
 
 
-def unit_of(
-    column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None
-) -> tuple[str, str, bool]:
-    """Unit of a proposed column, why, and whether values say it. names: flight column -> its column in the table."""
+def unit_of(column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None) -> UnitGuess:
+    """Unit of a proposed column. names: flight column -> its column in the table."""
     si = COLUMN_BY_NAME[column].unit
     x = values[names[column]]
-    known = x[np.isfinite(x)]
-    if not known.size:
-        return si, "no values", False
-    low, high = (float(v) for v in np.percentile(known, [0.5, 99.5]))
-    told = f"{low:.4g} to {high:.4g}"
+    x = x[np.isfinite(x)]
+    if not x.size:
+        return UnitGuess(si, "no values")
+    low, high = (float(v) for v in np.percentile(x, [0.5, 99.5]))
+    extent = f"{low:.4g} to {high:.4g}"
     if column in ("ax", "ay", "az"):
-        return _force_unit(names, values, told)
+        return _force_unit(names, values, extent)
     if column in ("p", "q", "r"):
-        return _rate_unit(column, names, values, time, told)
+        return _rate_unit(column, names, values, time, extent)
     if si == "rad":
-        most = max(abs(low), abs(high))
         limit = np.pi if column in ("phi", "psi") else np.pi / 2 if column in ("theta", "alpha", "beta") else 1.0
-        if most > 1.1 * limit:
-            return "deg", f"{told}: more than an angle in rad can be", True
-        return "rad", f"{told}: rad, if it moves so far; UNKNOWN where degrees would be small", False
-    return _by_range(column, si, float(np.median(known)), told)
+        if max(abs(low), abs(high)) > 1.1 * limit:
+            return UnitGuess("deg", f"{extent}: more than an angle in rad can be", True)
+        return UnitGuess("rad", f"{extent}: rad, if it moves so far; UNKNOWN where degrees would be small")
+    median = float(np.median(x))
+    able = [unit for unit, lowest, largest in _RANGES.get(column, ()) if lowest <= median <= largest]
+    if len(able) == 1:
+        return UnitGuess(able[0], f"{extent}: {able[0]} by what the atmosphere allows", True)
+    if able:
+        return UnitGuess(able[0], f"{extent}; UNKNOWN unit: {' or '.join(able)}")
+    return UnitGuess(si, f"{extent}; UNKNOWN unit, taken as {si}")
 
 
 _RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
@@ -152,40 +148,29 @@ _RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
 """Flight column -> units and the values of a median that only they allow."""
 
 
-def _by_range(column: str, si: str, median: float, told: str) -> tuple[str, str, bool]:
-    able = [unit for unit, low, high in _RANGES.get(column, ()) if low <= median <= high]
-    if len(able) == 1:
-        return able[0], f"{told}: {able[0]} by what the atmosphere allows", True
-    if able:
-        return able[0], f"{told}; UNKNOWN unit: {' or '.join(able)}", False
-    return si, f"{told}; UNKNOWN unit, taken as {si}", False
-
-
-def _force_unit(names: Mapping[str, str], values: Mapping[str, Array], told: str) -> tuple[str, str, bool]:
+def _force_unit(names: Mapping[str, str], values: Mapping[str, Array], extent: str) -> UnitGuess:
     parts = [values[names[c]] for c in ("ax", "ay", "az") if c in names]
     size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
     for unit, gravity in _GRAVITY.items():
         if len(parts) == 3 and abs(size / gravity - 1.0) < _CLOSE:
-            return unit, f"{told}; median specific force {size:.4g}: gravity in {unit}", True
-    return "m/s2", f"{told}; UNKNOWN unit: median specific force {size:.4g} is gravity in none", False
+            return UnitGuess(unit, f"{extent}; median specific force {size:.4g}: gravity in {unit}", True)
+    return UnitGuess("m/s2", f"{extent}; UNKNOWN unit: median specific force {size:.4g} is gravity in none")
 
 
 def _rate_unit(
-    column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None, told: str
-) -> tuple[str, str, bool]:
+    column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None, extent: str
+) -> UnitGuess:
     """By the slope of the angle that it turns: in rad/s and rad, or deg/s and deg, both are equal."""
     angle = {"p": "phi", "q": "theta", "r": "psi"}[column]
     rate = values[names[column]]
     if angle in names and time is not None and time.size == rate.size and time.size > 2:
-        unit, _, _ = unit_of(angle, names, values, time)
-        scale = UNITS[unit].scale
-        turned = np.unwrap(np.nan_to_num(values[names[angle]]) * scale)
-        slope = np.gradient(turned, time)
+        scale = UNITS[unit_of(angle, names, values, time).unit].scale
+        slope = np.gradient(np.unwrap(np.nan_to_num(values[names[angle]]) * scale), time)
         with np.errstate(invalid="ignore", divide="ignore"):
             use = np.isfinite(rate) & np.isfinite(slope)
             ratio = float(np.std(rate[use]) / np.std(slope[use])) if use.any() and np.std(slope[use]) > 0 else np.nan
-        for name in ("rad/s", "deg/s"):
-            if abs(ratio * UNITS[name].scale - 1.0) < 3 * _RATE_AGREES:
-                return name, f"{told}; moves as the slope of {names[angle]} in {name}", True
-    most = float(np.nanpercentile(np.abs(rate), 99))
-    return ("deg/s" if most > 8.0 else "rad/s"), f"{told}; UNKNOWN unit, by its size", False
+        for unit in ("rad/s", "deg/s"):
+            if abs(ratio * UNITS[unit].scale - 1.0) < 3 * _RATE_AGREES:
+                return UnitGuess(unit, f"{extent}; moves as the slope of {names[angle]} in {unit}", True)
+    largest = float(np.nanpercentile(np.abs(rate), 99))
+    return UnitGuess("deg/s" if largest > 8.0 else "rad/s", f"{extent}; UNKNOWN unit, by its size")

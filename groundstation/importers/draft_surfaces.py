@@ -6,22 +6,19 @@ down rolls left: delta_a = (right - left) / 2.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
-from groundstation.importers.functions import name_of
-from groundstation.importers.recipe import OUTPUT
+from groundstation.importers.functions import OUTPUT, function_name
 from groundstation.importers.series import Array, Log, TimeSeries, native_rate
 from groundstation.importers.servos import parameter_of
 
-THROW = 20.0
-"""[deg] that a draft writes where the deflection at the ends of the travel must be measured."""
+THROW = 20.0  # [deg] that a draft writes where the deflection at the ends of the travel must be measured
 LATEST = 0.05
 """[s] after a move of a servo at which the rate turns: later ones are turns of a Dutch roll on its way back."""
-SHORTEST = 200
-"""Records of an output in MANUAL that are enough to tell from."""
-SURE = 6.0
-"""Standard errors of a response that tell a sign."""
+SHORTEST = 200  # records of an output in MANUAL that are enough to tell from
+SURE = 6.0  # standard errors of a response that tell a sign
 _RATE = 50.0
 _TURN = 0.08
 """[s] before and after an instant between which a slope turns: a servo's lag, and far from half a Dutch roll."""
@@ -52,78 +49,75 @@ PARTS: Mapping[int, OutputFunction] = {
 """SERVOn_FUNCTION -> what it moves; an aileron is drafted as the right one, which rolls left when it goes down."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drafted:
-    """lines: of the mapping; shares: surface -> servo -> factor."""
-
-    lines: tuple[str, ...]
-    shares: Mapping[str, Mapping[str, float]]
+Shares = Mapping[str, Mapping[str, float]]
+"""Surface -> servo -> its factor in it."""
 
 
-def drafted_servos(log: Log, rates: Mapping[str, str]) -> Drafted:
-    """The [servos] of a draft. rates: p, q, r -> series of the log."""
+def drafted_servos(log: Log, rates: Mapping[str, str]) -> tuple[list[str], Shares]:
+    """The lines [servos] of a draft, and what the surfaces are mixed of. rates: p, q, r -> series of the log."""
     lines: list[str] = []
     shares: dict[str, dict[str, float]] = {}
-    taken: set[str] = set()
+    names: set[str] = set()
     for column, series in log.series.items():
-        known = series.values[np.isfinite(series.values)]
-        if not OUTPUT.fullmatch(column) or not known.size or float(np.ptp(known)) == 0.0:
+        outputs = series.values[np.isfinite(series.values)]
+        if not OUTPUT.fullmatch(column) or not outputs.size or float(np.ptp(outputs)) == 0.0:
             continue
         function = _parameter(log, column, "FUNCTION")
         part = PARTS.get(round(function)) if function is not None else None
         if part is None:
-            by = f"{name_of(function)} by {parameter_of(column, 'FUNCTION')}" if function is not None else ""
-            moved = by or "UNKNOWN: the log does not say"
-            lines.append(f"# {column}: {known.min():g} to {known.max():g}; {moved}; in no surface of this draft")
+            moves = "UNKNOWN: the log does not say"
+            if function is not None:
+                moves = f"{function_name(function)} by {parameter_of(column, 'FUNCTION')}"
+            extent = f"{outputs.min():g} to {outputs.max():g}"
+            lines.append(f"# {column}: {extent}; {moves}; in no surface of this draft")
             continue
-        name, number = part.name, 2
-        while name in taken:
-            name, number = f"{part.name}_{number}", number + 1
-        taken.add(name)
-        lines += _servo_lines(log, column, name, part, series, rates.get(part.response, ""))
+        numbered = (part.name if n == 1 else f"{part.name}_{n}" for n in count(1))
+        name = next(n for n in numbered if n not in names)
+        names.add(name)
+        lines += _servo_lines(log, column, name, part, rates.get(part.response, ""))
         for surface, factor in part.shares.items():
             shares.setdefault(surface, {})[name] = factor
-    return Drafted(tuple(lines), shares)
+    return lines, shares
 
 
-def _servo_lines(log: Log, column: str, name: str, part: OutputFunction, series: TimeSeries, rate: str) -> list[str]:
+def _servo_lines(log: Log, column: str, name: str, part: OutputFunction, rate: str) -> list[str]:
+    series = log.series[column]
+    outputs = series.values[np.isfinite(series.values)]
     trim, low, high = (_parameter(log, column, e) for e in ("TRIM", "MIN", "MAX"))
-    seen = series.values[np.isfinite(series.values)]
-    begin, end = (
-        (low, high) if low is not None and high is not None and low < high else (float(seen.min()), float(seen.max()))
-    )
-    middle = trim if trim is not None and begin < trim < end else float(np.median(seen))
+    begin, end = float(outputs.min()), float(outputs.max())
+    if low is not None and high is not None and low < high:
+        begin, end = low, high
+    middle = trim if trim is not None and begin < trim < end else float(np.median(outputs))
     if not begin < middle < end:
-        begin, end = middle - 0.5 * max(end - begin, 1.0), middle + 0.5 * max(end - begin, 1.0)
-    sign, why = sign_of(by_hand(log, series), middle, log.series.get(rate), part.answer, rate)
-    travel = f"travel = [[{begin:g}, {-sign * THROW:g}], [{end:g}, {sign * THROW:g}]]"
+        half = 0.5 * max(end - begin, 1.0)
+        begin, end = middle - half, middle + half
+    sign, evidence = sign_of(by_hand(log, series), middle, log.series.get(rate), part.answer, rate)
     ends = "MIN and MAX" if low is not None and high is not None else "least and largest output seen, UNKNOWN ends"
-    by = f"{part.name.replace('_', ' ')} by {parameter_of(column, 'FUNCTION')}"
-    stated = parameter_of(column, "TRIM") if trim == middle else "UNKNOWN: the median output"
+    origin = f"{part.name.replace('_', ' ')} by {parameter_of(column, 'FUNCTION')}"
+    trim_origin = parameter_of(column, "TRIM") if trim == middle else "UNKNOWN: the median output"
     gauge = "deflections UNKNOWN: measure them with an angle gauge"
     return [
         "",
         f"[servos.{name}]",
-        f'column = "{column}"      # {by}; outputs {seen.min():g} to {seen.max():g}',
-        f"trim = {middle:g}      # {stated}",
-        f"{travel}      # {ends}; {gauge}; {why}",
+        f'column = "{column}"      # {origin}; outputs {outputs.min():g} to {outputs.max():g}',
+        f"trim = {middle:g}      # {trim_origin}",
+        f"travel = [[{begin:g}, {-sign * THROW:g}], [{end:g}, {sign * THROW:g}]]      # {ends}; {gauge}; {evidence}",
         'unit = "deg"',
         "# lag = 0.05      # [s] of the servo, first order; UNKNOWN",
     ]
 
 
 def _parameter(log: Log, column: str, ending: str) -> float | None:
-    name = parameter_of(column, ending)
-    return log.parameters.get(name) if name else None
+    return log.parameters.get(parameter_of(column, ending) or "")
 
 
 def by_hand(log: Log, series: TimeSeries) -> TimeSeries:
     """A series where the pilot alone moved the surfaces, by the modes of the log; all of it where they do not say so."""
-    spans = [m for m in log.marks.modes if m.name == "MANUAL"]
-    inside = np.zeros(series.time.size, bool)
-    for span in spans:
-        inside |= (series.time >= span.start) & (series.time < span.stop)
-    return TimeSeries(series.time, np.where(inside, series.values, np.nan)) if inside.sum() >= SHORTEST else series
+    manual = np.zeros(series.time.size, bool)
+    for mode in log.marks.modes:
+        if mode.name == "MANUAL":
+            manual |= (series.time >= mode.start) & (series.time < mode.stop)
+    return TimeSeries(series.time, np.where(manual, series.values, np.nan)) if manual.sum() >= SHORTEST else series
 
 
 def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, answer: int, name: str) -> tuple[int, str]:
@@ -137,14 +131,14 @@ def sign_of(output: TimeSeries, trim: float, rate: TimeSeries | None, answer: in
     time = np.arange(start, stop, 1 / _RATE)
     if time.size < 10 * _RATE:
         return 1, "sign UNKNOWN: too short"
-    at = np.searchsorted(output.time, time, side="right") - 1
-    u = output.values[np.clip(at, 0, output.time.size - 1)] - trim
+    rows = np.searchsorted(output.time, time, side="right") - 1
+    u = output.values[np.clip(rows, 0, output.time.size - 1)] - trim
     y = np.interp(time, rate.time, rate.values)
-    best = max((_response(u, y, round(late * _RATE)) for late in np.arange(-LATEST, LATEST, 0.01)), key=abs)
-    if abs(best) < SURE:
+    response = max((_response(u, y, round(delay * _RATE)) for delay in np.arange(-LATEST, LATEST, 0.01)), key=abs)
+    if abs(response) < SURE:
         return 1, f"sign UNKNOWN: {name} does not tell"
-    sign = answer * (1 if best > 0 else -1)
-    return sign, f"sign by the change of {name} after it moves ({abs(best):.0f} standard errors)"
+    sign = answer * (1 if response > 0 else -1)
+    return sign, f"sign by the change of {name} after it moves ({abs(response):.0f} standard errors)"
 
 
 def _response(u: Array, y: Array, late: int) -> float:
@@ -164,19 +158,18 @@ def _response(u: Array, y: Array, late: int) -> float:
     if power <= 0.0:
         return 0.0
     slope = float(x @ z) / power
-    rest = z - slope * x
-    return slope * float(np.sqrt(power)) / max(float(np.std(rest)), 1e-12)
+    residual = z - slope * x
+    return slope * float(np.sqrt(power)) / max(float(np.std(residual)), 1e-12)
 
 
-def surface_lines(shares: Mapping[str, Mapping[str, float]], lacking: Sequence[str]) -> list[str]:
+def surface_lines(shares: Shares, lacking: Sequence[str]) -> list[str]:
     """The surfaces of a draft, mixed of its servos."""
     lines = []
     for surface, parts in shares.items():
         if set(parts.values()) == {1.0}:
-            factor = 1.0 / len(parts)
-            parts = dict.fromkeys(parts, factor)
+            parts = dict.fromkeys(parts, 1.0 / len(parts))
         terms = ", ".join(f'{{ column = "servo.{n}", factor = {f:g} }}' for n, f in parts.items())
         single = next(iter(parts))
-        made = f'{{ column = "servo.{single}" }}' if parts == {single: 1.0} else f"{{ terms = [{terms}] }}"
-        lines.append(f"{surface} = {made}")
+        source = f'column = "servo.{single}"' if parts == {single: 1.0} else f"terms = [{terms}]"
+        lines.append(f"{surface} = {{ {source} }}")
     return [*lines, *(f"# {s} = UNKNOWN: no output is said to move it" for s in lacking)]

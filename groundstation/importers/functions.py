@@ -3,6 +3,7 @@
 Source: ArduPilot, SRV_Channel.h, `SRV_Channel::Function`.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 
 from groundstation.flight.contradictions import Contradiction
@@ -28,16 +29,20 @@ _BY_SURFACE: Mapping[str, tuple[int, ...]] = {
     "delta_r": (16, 17, 21, 26, 79, 80, 86, 87),
 }
 """Surface -> functions of outputs that have a part in it."""
-_UNTOLD = frozenset({1, *range(51, 67)})
-"""Functions that pass a stick on: what it moves is not said."""
+OUTPUT = re.compile(
+    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVOOUTPUT_RAW\.servo\d+_raw"
+)
+"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVOOUTPUT_RAW."""
+ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")  # ArduPilot's parameters of a servo output, SERVOn_
+_UNTOLD = frozenset({1, *range(51, 67)})  # functions that pass a stick on: what it moves is not said
 
 
-def name_of(function: float) -> str:
+def function_name(function: float) -> str:
     """`elevon left` for 77; the number where it has no name here."""
     return NAMES.get(round(function), f"function {function:g}")
 
 
-def misnamed(log: Log, chosen: Map) -> Iterator[Contradiction]:
+def function_contradictions(log: Log, chosen: Map) -> Iterator[Contradiction]:
     """Surfaces that a mapping makes of outputs which, by the log's own parameters, move something else."""
     for column, sources in chosen.columns.items():
         if not column.startswith(("delta_", "cmd_")) or not sources:
@@ -50,7 +55,9 @@ def misnamed(log: Log, chosen: Map) -> Iterator[Contradiction]:
             function = log.parameters.get(parameter) if parameter else None
             if function is None or round(function) in _UNTOLD or round(function) in _BY_SURFACE.get(surface, ()):
                 continue
-            moved = name_of(function)
-            text = f"the mapping makes {column} of {output}, which moves the {moved} by {parameter} {function:g} of the log"
-            moves = f"derivatives by {column}: they would be those of the {moved}"
+            part = function_name(function)
+            text = (
+                f"the mapping makes {column} of {output}, which moves the {part} by {parameter} {function:g} of the log"
+            )
+            moves = f"derivatives by {column}: they would be those of the {part}"
             yield Contradiction((column, parameter or output), text, moves=moves, stops=True)

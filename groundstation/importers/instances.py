@@ -1,6 +1,7 @@
 """Which of several sensors of one kind an autopilot flew by: by its own word (Pri), by use, by health; and whether they agree."""
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +11,8 @@ from groundstation.importers.series import Array, TimeSeries
 
 ALL_OF_ONE_KIND = ("ARSP", "GPS", "BARO", "IMU", "MAG")
 """Messages of ArduPilot that come from several sensors and say which is in use."""
-_HEALTH = ("H", "Health", "GH")
-_USED = ("U", "Use")
-AGREE = 0.08
-"""Of the median of a quantity, by which two sensors of it may differ: pitots differ by 3 %."""
-COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}
-"""What of a message is compared between instances."""
+AGREE = 0.08  # of the median of a quantity, by which two sensors of it may differ: pitots differ by 3 %
+COMPARED: Mapping[str, str] = {"ARSP": "DiffPress", "BARO": "Press"}  # what of a message is compared between instances
 
 
 @dataclass(frozen=True)
@@ -29,99 +26,94 @@ class ChosenInstances:
 
 def with_primaries(series: Mapping[str, TimeSeries]) -> ChosenInstances:
     """The series with the plain name (`ARSP.Airspeed`) standing for the instance in use; each stays under its number, too."""
-    out = dict(series)
+    primaries = dict(series)
     notes: list[str] = []
-    found: list[Contradiction] = []
+    contradictions: list[Contradiction] = []
     for message in ALL_OF_ONE_KIND:
         instances = _instances(series, message)
         if len(instances) < 2:
             continue
-        primary, why = _primary(instances)
+        primary, reason = _primary(instances)
         first = next(iter(instances))
-        for name, values in instances[first].items():
-            out[f"{message}[{first}].{name}"] = values
+        primaries |= {f"{message}[{first}].{n}": v for n, v in instances[first].items()}
         if primary is None:
-            out.update({f"{message}.{n}": v for n, v in _by_time(instances).items()})
-            notes.append(f"{message}: the instance in use changes in flight ({why}); each sample is of the one in use")
+            primaries |= {f"{message}.{n}": v for n, v in _by_time(instances).items()}
+            notes.append(
+                f"{message}: the instance in use changes in flight ({reason}); each sample is of the one in use"
+            )
         elif primary != first:
-            out = {n: v for n, v in out.items() if not n.startswith(f"{message}.")}
-            out.update({f"{message}.{n}": v for n, v in instances[primary].items()})
-            notes.append(f"{message}: instance {primary} is taken, {why}")
-        found += _disagreements(message, instances, primary, why)
-    return ChosenInstances(out, tuple(notes), tuple(found))
+            primaries = {n: v for n, v in primaries.items() if not n.startswith(f"{message}.")}
+            primaries |= {f"{message}.{n}": v for n, v in instances[primary].items()}
+            notes.append(f"{message}: instance {primary} is taken, {reason}")
+        contradictions += _disagreements(message, instances, primary, reason)
+    return ChosenInstances(primaries, tuple(notes), tuple(contradictions))
 
 
 def _instances(series: Mapping[str, TimeSeries], message: str) -> dict[int, dict[str, TimeSeries]]:
     """Instance number -> field -> series."""
-    out: dict[int, dict[str, TimeSeries]] = {}
+    instances: dict[int, dict[str, TimeSeries]] = {}
+    label = series.get(f"{message}.I")
+    numbers = label.values[np.isfinite(label.values)] if label is not None else np.zeros(0)
+    pattern = re.compile(re.escape(message) + r"(?:\[(\d+)\])?")
     for name, values in series.items():
         head, _, field = name.partition(".")
-        if head == message:
-            label = series.get(f"{message}.I")
-            known = label.values[np.isfinite(label.values)] if label is not None else np.zeros(0)
-            number = int(known[0]) if known.size else 0
-        elif head.startswith(f"{message}[") and head.endswith("]") and head[len(message) + 1 : -1].isdigit():
-            number = int(head[len(message) + 1 : -1])
-        else:
-            continue
-        out.setdefault(number, {})[field] = values
-    return dict(sorted(out.items()))
+        if match := pattern.fullmatch(head):
+            number = int(match[1] or (numbers[0] if numbers.size else 0))
+            instances.setdefault(number, {})[field] = values
+    return dict(sorted(instances.items()))
 
 
 def _primary(instances: Mapping[int, Mapping[str, TimeSeries]]) -> tuple[int | None, str]:
     """The instance in use and why; None where it changes, as each says at its own time."""
-    stated = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
-    if stated:
-        numbers = np.unique(np.concatenate(stated))
+    priorities = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
+    if priorities:
+        numbers = np.unique(np.concatenate(priorities))
         numbers = numbers[np.isfinite(numbers)]
-        known = [int(n) for n in numbers if int(n) in instances]
-        if len(known) == 1:
-            return known[0], f"the log names it the primary (Pri {known[0]})"
-        if known:
-            return None, f"Pri {', '.join(map(str, known))}"
-    for fields, word in ((_USED, "in use"), (_HEALTH, "healthy")):
-        share = {n: _mean(f, fields) for n, f in instances.items()}
-        good = [n for n, s in share.items() if s is not None and s > 0.5]
-        if good and len(good) < len(instances):
-            others = ", ".join(str(n) for n in instances if n not in good)
-            return good[0], f"{others} is not {word} by the log"
+        candidates = [int(n) for n in numbers if int(n) in instances]
+        if len(candidates) == 1:
+            return candidates[0], f"the log names it the primary (Pri {candidates[0]})"
+        if candidates:
+            return None, f"Pri {', '.join(map(str, candidates))}"
+    for fields, word in ((("U", "Use"), "in use"), (("H", "Health", "GH"), "healthy")):
+        share = {n: mean_of_first(f, fields) for n, f in instances.items()}
+        working = [n for n, s in share.items() if s is not None and s > 0.5]
+        if working and len(working) < len(instances):
+            unused = ", ".join(str(n) for n in instances if n not in working)
+            return working[0], f"{unused} is not {word} by the log"
     first = next(iter(instances))
     return first, "nothing in the log says which is in use"
 
 
-def _mean(fields: Mapping[str, TimeSeries], names: tuple[str, ...]) -> float | None:
-    found = next((fields[n].values for n in names if n in fields), None)
-    return float(np.nanmean(found)) if found is not None and found.size else None
+def mean_of_first(series: Mapping[str, TimeSeries], names: Sequence[str]) -> float | None:
+    """Mean of the first of some series that is there."""
+    values = next((series[n].values for n in names if n in series), None)
+    return float(np.nanmean(values)) if values is not None and values.size else None
 
 
 def _by_time(instances: Mapping[int, Mapping[str, TimeSeries]]) -> dict[str, TimeSeries]:
     """Samples of each instance from the times at which it was the primary."""
-    chosen = {n: f["Pri"].values == n for n, f in instances.items() if "Pri" in f}
-    out = {}
+    in_use = {n: f["Pri"].values == n for n, f in instances.items() if "Pri" in f}
+    merged = {}
     for name in next(iter(instances.values())):
-        parts = [
-            (f[name].time[chosen[n]], f[name].values[chosen[n]])
-            for n, f in instances.items()
-            if n in chosen and name in f
-        ]
-        time, values = (np.concatenate([p[i] for p in parts]) for i in (0, 1))
+        parts = [(instances[n][name], use) for n, use in in_use.items() if name in instances[n]]
+        time = np.concatenate([series.time[use] for series, use in parts])
+        values = np.concatenate([series.values[use] for series, use in parts])
         order = np.argsort(time, kind="stable")
-        out[name] = TimeSeries(time[order], values[order])
-    return out
+        merged[name] = TimeSeries(time[order], values[order])
+    return merged
 
 
 def _disagreements(
     message: str, instances: Mapping[int, Mapping[str, TimeSeries]], primary: int | None, why: str
 ) -> Iterator[Contradiction]:
     """What two instances show of one quantity, where they differ beyond what two sensors do."""
-    field = COMPARED.get(message)
+    field = COMPARED.get(message, "")
     against = primary if primary is not None else next(iter(instances))
-    reference = instances[against].get(field or "")
+    reference = instances[against].get(field)
     for number, fields in instances.items():
-        other = fields.get(field or "")
-        if number == against or other is None or reference is None or field is None:
+        if number == against or field not in fields or reference is None:
             continue
-        ratio = _ratio(other, reference)
+        ratio = _ratio(fields[field], reference)
         if ratio is None or abs(ratio - 1.0) <= AGREE:
             continue
         sure = not why.startswith("nothing")

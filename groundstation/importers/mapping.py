@@ -25,8 +25,7 @@ from groundstation.importers.servos import ServoMap
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
-MOST_LINES_ABOVE = 1_000_000
-"""Lines before the first row of numbers; no file of 16 MiB has as many that say something."""
+MOST_LINES_ABOVE = 1_000_000  # lines before the first row of numbers; no file of 16 MiB has as many that say something
 
 
 class _MapTable(BaseModel):
@@ -86,12 +85,12 @@ class ColumnSource(_MapTable):
     def formula(self) -> str:
         """How the column is made, for a person."""
         if self.expression is not None:
-            made = self.expression if "`" in self.expression else self.expression.replace(" ", "")
+            text = self.expression if "`" in self.expression else self.expression.replace(" ", "")
         else:
-            made = "+".join(t.column if t.factor == 1 else f"{t.factor:g}*{t.column}" for t in self.parts)
-            made = made.replace("+-", "-")
-        made = f"{self.factor:g}*({made})" if self.factor != 1 else made
-        return f"-({made})" if self.sign < 0 else made
+            text = "+".join(t.column if t.factor == 1 else f"{t.factor:g}*{t.column}" for t in self.parts)
+            text = text.replace("+-", "-")
+        text = f"{self.factor:g}*({text})" if self.factor != 1 else text
+        return f"-({text})" if self.sign < 0 else text
 
 
 class Time(_MapTable):
@@ -165,25 +164,16 @@ class Map(_MapTable):
 
     def over(self, base: "Map") -> "Map":
         """This mapping on top of another: columns named here replace those of the base."""
-        return base.model_copy(
-            update={
-                "title": self.title or base.title,
-                "aircraft": self.aircraft or base.aircraft,
-                "time": self.time or base.time,
-                "segment": self.segment or base.segment,
-                "segment_rows": self.segment_rows or base.segment_rows,
-                "rate_hz": self.rate_hz or base.rate_hz,
-                "file": self.file,
-                "servos": {**base.servos, **self.servos},
-                "columns": {**base.columns, **self.columns},
-            }
-        )
+        names = ("title", "aircraft", "time", "segment", "segment_rows", "rate_hz")
+        update = {name: getattr(self, name) or getattr(base, name) for name in names}
+        merged = {name: {**getattr(base, name), **getattr(self, name)} for name in ("servos", "columns")}
+        return base.model_copy(update={**update, **merged, "file": self.file})
 
 
 def load_map(path: str | Path) -> Map:
     """Read a mapping file, or an example by its name (`ardupilot-elevon`). Raises ImportDataError naming file and key."""
     path = Path(path)
-    if not path.exists() and str(path) in examples():
+    if not path.exists() and str(path) in example_maps():
         path = MAPS / f"{path}.toml"
     table = read_toml(path, "file", ImportDataError)
     try:
@@ -200,10 +190,9 @@ def built_in_map(name: str) -> Map:
     return load_map(MAPS / f"{name}.toml")
 
 
-EXAMPLE = "example: "
-"""What the title of an example mapping begins with."""
+EXAMPLE = "example: "  # what the title of an example mapping begins with
 
 
-def examples() -> tuple[str, ...]:
+def example_maps() -> tuple[str, ...]:
     """Names of the example mappings for surfaces."""
     return tuple(sorted(p.stem for p in MAPS.glob("*-*.toml")))

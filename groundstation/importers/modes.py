@@ -7,7 +7,7 @@ Sources: ArduPilot `mode.h` of Plane, Copter and Rover; PX4 `vehicle_status.msg`
 from collections.abc import Iterable, Mapping, Sequence
 
 from daq.contract.plain_words import one_line
-from groundstation.flight.marks import LONGEST_TEXT, Mark, Marks, changes
+from groundstation.flight.marks import LONGEST_TEXT, Mark, Marks, mode_changes
 
 PLANE: Mapping[int, str] = {
     0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB",
@@ -51,15 +51,13 @@ _ERRORS: Mapping[int, str] = {
     11: "GPS", 12: "crash check", 16: "EKF check", 17: "failsafe of the EKF", 18: "barometer", 24: "EKF changed",
 }  # fmt: skip
 _QUADROTOR, _HELICOPTER, _ROVER_TYPE, _OTHER_COPTERS = 2, 4, 10, (13, 14, 15, 29, 35)
-_PX4 = 12
-"""MAV_AUTOPILOT_PX4."""
-ARMED = 128
-"""Bit of HEARTBEAT.base_mode."""
+_PX4 = 12  # MAV_AUTOPILOT_PX4
+ARMED = 128  # bit of HEARTBEAT.base_mode
 
 Row = Mapping[str, object]
 
 
-def words(value: object) -> str:
+def mark_text(value: object) -> str:
     """Text of a field, without what fills it up."""
     raw = value.split(b"\0", 1)[0].decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
     return one_line(raw.strip(), LONGEST_TEXT)
@@ -67,19 +65,19 @@ def words(value: object) -> str:
 
 def dataflash_marks(rows: Mapping[str, Sequence[tuple[float, Row]]], end: float) -> Marks:
     """Marks of an ArduPilot log. rows: message -> (time [s], fields) in order; end: time of its last sample [s]."""
-    messages = tuple(Mark(t, words(row.get("Message", ""))) for t, row in rows.get("MSG", ()) if row.get("Message"))
-    names = next((m for name, m in _VEHICLES.items() for said in messages if said.text.startswith(name)), PLANE)
+    messages = tuple(Mark(t, mark_text(row.get("Message", ""))) for t, row in rows.get("MSG", ()) if row.get("Message"))
+    names = next((m for name, m in _VEHICLES.items() for message in messages if message.text.startswith(name)), PLANE)
     modes = [(t, _mode(row, names)) for t, row in rows.get("MODE", ())]
     events = [
         *(Mark(t, "armed" if _number(row.get("ArmState")) else "disarmed") for t, row in rows.get("ARM", ())),
         *(Mark(t, _named(_EVENTS, row.get("Id"), "event")) for t, row in rows.get("EV", ()) if not _arming(rows, row)),
         *(
-            Mark(t, f"error: {_named(_ERRORS, row.get('Subsys'), 'subsystem')}, code {words(row.get('ECode', ''))}")
+            Mark(t, f"error: {_named(_ERRORS, row.get('Subsys'), 'subsystem')}, code {mark_text(row.get('ECode', ''))}")
             for t, row in rows.get("ERR", ())
         ),
     ]
-    found = changes([t for t, _ in modes], [n for _, n in modes], end)
-    return Marks(found, tuple(sorted(events, key=lambda m: m.time)), messages)
+    changed_modes = mode_changes([t for t, _ in modes], [n for _, n in modes], end)
+    return Marks(changed_modes, tuple(sorted(events, key=lambda m: m.time)), messages)
 
 
 def _arming(rows: Mapping[str, Sequence[tuple[float, Row]]], row: Row) -> bool:
@@ -91,7 +89,7 @@ def _mode(row: Row, names: Mapping[int, str]) -> str:
     """The mode of a MODE message: by number in a binary log, by name in some text ones."""
     value = row.get("ModeNum", row.get("Mode"))
     number = _number(value)
-    return words(row.get("Mode", "")) or "unknown" if number is None else names.get(number, f"mode {number}")
+    return mark_text(row.get("Mode", "")) or "unknown" if number is None else names.get(number, f"mode {number}")
 
 
 def _number(value: object) -> int | None:
@@ -103,7 +101,7 @@ def _number(value: object) -> int | None:
 
 def _named(names: Mapping[int, str], value: object, otherwise: str) -> str:
     number = _number(value)
-    return names.get(-1 if number is None else number, f"{otherwise} {words(value)}")
+    return names.get(-1 if number is None else number, f"{otherwise} {mark_text(value)}")
 
 
 def heartbeat_mode(vehicle: int, autopilot: int, custom: int) -> str:
@@ -118,5 +116,5 @@ def heartbeat_mode(vehicle: int, autopilot: int, custom: int) -> str:
 
 def armings(time: Iterable[float], armed: Iterable[bool]) -> tuple[Mark, ...]:
     """An event for each change of the state of the motors, the first included."""
-    found = changes(time, ("armed" if a else "disarmed" for a in armed), 0.0)
-    return tuple(Mark(m.start, m.name) for m in found)
+    states = mode_changes(time, ("armed" if a else "disarmed" for a in armed), 0.0)
+    return tuple(Mark(m.start, m.name) for m in states)

@@ -74,9 +74,9 @@ velocity with a wind that was guessed, and add nothing but that guess."""
 
 def kind_of(log: Log, series: str) -> Kind:
     """What a series of a log is."""
-    stated = log.kinds.get(series)
-    if stated is not None:
-        return next(k for k in _WORST if k == stated)
+    log_kind = log.kinds.get(series)
+    if log_kind is not None:
+        return next(k for k in _WORST if k == log_kind)
     if series.startswith(PREFIX):
         return COMPUTED  # what was commanded, whatever the surface does
     if log.kind in _COMPILED:

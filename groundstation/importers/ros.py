@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.importers.attitude import ANGLES, euler_from_quaternion, with_attitudes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
-from groundstation.importers.formats.attitude import euler_from_quaternion, with_attitudes
 from groundstation.importers.formats.bag_series import Topic
 from groundstation.importers.formats.bags import read_bag
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
@@ -19,8 +19,7 @@ from groundstation.importers.series import Log, TimeSeries
 
 _PX4 = re.compile(r"px4_msgs/msg/(\w+)")
 PX4_US = 1e-6
-_SIDE = {"x": 1, "y": -1, "z": -1}
-"""Sign of a body axis of ROS in ours."""
+_SIDE = {"x": 1, "y": -1, "z": -1}  # sign of a body axis of ROS in ours
 
 
 def read_ros(path: Path) -> tuple[Log, Map]:
@@ -33,15 +32,15 @@ def read_ros(path: Path) -> tuple[Log, Map]:
     series: dict[str, TimeSeries] = {}
     columns: dict[str, list[ColumnSource]] = {}
     kinds: dict[str, str] = {}
-    turned = False
+    rotated = False
     for topic in bag.topics.values():
-        made = topic.series(topic.name)
-        turned |= _standard(topic, made, columns, kinds)
-        series |= made
+        topic_series = topic.series(topic.name)
+        rotated |= _standard(topic, topic_series, columns, kinds)
+        series |= topic_series
     if not series:
         raise ImportDataError(f"{path}: no numbers in the messages of this bag")
     notes = [*bag.notes]
-    if turned:
+    if rotated:
         notes.append("messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)")
     log = Log("bag", series, notes=tuple(notes), kinds=kinds)
     return log, Map(format=1, title="bag", columns={n: tuple(s) for n, s in columns.items()})
@@ -50,12 +49,12 @@ def read_ros(path: Path) -> tuple[Log, Map]:
 def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:
     """Series under the names of uORB topics; a second topic of one kind is instance 1."""
     series: dict[str, TimeSeries] = {}
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for topic in topics.values():
         match = _PX4.fullmatch(topic.kind)
         name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", match[1]).lower() if match else topic.name
-        number = seen.get(name, 0)
-        seen[name] = number + 1
+        number = counts.get(name, 0)
+        counts[name] = number + 1
         series |= topic.series(f"{name}[{number}]" if number else name, PX4_US)
     return series
 
@@ -106,17 +105,17 @@ def _attitude(
     name: str, field: str, made: dict[str, TimeSeries], columns: dict[str, list[ColumnSource]], kinds: dict[str, str]
 ) -> None:
     """Angles of a quaternion from east-north-up and x forward, y left, z up, to ours, as series of the topic."""
-    parts = [made.get(f"{name}.{field}.{axis}") for axis in "wxyz"]
-    if any(p is None for p in parts):
+    names = [f"{name}.{field}.{axis}" for axis in "wxyz"]
+    if not all(n in made for n in names):
         return
-    q = np.array([p.values for p in parts if p is not None])
+    parts = [made[n] for n in names]
+    q = np.array([p.values for p in parts])
     size = np.sqrt(np.sum(q**2, axis=0))
     if not np.any(np.isfinite(size) & (np.abs(size - 1.0) < 0.1)):
         return  # an IMU without attitude leaves it at zero
-    roll, pitch, yaw = euler_from_quaternion(*q)
-    time = next(p.time for p in parts if p is not None)
-    angles = {"roll": roll, "pitch": -pitch, "yaw": (np.pi / 2 - yaw + np.pi) % (2 * np.pi) - np.pi}
-    for column, (label, values) in zip(("phi", "theta", "psi"), angles.items(), strict=True):
-        made[f"{name}.{label}"] = TimeSeries(time, np.asarray(values))
+    angles = euler_from_quaternion(*q)
+    angles |= {"pitch": -angles["pitch"], "yaw": (np.pi / 2 - angles["yaw"] + np.pi) % (2 * np.pi) - np.pi}
+    for column, label in ANGLES.items():
+        made[f"{name}.{label}"] = TimeSeries(parts[0].time, np.asarray(angles[label]))
         kinds[f"{name}.{label}"] = "computed"
         columns.setdefault(column, []).append(ColumnSource(column=f"{name}.{label}", unit="rad"))

@@ -5,25 +5,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.flight.arrays import Array, Mask, integral
 from groundstation.flight.contradictions import Contradiction
 from groundstation.flight.marks import Marks
 from groundstation.importers.errors import ImportDataError
 
-Array = NDArray[np.float64]
-
-LONGEST_GRID = 4_000_000
-"""Most samples of a common time base: eleven hours at 100 Hz."""
-
-SHORT_GRID = 100_000
-"""Samples of a common time base that cost nothing, however empty: half an hour at 50 Hz."""
-
-EMPTIEST = 10
-"""Times as many samples in a common time base as were recorded: more come from damaged stamps, not from pauses."""
-
-LONGEST_STEP = 3.5
-"""A step longer than this many median intervals of a series is a gap in it: nothing is interpolated across."""
+LONGEST_GRID = 4_000_000  # most samples of a common time base: eleven hours at 100 Hz
+SHORT_GRID = 100_000  # samples of a common time base that cost nothing, however empty: half an hour at 50 Hz
+EMPTIEST = 10  # times as many samples in a common time base as recorded: more come from damaged stamps, not from pauses
+LONGEST_STEP = 3.5  # median intervals; a longer step is a gap in a series: nothing is interpolated across
+PAUSE = 5.0  # [s]; a longer step is a pause in recording, no late delivery
+BURSTY = 2.0  # samples that come so many times slower over the whole than from one to the next come in bursts
+DATED_BACK = 0.5  # of its interval, a logged command: it changed at any time since the last record, half in the mean
+MOST_INSTANCES = 256  # of one sensor: ArduPilot numbers them in one byte
 
 
 @dataclass(frozen=True)
@@ -38,6 +33,10 @@ class TimeSeries:
     values: Array
     command: bool = False
     lag: float = 0.0
+
+
+Series = TimeSeries
+"""The name under which packages import it (docs/extending.md)."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,20 @@ class Log:
     origin: float = 0.0
     marks: Marks = field(default_factory=Marks)
 
-    def extended(self, series: Mapping[str, TimeSeries], units: Mapping[str, str]) -> "Log":
-        """The same with further series."""
-        return replace(self, series={**self.series, **series}, units=units)
+    def with_notes(self, *notes: str) -> "Log":
+        """The same with notes added."""
+        return replace(self, notes=(*self.notes, *notes))
 
 
-def credible(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
+def instance_rows(topic: str, number: Array) -> dict[str, Mask]:
+    """Which messages of a topic are of each sensor: name (`GPS`, further ones `GPS[1]`) -> (N,). number: (N,) of the sensor."""
+    numbers = np.unique(number[np.isfinite(number)])
+    if not 0 < numbers.size <= MOST_INSTANCES:
+        return {topic: np.ones(number.size, bool)}
+    return {topic if n == numbers[0] else f"{topic}[{n:g}]": number == n for n in numbers}
+
+
+def without_damaged_times(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], int]:
     """The series without samples whose time is far from all others (damaged stamps), and how many were left out."""
     clocks = {id(s.time): s.time for s in series.values()}  # fields of one message share their time
     times = np.concatenate(list(clocks.values())) if clocks else np.zeros(0)
@@ -75,15 +82,15 @@ def credible(series: Mapping[str, TimeSeries]) -> tuple[dict[str, TimeSeries], i
         return dict(series), 0
     low, high = np.percentile(times, [2, 98])
     reach = 60.0 + (high - low)
-    out, dropped = {}, 0
+    kept_series, outliers = {}, 0
     for name, item in series.items():
-        good = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
-        dropped = max(dropped, int(np.sum(~good)))
-        out[name] = item if good.all() else TimeSeries(item.time[good], item.values[good])
-    return out, dropped
+        plausible = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
+        outliers = max(outliers, int(np.sum(~plausible)))
+        kept_series[name] = item if plausible.all() else TimeSeries(item.time[plausible], item.values[plausible])
+    return kept_series, outliers
 
 
-def grid(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
+def even_time_base(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
     """Even time base from the earliest start to the latest end. Raises ImportDataError when that is too long."""
     if not rate_hz > 0:
         raise ImportDataError(
@@ -98,19 +105,13 @@ def grid(series: Mapping[str, TimeSeries], rate_hz: float) -> Array:
             f"{stop - start:.4g} s at {rate_hz:g} Hz are more than {LONGEST_GRID} samples; check the time unit or lower --rate"
         )
     recorded = max(s.time.size for s in series.values())
-    expected = (stop - start) * min(rate_hz, max(native_rate(s) for s in series.values()) or rate_hz)
-    if expected > max(EMPTIEST * recorded, SHORT_GRID):
+    expected_samples = (stop - start) * min(rate_hz, max(native_rate(s) for s in series.values()) or rate_hz)
+    if expected_samples > max(EMPTIEST * recorded, SHORT_GRID):
         raise ImportDataError(
             f"{recorded} samples spread over {stop - start:.4g} s: most of that time is empty, so the time is damaged or of "
             "another unit"
         )
     return start + np.arange(int(np.floor((stop - start) * rate_hz + 1e-9)) + 1) / rate_hz
-
-
-PAUSE = 5.0
-"""A step longer than this [s] is a pause in recording, no late delivery."""
-BURSTY = 2.0
-"""A series whose samples, over its whole length, come so many times slower than from one to the next comes in bursts."""
 
 
 def native_rate(series: TimeSeries) -> float:
@@ -131,76 +132,69 @@ def resample(series: TimeSeries, time: Array, *, hold: bool = False) -> Array:
     A series at least twice as fast as the grid is averaged over each grid interval, which keeps vibration from folding
     into the motion; a slower one is interpolated along straight lines, with `hold` kept until the next as a command is.
     """
-    good = np.isfinite(series.values) & np.isfinite(series.time)
-    t, y = series.time[good], series.values[good]
-    t, first = np.unique(t, return_index=True)
-    y = y[first]
-    if t.size < 2:
-        return np.full_like(time, np.nan)
+    t, y = _finite_samples(series)
     rate = native_rate(TimeSeries(t, y))
-    if not rate:  # all at one instant
+    if not rate:  # fewer than two samples, or all at one instant
         return np.full_like(time, np.nan)
     interval = 1.0 / rate
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
     if hold and (series.lag or interval > 0.5 * step):
-        return held_at(replace(series, command=True), time)
-    before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
+        return held_at(series, time)
+    index = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
     edge = 1e-6 * interval  # rounding of a grid that ends with the series
-    inside = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[before + 1] - t[before] <= LONGEST_STEP * interval)
-    if interval <= 0.5 * step:
-        out = _mean_over(t, y, time, step)
-    else:
-        out = np.interp(time, t, y)
-    return np.where(inside, out, np.nan)
+    valid = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[index + 1] - t[index] <= LONGEST_STEP * interval)
+    values = _mean_over(t, y, time, step) if interval <= 0.5 * step else np.interp(time, t, y)
+    return np.where(valid, values, np.nan)
 
 
-DATED_BACK = 0.5
-"""Of its interval, by which a logged command is dated back: it changed at any time since the last record, half in the mean."""
+def _finite_samples(series: TimeSeries) -> tuple[Array, Array]:
+    """Times, each once and in order, and values of the samples that have both."""
+    finite = np.isfinite(series.values) & np.isfinite(series.time)
+    t, first = np.unique(series.time[finite], return_index=True)
+    return t, series.values[finite][first]
 
 
 def held_at(series: TimeSeries, time: Array) -> Array:
     """Commands at `time` (n,), as the servo behind them shows them: each holds from half an interval before its record until half
     an interval before the next. NaN outside the series and inside its gaps."""
-    good = np.isfinite(series.values) & np.isfinite(series.time)
-    t, first = np.unique(series.time[good], return_index=True)
-    target = series.values[good][first]
+    t, target = _finite_samples(series)
     if t.size < 2:
         return np.full_like(time, np.nan)
     interval = 1.0 / native_rate(TimeSeries(t, target))
-    since = t - DATED_BACK * interval
-    at = np.searchsorted(since, time + 1e-6 * interval, side="right") - 1
-    k = np.clip(at, 0, t.size - 1)
-    following = np.append(since[1:], since[-1] + interval)
-    inside = (at >= 0) & (time <= following[-1]) & (following[k] - since[k] <= LONGEST_STEP * interval)
+    begins = t - DATED_BACK * interval
+    latest = np.searchsorted(begins, time + 1e-6 * interval, side="right") - 1
+    k = np.clip(latest, 0, t.size - 1)
+    following = np.append(begins[1:], begins[-1] + interval)
+    valid = (latest >= 0) & (time <= following[-1]) & (following[k] - begins[k] <= LONGEST_STEP * interval)
     values = target[k]
     if series.lag:
-        begin = lagged(since, target, series.lag)[k]
-        values = values + (begin - values) * np.exp(-np.maximum(time - since[k], 0.0) / series.lag)
-    return np.where(inside, values, np.nan)
+        begin = lagged(begins, target, series.lag)[k]
+        values = values + (begin - values) * np.exp(-np.maximum(time - begins[k], 0.0) / series.lag)
+    return np.where(valid, values, np.nan)
 
 
 def lagged(time: Array, commanded: Array, lag: float) -> Array:
     """What a first-order servo makes of commands that hold until the next; exact between samples."""
-    out = np.empty_like(commanded)
-    angle, last, before = math.nan, math.nan, math.nan
-    for k, (now, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
-        if math.isnan(angle) or not now >= before:
+    response = np.empty_like(commanded)
+    angle, last, previous_time = math.nan, math.nan, math.nan
+    for k, (current_time, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
+        if math.isnan(angle) or not current_time >= previous_time:
             angle = target
         elif not math.isnan(last):
-            angle = last + (angle - last) * math.exp(-(now - before) / lag)
-        out[k], last, before = angle, target, now
-    return out
+            angle = last + (angle - last) * math.exp(-(current_time - previous_time) / lag)
+        response[k], last, previous_time = angle, target, current_time
+    return response
 
 
 def _mean_over(t: Array, y: Array, time: Array, step: float) -> Array:
     """Mean of the piecewise straight line through (t, y) over time +- step/2."""
-    area = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))])
+    area = integral(t, y)
 
-    def integral(at: Array) -> Array:
-        i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
-        dt = at - t[i]
+    def area_until(instant: Array) -> Array:
+        i = np.clip(np.searchsorted(t, instant, side="right") - 1, 0, t.size - 2)
+        dt = instant - t[i]
         return np.asarray(area[i] + dt * (y[i] + 0.5 * dt * (y[i + 1] - y[i]) / (t[i + 1] - t[i])))
 
     low, high = np.maximum(time - step / 2, t[0]), np.minimum(time + step / 2, t[-1])
     width = np.where(high > low, high - low, np.nan)
-    return np.asarray(np.where(np.isfinite(width), (integral(high) - integral(low)) / width, np.interp(time, t, y)))
+    return np.asarray(np.where(np.isfinite(width), (area_until(high) - area_until(low)) / width, np.interp(time, t, y)))

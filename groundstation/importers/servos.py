@@ -27,8 +27,7 @@ from groundstation.importers.units import conversion
 PREFIX = "servo."
 BEYOND = 0.5
 """Outputs further outside the travel than this share of it are no position: autopilots write 0 (or 65535) for 'off'."""
-SAME_TRIM_US = 5.0
-"""Trims closer than this [us] are the same: half a degree of a usual servo."""
+SAME_TRIM_US = 5.0  # trims closer than this [us] are the same: half a degree of a usual servo
 _OUTPUT = re.compile(r"(?:RCOU\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
 """Outputs of ArduPilot, numbered as its parameters SERVOn_TRIM, _MIN, _MAX. PX4's trims are shares of travel, no pulses."""
 LARGEST_DEFLECTION = math.radians(90.0)
@@ -82,10 +81,10 @@ class ServoMap(BaseModel):
         if self.travel is not None or self.throw is None:
             return self
         ends = [parameter_of(self.column, e) or "" for e in ("MIN", "MAX")]
-        lacking = [e or "SERVOn_MIN and _MAX" for e in ends if e not in parameters]
-        if lacking:
+        missing = [e or "SERVOn_MIN and _MAX" for e in ends if e not in parameters]
+        if missing:
             raise ImportDataError(
-                f"[servos.{name}] has a throw and no travel, and the log does not state {lacking[0]}; write "
+                f"[servos.{name}] has a throw and no travel, and the log does not state {missing[0]}; write "
                 "travel = [[output, deflection], [output, deflection]]"
             )
         low, high = (parameters[e] for e in ends)
@@ -106,8 +105,8 @@ class ServoMap(BaseModel):
         """(N,) [rad]; NaN where the output is no position. Beyond the travel the line goes on: a servo does, too."""
         scale, _ = conversion(self.unit, "servo", "rad")
         (low, at_low), (high, at_high) = self.ends
-        below, above = at_low / (low - trim), at_high / (high - trim)
-        value = np.where(output < trim, below, above) * (output - trim) * scale
+        lower_slope, upper_slope = at_low / (low - trim), at_high / (high - trim)
+        value = np.where(output < trim, lower_slope, upper_slope) * (output - trim) * scale
         reach = BEYOND * (high - low)
         with np.errstate(invalid="ignore"):
             return np.where((output >= low - reach) & (output <= high + reach), value, np.nan)
@@ -115,8 +114,8 @@ class ServoMap(BaseModel):
 
 def parameter_of(output: str, ending: str) -> str | None:
     """The autopilot's parameter of a servo output, as `SERVO1_TRIM` of `RCOU.C1`; None for an output that has none."""
-    found = _OUTPUT.fullmatch(output)
-    return f"SERVO{found[1]}_{ending}" if found else None
+    match = _OUTPUT.fullmatch(output)
+    return f"SERVO{match[1]}_{ending}" if match else None
 
 
 def with_servos(log: Log, servos: dict[str, ServoMap]) -> tuple[Log, tuple[str, ...]]:
@@ -124,21 +123,21 @@ def with_servos(log: Log, servos: dict[str, ServoMap]) -> tuple[Log, tuple[str, 
 
     Raises ImportDataError where the trim of a servo is neither in the mapping nor among the parameters of the log.
     """
-    made = {PREFIX + n: s for n, s in servos.items() if s.column in log.series}
     series, notes = {}, []
-    for name, given in made.items():
-        servo = given.with_travel(name.removeprefix(PREFIX), log.parameters)
-        trim, note = _trim(name.removeprefix(PREFIX), servo, log)
-        if given.travel is None:
+    present = {n: s for n, s in servos.items() if s.column in log.series}
+    for name, servo_map in present.items():
+        servo = servo_map.with_travel(name, log.parameters)
+        trim, note = _trim(name, servo, log)
+        if servo_map.travel is None:
             (low, _), (high, _) = servo.ends
-            notes.append(
-                f"servo {name.removeprefix(PREFIX)}: travel from {low:g} to {high:g}, by the parameters of the log"
-            )
-        series[name] = _moved(log.series[servo.column], servo, trim)
+            notes.append(f"servo {name}: travel from {low:g} to {high:g}, by the parameters of the log")
+        output = log.series[servo.column]
+        angle = servo.deflection(output.values, trim)
+        series[PREFIX + name] = TimeSeries(output.time, angle, command=True, lag=servo.lag)
         notes += [note] if note else []
-    absent = tuple(s.column for n, s in servos.items() if PREFIX + n not in made)
+    absent = tuple(s.column for n, s in servos.items() if n not in present)
     units = {**log.units, **dict.fromkeys(series, "rad")}
-    return replace(log.extended(series, units), notes=(*log.notes, *notes)), absent
+    return replace(log, series={**log.series, **series}, units=units).with_notes(*notes), absent
 
 
 def outputs_elsewhere(log: Log, servos: dict[str, ServoMap]) -> list[str]:
@@ -146,29 +145,27 @@ def outputs_elsewhere(log: Log, servos: dict[str, ServoMap]) -> list[str]:
     several sets of outputs (MAIN and AUX, IO and FMU)."""
     notes = []
     for name, servo in servos.items():
-        made = log.series.get(PREFIX + name)
-        if made is not None and np.isfinite(made.values).any():
+        deflection = log.series.get(PREFIX + name)
+        if deflection is not None and np.isfinite(deflection.values).any():
             continue
         topic, _, field = servo.column.partition(".")
         pattern = re.compile(re.escape(topic.split("[")[0]) + r"(\[\d+\])?\." + re.escape(field))
-        moving = [n for n, s in log.series.items() if n != servo.column and pattern.fullmatch(n) and _moves(s.values)]
-        missing = "is off throughout" if made is not None else "is not in the file"
-        if moving:
-            notes.append(
-                f"servo {name}: {servo.column} {missing}, while {', '.join(moving)} moves: name it in the mapping"
-            )
-        elif made is not None:
-            notes.append(f"servo {name}: {servo.column} {missing}: no value of it is a position of this servo")
+        active = [n for n, s in log.series.items() if n != servo.column and pattern.fullmatch(n) and _moves(s.values)]
+        problem = f"servo {name}: {servo.column} {'is not in the file' if deflection is None else 'is off throughout'}"
+        if active:
+            notes.append(f"{problem}, while {', '.join(active)} moves: name it in the mapping")
+        elif deflection is not None:
+            notes.append(f"{problem}: no value of it is a position of this servo")
     return notes
 
 
 def _moves(values: Array) -> bool:
-    known = values[np.isfinite(values)]
-    return known.size > 1 and float(np.ptp(known)) > 0.0
+    finite = values[np.isfinite(values)]
+    return finite.size > 1 and float(np.ptp(finite)) > 0.0
 
 
 def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
-    """The output at which the surface stands at zero, and what is to be told of it."""
+    """The output at which the surface stands at zero, and a note where a person should know of it."""
     parameter = parameter_of(servo.column, "TRIM")
     logged = log.parameters.get(parameter) if parameter else None
     if servo.trim is not None:
@@ -179,18 +176,11 @@ def _trim(name: str, servo: ServoMap, log: Log) -> tuple[float, str | None]:
         )
     (low, _), (high, _) = servo.ends
     if logged is None:
-        where = (
-            f" and the log has no {parameter}" if parameter else f" and {servo.column} has no parameter that says it"
-        )
-        raise ImportDataError(f"[servos.{name}] has no trim{where}; add trim = the output at zero deflection")
+        absent = f"the log has no {parameter}" if parameter else f"{servo.column} has no parameter that says it"
+        raise ImportDataError(f"[servos.{name}] has no trim and {absent}; add trim = the output at zero deflection")
     if not low < logged < high:
         raise ImportDataError(
             f"[servos.{name}]: {parameter} of the log, {logged:g}, does not lie between the ends of the travel, "
             f"{low:g} and {high:g}; correct the travel or add trim = the output at zero deflection"
         )
     return logged, f"servo {name}: zero deflection at {logged:g}, by {parameter} of the log"
-
-
-def _moved(output: TimeSeries, servo: ServoMap, trim: float) -> TimeSeries:
-    angle = servo.deflection(output.values, trim)
-    return TimeSeries(output.time, angle, command=True, lag=servo.lag)

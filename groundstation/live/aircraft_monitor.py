@@ -10,16 +10,14 @@ from typing import Protocol
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Reason, State
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import CalibrationSet
+from groundstation.calibration.calibration_set import CalibrationSet
+from groundstation.calibration.schema import CalibrationError
 from groundstation.identification.session import LiveState
-from groundstation.live.alarms import AlarmChange, Alarms, AlarmState
 from groundstation.live.config import GroundConfig
-from groundstation.live.flight_phase import LandingWatch, Phase
-from groundstation.live.free_space import FreeSpace
 from groundstation.live.readouts import FreshValues, banner, readout_line
+from groundstation.live.watches import AlarmChange, Alarms, AlarmState, FreeSpace, LandingWatch, Phase
 from groundstation.receiver import events as ev
-from groundstation.receiver.legible import legible
+from groundstation.receiver.findings import legible
 
 IN_FLIGHT_ONLY = ("V", "alpha")
 _SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
@@ -51,8 +49,8 @@ class AircraftMonitor:
         system: int = 1,
     ) -> None:
         self.system = system
-        self._own = self._calibration = calibration
-        self._calibrator = Calibrator(calibration)
+        self._station_calibration = self._calibration = calibration
+        self.calibrator = Calibrator(calibration)  # of scans, at present
         self._view = view
         self._say = say
         self._alarms = Alarms(config.alarms)
@@ -71,20 +69,9 @@ class AircraftMonitor:
 
     @property
     def phase(self) -> Phase:
-        """Where in its flight the aircraft is."""
         return self._landing.phase
 
-    @property
-    def calibrator(self) -> Calibrator:
-        """What scans are calibrated with at present."""
-        return self._calibrator
-
-    def note(self, level: str, text: str) -> None:
-        """Say something about this aircraft, in the log and in its view."""
-        self._note(level, text)
-
     def show_identification(self, state: LiveState) -> None:
-        """Show what is identified by now."""
         if self._view is not None:
             self._view.identification(state)
 
@@ -92,9 +79,9 @@ class AircraftMonitor:
         """Clear latched alarms."""
         self._announce(self._alarms.acknowledge(self.time))
 
-    def use(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
+    def use_calibration(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
         """Calibrate with what the aircraft itself carries, from now on."""
-        self._calibrator = Calibrator(calibration, facts)
+        self.calibrator = Calibrator(calibration, facts)
         self._calibration = calibration
 
     def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
@@ -107,7 +94,7 @@ class AircraftMonitor:
         self.samples += 1
         states = {group: status.state.words for group, status in scan.groups.items()}
         unusable = sum(not (s.state.usable or s.state.words in ("off", "stale")) for s in scan.groups.values())
-        ended = self._landing.update(scan.time, values)
+        landed = self._landing.update(scan.time, values)
         watched = {k: v for k, v in values.items() if k not in IN_FLIGHT_ONLY or self.phase is Phase.FLYING}
         if scan.groups:
             watched["sensors.unusable"] = float(unusable)
@@ -121,9 +108,9 @@ class AircraftMonitor:
             if scan.time >= self._next_status:
                 self._next_status = scan.time + STATUS_PERIOD_S
                 self._view.status(scan.time, self.status_page())
-        if ended:
-            self._note("INFO", "landed: the flight has ended")
-        return ended
+        if landed:
+            self.note("INFO", "landed: the flight has ended")
+        return landed
 
     def _show_readouts(self, view: MonitorView, time: float) -> None:
         """The numbers of this moment, and what is in alarm."""
@@ -135,13 +122,13 @@ class AircraftMonitor:
     def _calibrated(self, scan: Scan) -> dict[str, float]:
         """Columns of a scan; with the station's own set from the moment that what came down proves unusable."""
         try:
-            return self._calibrator.sample(scan)
+            return self.calibrator.sample(scan)
         except CalibrationError as error:
-            if self._calibration is self._own:
+            if self._calibration is self._station_calibration:
                 raise
-            self._note("WARN", f"the aircraft's calibration is not usable: {error}; the station's own is used")
-            self.use(self._own, {})
-            return self._calibrator.sample(scan)
+            self.note("WARN", f"the aircraft's calibration is not usable: {error}; the station's own is used")
+            self.use_calibration(self._station_calibration, {})
+            return self.calibrator.sample(scan)
 
     def silence(self, now_ns: int) -> None:
         """Called often: watches for telemetry that has stopped."""
@@ -157,28 +144,22 @@ class AircraftMonitor:
         self._disk = space.words
         self._announce(self._alarms.update(self.time, space.values))
 
-    def happened(self, event: ev.Event) -> None:
+    def take_event(self, event: ev.Event) -> None:
         """Everything that is not a scan."""
         match event:
             case ev.StatusText(severity=severity, text=text):
-                self._note(_SEVERITY.get(severity, "INFO"), text)
+                self.note(_SEVERITY.get(severity, "INFO"), text)
             case ev.EventMarked(time_monotonic_ns=at, origin=origin, text=text):
-                self._note("INFO", f"event ({origin}): {text}", at * 1e-9)
+                self.note("INFO", f"event ({origin}): {text}", at * 1e-9)
             case ev.CommandResult(words=words, accepted=accepted, command=command):
-                self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
+                self.note("INFO" if accepted else "WARN", f"command {command}: {words}")
             case ev.ManoeuvreSent(digest=digest, words=words, taken=taken):
-                self._note("INFO" if taken else "WARN", f"manoeuvre {digest[:6]}: {words}")
-            case ev.Refused(message=message, why=why, count=count):
-                self._note("WARN", f"refused {count} x {message}: {why}")
-            case ev.Doubted(what=what, count=count):
-                self._note("WARN", f"not believed: {count} {what}")
-            case ev.Quarantined(text=text):
-                self._note("WARN", text)
-            case ev.Contested():
-                self._note("WARN", event.text)
+                self.note("INFO" if taken else "WARN", f"manoeuvre {digest[:6]}: {words}")
+            case ev.ReceptionFinding():
+                self.note("WARN", event.text)
             case ev.Restarted(previous=previous) if previous is not None:
-                self._note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
-                self._calibrator = Calibrator(self._calibration)
+                self.note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
+                self.calibrator = Calibrator(self._calibration)
             case ev.LinkStatistics():
                 self._link = event
                 self._announce(self._alarms.update(self.time, {"link.loss_percent": 100 * event.loss}))
@@ -188,7 +169,7 @@ class AircraftMonitor:
                 self._view.event(self.time, f"{what}: {words or 'works again'}", "INFO" if words is None else "WARN")
             case ev.BackfillProgress(held=held, agreed=agreed):
                 if agreed and not (self._backfill is not None and self._backfill.agreed):
-                    self._note("INFO", f"air and ground agree: {held} scans")
+                    self.note("INFO", f"air and ground agree: {held} scans")
                 self._backfill = event
             case ev.SequencerStatus():
                 self._sequencer = event
@@ -199,14 +180,14 @@ class AircraftMonitor:
     def _announce(self, changes: list[AlarmChange]) -> None:
         for change in changes:
             level = change.level if change.state is AlarmState.ACTIVE else "INFO"
-            self._note(level, change.text, change.time)
+            self.note(level, change.text, change.time)
 
-    def _note(self, level: str, text: str, time: float | None = None) -> None:
-        at = self.time if time is None else time
-        text = legible(text)
-        self._say(at, level, text)
+    def note(self, level: str, text: str, time: float | None = None) -> None:
+        """Say something about this aircraft, in the log and in its view; time: of the flight [s], now by default."""
+        time, text = self.time if time is None else time, legible(text)
+        self._say(time, level, text)
         if self._view is not None:
-            self._view.event(at, text, level)
+            self._view.event(time, text, level)
 
     def status_page(self) -> str:
         """The status page as Markdown."""
@@ -231,9 +212,9 @@ class AircraftMonitor:
             b = self._backfill
             lines.append(f"- in full here: {b.held} of {b.wanted} scans{', air and ground agree' if b.agreed else ''}")
         lines += [f"- disk here: {self._disk}"] if self._disk else []
-        held = self._alarms.in_force()
+        in_force = self._alarms.in_force()
         lines.append("")
-        lines += [f"- **{level}** {name} ({state.value})" for name, state, level in held] or ["no alarms"]
+        lines += [f"- **{level}** {name} ({state.value})" for name, state, level in in_force] or ["no alarms"]
         return "\n".join(lines)
 
 
@@ -241,10 +222,10 @@ def _sequencer_words(status: ev.SequencerStatus) -> str:
     """State, how long, increments and reason of the sequencer; numbers of a later release stay numbers."""
     state = _words(State, status.state)
     reason = _words(Reason, status.reason)
-    moved = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
-    return f"{state} for {status.elapsed_s:.1f} s, e a r {moved} deg" + (f" ({reason})" if reason else "")
+    increments = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
+    return f"{state} for {status.elapsed_s:.1f} s, e a r {increments} deg" + (f" ({reason})" if reason else "")
 
 
 def _words(kind: type[State] | type[Reason], number: int) -> str:
-    known: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
-    return f"{kind.__name__.lower()} {number}" if known is None else known.words
+    member: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
+    return f"{kind.__name__.lower()} {number}" if member is None else member.words

@@ -1,18 +1,16 @@
 """Configuration of the ground station: one TOML file, checked, with mistakes named by key."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 from daq.identification.regression import REGRESSIONS
-from groundstation.live.alarms import Limit
-from groundstation.live.flight_phase import LandingLimits
-from groundstation.live.free_space import FREE, LEFT
-from groundstation.live.usual_ports import usual_ports
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.live.watches import FREE, LEFT, LandingLimits, Limit
+from groundstation.receiver.ports import LinkConfig
 
 
 class GroundConfigError(UserError):
@@ -83,14 +81,7 @@ DEFAULT_ALARMS = (
     Limit(channel="link.silence_s", high=3.0, level="CRITICAL", text="no telemetry"),
     Limit(channel="recorder.recording", low=0.5, hold_s=2.0, level="CRITICAL", text="onboard recorder stopped"),
     Limit(channel=FREE, low=200.0, hysteresis=50.0, level="ERROR", text="disk of the ground station nearly full"),
-    Limit(
-        channel=LEFT,
-        low=30.0,
-        hysteresis=10.0,
-        hold_s=5.0,
-        level="WARN",
-        text="disk of the ground station, minutes left",
-    ),
+    Limit(channel=LEFT, low=30.0, hysteresis=10.0, hold_s=5.0, text="disk of the ground station, minutes left"),
     Limit(channel="sensors.unusable", high=0.5, hold_s=1.0, level="WARN", text="sensor not usable"),
 )
 
@@ -118,8 +109,8 @@ def load_ground_config(path: Path) -> GroundConfig:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise GroundConfigError(f"{path}: key {key}: {first['msg']}{more}; correct it or leave it out") from error
+        further = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise GroundConfigError(f"{path}: key {key}: {first['msg']}{further}; correct it or leave it out") from error
 
 
 def configured(
@@ -135,22 +126,41 @@ def configured(
     Raises GroundConfigError naming file and key, or the model where there is no such file.
     """
     if path is None:
-        found = GroundConfig(link=LinkConfig(ports=usual_ports()))
+        config = GroundConfig(link=LinkConfig(ports=usual_ports()))
     else:
-        found = load_ground_config(path)
+        config = load_ground_config(path)
     changes: dict[str, object] = {} if aircraft is None else {"aircraft": aircraft}
     changes |= {"watch": True} if watch or (model is not None and str(model) not in REGRESSIONS) else {}
     changes |= {} if model is None else {"model": str(model)}
-    found = found.model_copy(update={"identification": found.identification.model_copy(update=changes)})
-    held = found.identification.model
-    if held in REGRESSIONS:
-        handover = found.handover if model is None else found.handover.model_copy(update={"model": held})
-        found = found.model_copy(update={"handover": handover})
-    elif held and not Path(held).is_file():
+    config = config.model_copy(update={"identification": config.identification.model_copy(update=changes)})
+    chosen_model = config.identification.model
+    if chosen_model in REGRESSIONS:
+        handover = config.handover if model is None else config.handover.model_copy(update={"model": chosen_model})
+        config = config.model_copy(update={"handover": handover})
+    elif chosen_model and not Path(chosen_model).is_file():
         raise GroundConfigError(
-            f"{held}: no such file; the model that the gap monitor is to hold against flight must be one"
+            f"{chosen_model}: no such file; the model that the gap monitor is to hold against flight must be one"
         )
     if layout is None:
-        return found
-    view = ViewConfig.model_validate({**found.view.model_dump(), "layout": layout})
-    return found.model_copy(update={"view": view})
+        return config
+    view = ViewConfig.model_validate({**config.view.model_dump(), "layout": layout})
+    return config.model_copy(update={"view": view})
+
+
+LISTENER = "udpin:14550"  # MAVLink's port of ground stations; loopback, so that nobody else on the network is believed
+BAUD = 57600  # SiK radios as delivered
+
+RADIOS = frozenset({(0x0403, 0x6015), (0x0403, 0x6001), (0x10C4, 0xEA60)})
+"""USB vendor and product of the serial chips on telemetry radios: FT230X and FT232R of FTDI (3DR, Holybro, mRo), CP2102 of
+Silicon Labs (RFD900, its clones). Other serial devices are left alone: opening one can reset what hangs on it."""
+
+
+def usual_ports(devices: Iterable[Any] | None = None) -> tuple[str, ...]:
+    """The UDP port, then every telemetry radio on USB, as `[link] ports` has them. devices: as `serial.tools.list_ports` gives
+    them (device, vid, pid; the two are None where it is not on USB), those of this computer by default."""
+    if devices is None:
+        from serial.tools.list_ports import comports
+
+        devices = comports()
+    radios = sorted(d.device for d in devices if (d.vid, d.pid) in RADIOS)
+    return (LISTENER, *(f"serial:{device}:{BAUD}" for device in radios))

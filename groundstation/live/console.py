@@ -1,18 +1,27 @@
-"""Words typed at a running ground station: commands to the aircraft, alarms, downloads. `help` lists them.
+"""Words typed at a running ground station, and what it says. `help` lists the commands.
 
-Read from standard input without ever waiting: a terminal when this process is in its foreground, or a pipe.
+Typed words are read from standard input without ever waiting: a terminal when this process is in its foreground, or a pipe. Lines
+go to standard output as long as somebody reads it, and to `ground.log` always.
 """
 
 import os
+import re
 import select
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import click
+
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
+from daq.contract.plain_words import visible
+from daq.contract.rotating_log import RotatingLog
+from daq.contract.standard_streams import Speaker
 from groundstation.identification.words import lines
 from groundstation.live.station import Station
-from groundstation.receiver.sending.loglist import LogFetcher
+from groundstation.receiver.downloads import LogFetcher
 
 HELP = """\
 status            state of each aircraft, recorder, link and alarms in force
@@ -34,8 +43,6 @@ _LONGEST = 4096
 
 
 class Lines:
-    """Lines of a file descriptor as they come."""
-
     def __init__(self, descriptor: int) -> None:
         self._descriptor: int | None = descriptor
         self._waiting = b""
@@ -62,9 +69,9 @@ class Lines:
             data = b""
         if not data:
             self._descriptor = None
-        *whole, self._waiting = (self._waiting + data).split(b"\n")
+        *complete, self._waiting = (self._waiting + data).split(b"\n")
         self._waiting = self._waiting[-_LONGEST:]
-        return [line.decode("utf-8", "replace").strip() for line in whole]
+        return [line.decode("utf-8", "replace").strip() for line in complete]
 
 
 def _ours(descriptor: int) -> bool:
@@ -98,8 +105,8 @@ class Console:
             return True
         systems = self._station.receiver.systems
         if words[0].isdigit():
-            wanted = int(words.pop(0))
-            systems = [s for s in systems if s == wanted]
+            system = int(words.pop(0))
+            systems = [s for s in systems if s == system]
         if not systems:
             self._echo("no such aircraft has been heard")
         elif len(systems) > 1 and words[:1] not in (["status"], ["ack"], ["live"]):
@@ -117,7 +124,9 @@ class Console:
                     self._echo(f"aircraft {number}: {self._station.monitor(number).status_page()}")
             case ["live"]:
                 for number in systems:
-                    self._echo_identified(number)
+                    state = self._station.identifications.state(number)
+                    for line in ["nothing is identified yet"] if state is None else lines(state):
+                        self._echo(f"aircraft {number}: {line}")
             case ["ack"]:
                 for number in systems:
                     self._station.monitor(number).acknowledge()
@@ -129,7 +138,7 @@ class Console:
                 commander.stop_recording(system)
             case ["zero"]:
                 commander.zero_pitot(system)
-            case ["fly", digest] if _is_digest(digest):
+            case ["fly", digest] if re.fullmatch("[0-9a-f]{6,}", digest):
                 commander.start_manoeuvre(system, digest)
             case ["send", *_] if len(words) > 1:
                 self._send_manoeuvre(system, " ".join(words[1:]))
@@ -147,11 +156,6 @@ class Console:
             case _:
                 return False
         return True
-
-    def _echo_identified(self, system: int) -> None:
-        state = self._station.identifications.state(system)
-        for line in ["nothing is identified yet"] if state is None else lines(state):
-            self._echo(f"aircraft {system}: {line}")
 
     def _send_manoeuvre(self, system: int, path: str) -> None:
         try:
@@ -191,13 +195,52 @@ class Console:
                 self._echo(f"aircraft {system}: recording {number} is here: {path}")
 
 
-def _is_digest(text: str) -> bool:
-    return len(text) >= 6 and all(letter in "0123456789abcdef" for letter in text)
-
-
 def _number(text: str) -> float | None:
     try:
         value = float(text)
     except ValueError:
         return None
     return value if 0.0 <= value < 1e6 else None
+
+
+LOG = "ground.log"
+
+
+@contextmanager
+def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
+    """A function that says a line, without ever waiting for its reader or failing for want of one."""
+    with RotatingLog(folder / LOG) as log:
+
+        def write_down(line: str) -> None:
+            stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+            log.write(f"{stamp} {visible(line)}\n".encode("utf-8", "backslashreplace"))
+
+        descriptor = _descriptor()
+        if descriptor is None:  # within another program's Python, or a test: there nobody is slow
+
+            def both(line: str) -> None:
+                click.echo(line)
+                write_down(line)
+
+            yield both
+            return
+        speaker = Speaker(descriptor)
+
+        def say(line: str) -> None:
+            speaker.say(visible(line))
+            write_down(line)
+
+        try:
+            yield say
+        finally:
+            speaker.close()
+
+
+def _descriptor() -> int | None:
+    """Standard output of this process, where that is what `sys.stdout` writes to."""
+    try:
+        descriptor = int(sys.stdout.fileno())
+        sys.stdout.flush()
+        return descriptor if descriptor == 1 and os.fstat(descriptor) else None
+    except (OSError, ValueError, AttributeError):
+        return None

@@ -4,7 +4,7 @@ Nothing here can end or delay reception: work is done in small pieces, and what 
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -13,6 +13,8 @@ from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
 from daq.identification.movement import ManoeuvreDetector
 from daq.identification.regression import AircraftSource, LiveAircraft
+from daq.transport.mavlink_codec import FrameEncoder, message_by_name
+from daq.transport.ports import BytePort
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState
@@ -20,9 +22,9 @@ from groundstation.identification.watching import LiveWatch
 from groundstation.identification.words import number, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import LiveIdentificationConfig
-from groundstation.live.flight_phase import LandingLimits
-from groundstation.live.named_values import NamedValues
+from groundstation.live.watches import LandingLimits
 from groundstation.receiver.events import Session
+from groundstation.receiver.ports import open_port
 
 UNNAMED_S = 15.0  # s of flight after which it is said that nobody has named the aircraft
 UNNAMED = (
@@ -33,21 +35,21 @@ UNNAMED = (
 
 @dataclass
 class _AircraftRun:
-    """One run of one aircraft's logger. told: derivatives that have been announced."""
+    """One run of one aircraft's logger. announced: derivatives that have been."""
 
     monitor: AircraftMonitor
     alignment: ScanAlignment = field(default_factory=ScanAlignment)
     live: LiveIdentification | None = None
-    told: set[str] = field(default_factory=set)
+    announced: set[str] = field(default_factory=set)
     first: float = math.nan
-    line_at: float = -math.inf
-    waiting_told: bool = False
+    next_line_s: float = -math.inf
+    unnamed_reported: bool = False
     given_up: bool = False
-    watch_told: bool = False
+    watch_reported: bool = False
 
 
 class LiveIdentifications:
-    """Call `scan` and `fetched` with what comes, `step` often.
+    """Call `take_scan` and `take_fetched` with what comes, `step` often.
 
     landing: from which speed on the aircraft flies. source: reads aircraft files; None where live identification is off.
     say: for what concerns no aircraft.
@@ -68,19 +70,18 @@ class LiveIdentifications:
         if self._source is not None and config.aircraft:
             self._source(config.aircraft, None, config.model)  # a mistake is said at the start, not in the air
 
-    def scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
-        """A scan as received."""
+    def take_scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
         if self._source is None:
             return
         run = self._run(session, monitor)
         if math.isnan(run.first):
             run.first = scan.time
         run.alignment.add(scan)
-        if run.live is None and not (run.waiting_told or run.given_up) and scan.time - run.first > UNNAMED_S:
-            run.waiting_told = True
+        if run.live is None and not (run.unnamed_reported or run.given_up) and scan.time - run.first > UNNAMED_S:
+            run.unnamed_reported = True
             monitor.note("INFO", UNNAMED)
 
-    def fetched(self, session: Session, data: bytes, monitor: AircraftMonitor) -> None:
+    def take_fetched(self, session: Session, data: bytes, monitor: AircraftMonitor) -> None:
         """A scan in the aircraft's own bytes, by backfill."""
         if self._source is not None:
             self._run(session, monitor).alignment.add(data)
@@ -94,7 +95,7 @@ class LiveIdentifications:
                 self._begin(run, self._config.aircraft, None)
         return run
 
-    def known(self, session: Session, info: RecordingInfo, monitor: AircraftMonitor) -> None:
+    def begin(self, session: Session, info: RecordingInfo, monitor: AircraftMonitor) -> None:
         """The recording has told what it is: its aircraft, and its calibration, which the monitor uses already."""
         if self._source is None:
             return
@@ -135,32 +136,32 @@ class LiveIdentifications:
             if run.live is None:
                 continue
             state = run.live.step()
-            self._tell_alarms(run, finish=False)
+            self._report_alarms(run, finish=False)
             if state is not None:
-                self._tell(run, state)
+                self._report_state(run, state)
             elif run.live.trouble and not run.given_up:
                 run.given_up = True
                 run.monitor.note("WARN", run.live.trouble)
 
-    def _tell_alarms(self, run: _AircraftRun, *, finish: bool) -> None:
+    def _report_alarms(self, run: _AircraftRun, *, finish: bool) -> None:
         watch = None if run.live is None else run.live.watch
         if watch is None:
             return
         for alarm in watch.step(finish=finish):
             run.monitor.note("WARN", f"gap monitor: {alarm.text}")
-        if watch.trouble and not run.watch_told:
-            run.watch_told = True
+        if watch.trouble and not run.watch_reported:
+            run.watch_reported = True
             run.monitor.note("WARN", watch.trouble)
 
-    def _tell(self, run: _AircraftRun, state: LiveState) -> None:
+    def _report_state(self, run: _AircraftRun, state: LiveState) -> None:
         run.monitor.show_identification(state)
         self._forward.send(run.monitor.system, state)
         derivatives = state.estimates.derivatives
-        for name in (n for n in state.aircraft.shown if n not in run.told and derivatives[n].told):
-            run.told.add(name)
+        for name in (n for n in state.aircraft.shown if n not in run.announced and derivatives[n].told):
+            run.announced.add(name)
             run.monitor.note("INFO", f"live: {name} is told now: {number(derivatives[name])}")
-        if run.told and state.time >= run.line_at:
-            run.line_at = state.time + self._config.lines_every_s
+        if run.announced and state.time >= run.next_line_s:
+            run.next_line_s = state.time + self._config.lines_every_s
             run.monitor.note("INFO", short_line(state))
 
     def state(self, system: int) -> LiveState | None:
@@ -173,9 +174,9 @@ class LiveIdentifications:
         for run in self._runs.values():
             if run.live is not None:
                 run.live.finish()
-                self._tell_alarms(run, finish=True)
+                self._report_alarms(run, finish=True)
 
-    def kept(self, session: Session) -> Mapping[str, Any] | None:
+    def result(self, session: Session) -> Mapping[str, Any] | None:
         """What goes into the finished flight, after `finish`. None where nothing was identified."""
         run = self._runs.get(session)
         if run is None or run.live is None:
@@ -203,5 +204,48 @@ class LiveIdentifications:
         return {"watched_s": watch.watched, **watched_model, "alarms": [asdict(a) for a in watch.alarms]}
 
     def close(self) -> None:
-        """Close what values are forwarded to."""
         self._forward.close()
+
+
+COMPONENT = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: a computer of that aircraft, but not the one that flies or logs
+STD = ".s"  # ends the name of a bound: ten bytes are all there is
+_MILLISECONDS = 2**32  # what time_boot_ms holds
+
+
+class NamedValues:
+    """Forwards to each port. say: told once about a port that fails, and again only after it has worked."""
+
+    def __init__(self, ports: Sequence[str], say: Callable[[str], None]) -> None:
+        self._ports: dict[str, BytePort] = {text: open_port(text) for text in ports}
+        self._encoders: dict[int, FrameEncoder] = {}
+        self._failing: set[str] = set()
+        self._say = say
+
+    def send(self, system: int, state: LiveState) -> None:
+        """Each derivative that is told, and its bound as `<name>.s`."""
+        if not self._ports:
+            return
+        encoder = self._encoders.setdefault(system, FrameEncoder(system, COMPONENT))
+        message = message_by_name()["NAMED_VALUE_FLOAT"]
+        boot_ms = int(state.time * 1e3) % _MILLISECONDS
+        for name in state.aircraft.shown:
+            d = state.estimates.derivatives[name]
+            if d.told:
+                for key, value in ((name, d.estimate), (name + STD, d.std)):
+                    payload = message.pack({"time_boot_ms": boot_ms, "name": key, "value": value})
+                    self._write(encoder.frame(message.msg_id, payload))
+
+    def _write(self, frame: bytes) -> None:
+        for text, port in self._ports.items():
+            try:
+                port.read()  # what others say is not for here, and must not fill the system's buffer
+                port.write(frame)
+                self._failing.discard(text)
+            except OSError as error:
+                if text not in self._failing:
+                    self._failing.add(text)
+                    self._say(f"values cannot be forwarded to {text} ({error.strerror or error})")
+
+    def close(self) -> None:
+        for port in self._ports.values():
+            port.close()

@@ -44,8 +44,8 @@ READOUTS = (
 
 def readout_line(values: Mapping[str, float], link: str = "") -> str:
     """All read-outs in one line of Markdown. values: columns in SI; one that is not there is not known."""
-    shown = [r.text(values.get(r.column, math.nan)) for r in READOUTS]
-    return "## " + " · ".join([*shown, *([link] if link else [])])
+    texts = [r.text(values.get(r.column, math.nan)) for r in READOUTS]
+    return "## " + " · ".join([*texts, *([link] if link else [])])
 
 
 class FreshValues:
@@ -63,7 +63,7 @@ class FreshValues:
 
     def at(self, time: float) -> dict[str, float]:
         """Columns that are fresh at this time."""
-        return {c: value for c, (seen, value) in self._seen.items() if time - seen <= FRESH_S}
+        return {c: value for c, (updated, value) in self._seen.items() if time - updated <= FRESH_S}
 
 
 LEVELS = ("WARN", "ERROR", "CRITICAL")

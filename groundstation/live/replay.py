@@ -1,7 +1,6 @@
 """Plays a telemetry log or a recording through the ground station, at any speed."""
 
 import threading
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +37,6 @@ class ReplayClock:
         return self.now_utc_ns - (self._first_ns or self.now_utc_ns)
 
     def utc_ns(self) -> int:
-        """Time as logged [ns]."""
         return self.now_utc_ns
 
 
@@ -49,16 +47,13 @@ class ReplayPort:
         self._waiting = bytearray()
 
     def feed(self, data: bytes) -> None:
-        """Let bytes arrive."""
         self._waiting += data
 
     @property
     def waiting(self) -> int:
-        """Bytes that have arrived and not been read."""
         return len(self._waiting)
 
     def read(self, limit: int = 65536) -> bytes:
-        """What has arrived."""
         data = bytes(self._waiting[:limit])
         del self._waiting[:limit]
         return data
@@ -84,12 +79,12 @@ def parse_speed(text: str) -> float | None:
     return speed
 
 
-@dataclass(frozen=True, slots=True)
 class Replay:
     """Clock and port that a replayed station runs on."""
 
-    clock: ReplayClock = field(default_factory=ReplayClock)
-    port: ReplayPort = field(default_factory=ReplayPort)
+    def __init__(self) -> None:
+        self.clock = ReplayClock()
+        self.port = ReplayPort()
 
 
 def replay_into(station: "Station", source: Replay, path: Path, speed: float | None) -> None:
@@ -119,9 +114,9 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
         if due is None or not 0 <= utc_ns - due <= LONGEST_SILENCE_NS:
             due = utc_ns  # a clock that was set, or a pause: nobody waits for it
         while utc_ns > due:
-            ahead = min(STEP_NS, utc_ns - due)
-            _wait(ahead / NS, speed)
-            due += ahead
+            step_ns = min(STEP_NS, utc_ns - due)
+            _wait(step_ns / NS, speed)
+            due += step_ns
             clock.move(due)
             station.step()
         port.feed(data)
@@ -132,26 +127,26 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
 
 def _replay_recording(station: "Station", path: Path, speed: float | None) -> None:
     from daq.contract.recordings.reading import read_recording
-    from groundstation.calibration.errors import CalibrationError
     from groundstation.calibration.facts import reported
     from groundstation.calibration.recording import embedded_calibration
+    from groundstation.calibration.schema import CalibrationError
     from groundstation.receiver.events import Session
 
     recording = read_recording(path, salvage=True)
     monitor = station.monitor(SYSTEM)
     try:
-        monitor.use(embedded_calibration(recording), reported(recording.info.details).facts)
+        monitor.use_calibration(embedded_calibration(recording), reported(recording.info.details).facts)
     except CalibrationError:
-        monitor.use(station.calibration, reported(recording.info.details).facts)
+        monitor.use_calibration(station.calibration, reported(recording.info.details).facts)
     session = Session(SYSTEM, 0, 0)
-    station.identifications.known(session, recording.info, monitor)
+    station.identifications.begin(session, recording.info, monitor)
     last: float | None = None
     for scan in recording.scans():
         if last is not None:
             _wait(min(scan.time - last, 1.0), speed)
         last = scan.time
         monitor.scan(scan)
-        station.identifications.scan(session, scan, monitor)
+        station.identifications.take_scan(session, scan, monitor)
         station.identifications.step()
     station.replayed = path
     station.replayed_as = session

@@ -1,22 +1,21 @@
 """The ground station: receiver, one monitor per aircraft, views, and the hand-over at the end of a flight."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.rotating_log import RotatingLog
 from daq.identification.regression import AircraftSource
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 from groundstation.calibration.facts import reported
-from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.calibration.schema import CalibrationError
 from groundstation.live.aircraft_monitor import AircraftMonitor, MonitorView
 from groundstation.live.config import GroundConfig
-from groundstation.live.free_space import FreeSpace, free_bytes
 from groundstation.live.identifying import LiveIdentifications
+from groundstation.live.watches import FreeSpace, free_bytes
 from groundstation.receiver import events as ev
-from groundstation.receiver.doubts import NOBODY
-from groundstation.receiver.legible import legible
+from groundstation.receiver.findings import NOBODY, legible
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import NS, GroundClock
 
@@ -51,7 +50,7 @@ class Station:
         self.replayed_as: ev.Session | None = None
         self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
         self.space = FreeSpace()
-        self._space_told = False
+        self._space_reported = False
         self._papers: set[str] = set()
         self._next_papers_ns = 0
         self._log = RotatingLog(folder / "events.log")
@@ -59,16 +58,14 @@ class Station:
     def monitor(self, system: int) -> AircraftMonitor:
         """The monitor of an aircraft, opened when it is first heard."""
         if system not in self.monitors:
+
+            def say(time: float, level: str, text: str) -> None:
+                self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
+
             view = None if self._make_view is None else self._make_view(system)
-            self.monitors[system] = AircraftMonitor(self.config, self.calibration, view, self._sayer(system), system)
+            self.monitors[system] = AircraftMonitor(self.config, self.calibration, view, say, system)
             self._echo(f"aircraft {system} heard")
         return self.monitors[system]
-
-    def _sayer(self, system: int) -> Callable[[float, str, str], None]:
-        def say(time: float, level: str, text: str) -> None:
-            self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
-
-        return say
 
     def _note(self, line: str) -> None:
         line = legible(line)
@@ -81,22 +78,24 @@ class Station:
     def step(self) -> list[ev.Event]:
         """Take in what has arrived and act on it."""
         happened = self.receiver.poll()
-        quarantine = self.receiver.quarantine
+        findings = self.receiver.findings
         for event in happened:
             try:
                 self._dispatch(event)
-            except Exception as error:  # noqa: BLE001  the edge of what a sender can reach: see Quarantine
-                quarantine.put_error(_system(event), f"a {type(event).__name__}", error)
-        with quarantine.guard(NOBODY, "live identification"):
+            except Exception as error:  # noqa: BLE001  the edge of what a sender can reach: see ReceptionFindings
+                findings.quarantine_error(_system(event), f"a {type(event).__name__}", error)
+        with findings.guard(NOBODY, "live identification"):
             self.identifications.step()
-        now = self._clock.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         for system, monitor in self.monitors.items():
-            with quarantine.guard(system, "its silence"):
-                monitor.silence(now)
-        if now >= self._next_papers_ns:
-            self._next_papers_ns = now + PAPERS_PERIOD_NS
-            self._adopt_calibrations()
-            self._look_at_disk(now)
+            with findings.guard(system, "its silence"):
+                monitor.silence(now_ns)
+        if now_ns >= self._next_papers_ns:
+            self._next_papers_ns = now_ns + PAPERS_PERIOD_NS
+            for session, recorder in self.receiver.session_recorders().items():
+                with findings.guard(session.system, "what its recording says of itself"):
+                    self._adopt_papers(session, recorder.info())
+            self._look_at_disk(now_ns)
         return happened
 
     def _dispatch(self, event: ev.Event) -> None:
@@ -105,84 +104,64 @@ class Station:
                 monitor = self.monitor(session.system)
                 if monitor.scan(event.scan, late=event.late, received_ns=event.received_ns):
                     self.landed.append(session.system)
-                self.identifications.scan(session, event.scan, monitor)
+                self.identifications.take_scan(session, event.scan, monitor)
             case ev.ScanFetched(session=session, data=data):
-                self.identifications.fetched(session, data, self.monitor(session.system))
-            case ev.Contested(system=system) | ev.Doubted(system=system) | ev.Quarantined(system=system) if (
-                system not in self.monitors
-            ):
-                text = f"not believed: {event.count} {event.what}" if isinstance(event, ev.Doubted) else event.text
-                who = f"aircraft {system}" if system else "ground station"
-                self._note(f"{'':10}    {who}  WARN {text}")
-            case (
-                ev.StatusText(system=system)
-                | ev.CommandResult(system=system)
-                | ev.ManoeuvreSent(system=system)
-                | ev.Refused(system=system)
-                | ev.Contested(system=system)
-                | ev.Doubted(system=system)
-                | ev.Quarantined(system=system)
-            ):
-                if system in self.monitors:
-                    self.monitors[system].happened(event)
+                self.identifications.take_fetched(session, data, self.monitor(session.system))
+            case ev.ReceptionFinding(system=system) if system not in self.monitors:
+                if event.kind is not ev.ReceptionFindingKind.REFUSED:
+                    source = f"aircraft {system}" if system else "ground station"
+                    self._note(f"{'':10}    {source}  WARN {event.text}")
+            case ev.StatusText() | ev.CommandResult() | ev.ManoeuvreSent() | ev.ReceptionFinding():
+                if event.system in self.monitors:
+                    self.monitors[event.system].take_event(event)
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
-                over = "works again"
+                recovered = "works again"
                 self._note(
-                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or over}"
+                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or recovered}"
                 )
                 for monitor in self.monitors.values():
-                    monitor.happened(event)
+                    monitor.take_event(event)
             case _:
-                self.monitor(event.session.system).happened(event)
+                self.monitor(event.session.system).take_event(event)
 
     def _look_at_disk(self, now_ns: int) -> None:
         """Room on this computer's disk: an alarm of every aircraft, and a line while there is none."""
         with self.receiver.faults.watch("disk"):
             self.space.update(now_ns * 1e-9, free_bytes(self.folder))
         for system, monitor in self.monitors.items():
-            with self.receiver.quarantine.guard(system, "the disk"):
+            with self.receiver.findings.guard(system, "the disk"):
                 monitor.disk(self.space)
-        if not (self._space_told or math.isnan(self.space.megabytes)):
-            self._space_told = True
+        if not (self._space_reported or math.isnan(self.space.megabytes)):
+            self._space_reported = True
             self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
 
-    def _adopt_calibrations(self) -> None:
-        """Once the recording's papers have come down, calibrate with what the aircraft carries."""
-        for session, recorder in self.receiver.session_recorders().items():
-            with self.receiver.quarantine.guard(session.system, "what its recording says of itself"):
-                self._adopt(session, recorder.info())
-
-    def _adopt(self, session: ev.Session, info: RecordingInfo) -> None:
-        if info.aircraft and (named := f"{session.name}:{info.aircraft}") not in self._papers:
-            self._papers.add(named)
-            self.identifications.known(session, info, self.monitor(session.system))
+    def _adopt_papers(self, session: ev.Session, info: RecordingInfo) -> None:
+        """Once the papers of a recording have come down: its aircraft, and the calibration that it carries."""
+        if info.aircraft and (aircraft_key := f"{session.name}:{info.aircraft}") not in self._papers:
+            self._papers.add(aircraft_key)
+            self.identifications.begin(session, info, self.monitor(session.system))
         # that these are text was checked on arrival
         texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
         key = f"{session.name}:{len(texts)}:{len(info.details)}"
         if not (texts or info.details) or key in self._papers:
             return
         self._papers.add(key)
-        facts = self._sound_facts(session.system, info.details)
+        facts, refused_facts = reported(info.details)
+        for name, reason in refused_facts.items():
+            self.receiver.findings.quarantine(session.system, f"fact {name}", reason)
         try:
-            chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
-            self.monitor(session.system).use(chosen, facts)
+            calibration = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
+            self.monitor(session.system).use_calibration(calibration, facts)
         except CalibrationError as error:
-            self.receiver.quarantine.put(session.system, "its calibration", str(error))
-            self.monitor(session.system).use(self.calibration, facts)
-        self.identifications.known(session, info, self.monitor(session.system))
-
-    def _sound_facts(self, system: int, values: Mapping[str, str]) -> Mapping[str, str]:
-        """Of the facts that a sender gives about its sensors those that can be; the others are quarantined."""
-        found = reported(values)
-        for name, why in found.refused.items():
-            self.receiver.quarantine.put(system, f"fact {name}", why)
-        return found.facts
+            self.receiver.findings.quarantine(session.system, "its calibration", str(error))
+            self.monitor(session.system).use_calibration(self.calibration, facts)
+        self.identifications.begin(session, info, self.monitor(session.system))
 
     def close(self) -> None:
         """Write recordings and close every file and port; what failed is told."""
-        with self.receiver.quarantine.guard(NOBODY, "live identification"):
+        with self.receiver.findings.guard(NOBODY, "live identification"):
             self.identifications.finish()
         self.receiver.close()
         for event in self.receiver.faults.changes(self._clock.monotonic_ns()):

@@ -2,7 +2,7 @@
 
 Nobody but the aircraft knows which run of its logger a scan belongs to, and without a key anybody can send one. A scan that
 does not go on from the last one is held back. If more follow it, and none goes on from the last one any more, the aircraft
-really is there: its logger has started anew, or this computer's clock stood still. Else what was held is not believed.
+really is there: its logger has started anew, or this computer's clock stood still. Else what was held back is not believed.
 """
 
 from collections import deque
@@ -27,8 +27,8 @@ USUAL_HZ = 100.0
 NUMBERS_AT_ONCE = 24
 PROVEN_SCANS, PROVEN_NS = 4, NS
 """So many scans of a new run, over so long, and none of the old: at the lowest downlink rate, 2 Hz, two would have come."""
-_LINES = 8
-_PARTS = 256
+_MAX_CANDIDATES = 8
+_MAX_PARTS = 256
 
 
 class ScanRun:
@@ -42,12 +42,12 @@ class ScanRun:
 
     def follows(self, part: ScanPart, now_ns: int) -> bool:
         """Whether a part goes on from here, or belongs to a scan that came before."""
-        ahead, later = part.number - self.number, part.time_monotonic_ns - self.time_ns
+        number_step, time_step_ns = part.number - self.number, part.time_monotonic_ns - self.time_ns
         if part.boot != self.boot:
             return False
-        if ahead > 0:
-            return ahead * SHORTEST_NS <= later <= self._most_ns(now_ns) and self.in_step(part)
-        return later == 0 if ahead == 0 else -LATE_NS <= later < 0
+        if number_step > 0:
+            return number_step * SHORTEST_NS <= time_step_ns <= self._most_ns(now_ns) and self.in_step(part)
+        return time_step_ns == 0 if number_step == 0 else -LATE_NS <= time_step_ns < 0
 
     def is_older(self, part: ScanPart) -> bool:
         """Whether a part of the same boot was made before the last one, by number and by time."""
@@ -57,8 +57,8 @@ class ScanRun:
         """Whether the number has not risen faster than the time allows."""
         if part.number - self.number <= NUMBERS_AT_ONCE:
             return True
-        later = part.time_monotonic_ns - self.time_ns
-        return part.number - self.number <= self._rate_hz() * later / NS + NUMBERS_AT_ONCE
+        time_step_ns = part.time_monotonic_ns - self.time_ns
+        return part.number - self.number <= self._rate_hz() * time_step_ns / NS + NUMBERS_AT_ONCE
 
     def advance(self, part: ScanPart, now_ns: int) -> None:
         """A part that follows has come."""
@@ -71,10 +71,10 @@ class ScanRun:
 
     def fits(self, number: int, time_ns: int) -> bool:
         """Whether a scan of that number can have been made at that time, as far as this run is known."""
-        after = number < self.first or time_ns >= self.first_ns - LATE_NS
-        before = number > self.number or time_ns <= self.time_ns + LATE_NS
+        not_too_early = number < self.first or time_ns >= self.first_ns - LATE_NS
+        not_too_late = number > self.number or time_ns <= self.time_ns + LATE_NS
         slowest = self.time_ns + LATE_NS + max(0, number - self.number) * 10 * NS  # nobody scans less than every 10 s
-        return after and before and 0 <= time_ns <= slowest
+        return not_too_early and not_too_late and 0 <= time_ns <= slowest
 
     def _most_ns(self, now_ns: int) -> int:
         return AHEAD_NS + int(DRIFT * max(0, now_ns - self.heard_ns))
@@ -95,10 +95,10 @@ class PendingScan(NamedTuple):
 
 @dataclass
 class _Candidate:
-    line: ScanRun
+    run: ScanRun
     since_ns: int
     lost: int  # frames counted as lost when it began: the jump to it is no loss
-    parts: deque[PendingScan] = field(default_factory=lambda: deque(maxlen=_PARTS))
+    parts: deque[PendingScan] = field(default_factory=lambda: deque(maxlen=_MAX_PARTS))
     scans: int = 0
 
 
@@ -110,7 +110,7 @@ class ConfirmedRun:
     lost: int
 
 
-class Waiting:
+class UnconfirmedRuns:
     """Parts that follow nothing known, by run, a bounded number of them."""
 
     def __init__(self) -> None:
@@ -118,32 +118,33 @@ class Waiting:
 
     @property
     def count(self) -> int:
-        """Parts that wait."""
         return sum(len(c.parts) for c in self._candidates)
 
-    def hold(self, held: PendingScan, lost: int) -> tuple[ConfirmedRun | None, int]:
+    def hold(self, pending: PendingScan, lost_frames: int) -> tuple[ConfirmedRun | None, int]:
         """Keep a part. Returns the run it proves, if it does, and how many other parts had to be given up for it."""
         given_up = 0
-        now = held.now_ns
-        found = next((c for c in self._candidates if c.line.follows(held.part, now)), None)
-        if found is None:
-            if len(self._candidates) >= _LINES:
+        now_ns = pending.now_ns
+        candidate = next((c for c in self._candidates if c.run.follows(pending.part, now_ns)), None)
+        if candidate is None:
+            if len(self._candidates) >= _MAX_CANDIDATES:
                 weakest = min(self._candidates, key=lambda c: c.scans)
                 self._candidates.remove(weakest)
                 given_up = len(weakest.parts)
-            found = _Candidate(ScanRun(held.part, now), now, lost)
-            self._candidates.append(found)
-        given_up += len(found.parts) == _PARTS
-        found.line.advance(held.part, now)
-        found.parts.append(held)
-        found.scans += held.part.msg_id == SCAN_FAST_ID
-        if found.scans < PROVEN_SCANS or now - found.since_ns < PROVEN_NS:
+            candidate = _Candidate(ScanRun(pending.part, now_ns), now_ns, lost_frames)
+            self._candidates.append(candidate)
+        given_up += len(candidate.parts) == _MAX_PARTS
+        candidate.run.advance(pending.part, now_ns)
+        candidate.parts.append(pending)
+        candidate.scans += pending.part.msg_id == SCAN_FAST_ID
+        if candidate.scans < PROVEN_SCANS or now_ns - candidate.since_ns < PROVEN_NS:
             return None, given_up
-        self._candidates.remove(found)
-        return ConfirmedRun(tuple(found.parts), found.lost), given_up + self.clear()
+        self._candidates.remove(candidate)
+        return ConfirmedRun(tuple(candidate.parts), candidate.lost), given_up + self.clear()
 
     def clear(self) -> int:
         """The known run goes on: what waits is not believed. Returns how many parts that were."""
+        if not self._candidates:
+            return 0
         count = self.count
         self._candidates.clear()
         return count

@@ -9,256 +9,64 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
-from daq.contract.link.wire import SCAN_FAST_ID, SCAN_IDS, ScanPart, join_parts, layouts, unpack_scan
-from daq.transport.mavlink_codec import MavlinkFrame, padded
-from groundstation.receiver import doubts as d
+from daq.contract.link.wire import SCAN_IDS
+from daq.transport.mavlink_codec import MavlinkFrame
 from groundstation.receiver import events as ev
-from groundstation.receiver.continuity import LATE_NS, ConfirmedRun, PendingScan, ScanRun, Waiting
+from groundstation.receiver import findings
 from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
-from groundstation.receiver.ports.allowance import Allowance
-from groundstation.receiver.timeline import NS, ClockSync
+from groundstation.receiver.scan_decoder import ScanDecoder
+from groundstation.receiver.timeline import NS, Allowance
 
-_new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
-_PARTS_KEPT = 64
-_MAX_SESSIONS = 64
 _TEXTS, _TEXT_PIECES = 32, 32
-_RESTARTS_AT_ONCE, _RESTARTS_PER_S = 8, 1 / 60
-"""A logger that starts anew eight times in a row and then once a minute is followed; each session is a file."""
 _TEXTS_AT_ONCE, _TEXTS_PER_S = 100, 5.0
 _CLAIMS, _CLAIM_NS = 3, 8 * NS  # reports of a new run without scans that are believed: they come every five seconds
 _MAX_CLAIMS = 8
 MAX_AIRCRAFT_TIME_NS = 2**56 - 1
 """What a packed scan can say; two years."""
-_WARNING = 4  # as in syslog
-_FOREIGN_CHANNELS = (
-    "ground: the aircraft sends laboratory channels that no package installed here describes, or another version of it"
-    " does; install the aircraft's package. All other channels are received"
+_STATUS_COUNTS = ("slots", "written", "dropped", "lost", "missed", "queue", "lateness_p99_us", "write_errors")
+_STATISTICS_COUNTS = (
+    *("first_number", "last_number", "scans_offered", "scans_sent", "scans_dropped"),
+    *("frames_sent", "rejected_frames", "rejected_commands"),
 )
 
 
-class AircraftDecoder:
+class AircraftDecoder(ScanDecoder):
     """Everything that is known of one aircraft (system id), from its frames alone."""
 
-    def __init__(self, system: int, doubts: d.Doubts | None = None) -> None:
-        self.system = system
-        self._doubts = doubts or d.Doubts()
-        self.trackers: dict[int, SequenceTracker] = {}  # by component
-        self.sync = ClockSync()
-        self.sessions: list[SessionAccounting] = []
-        self.latency_s: float | None = None
-        self.scans_since_report = 0
-        self.partial_scans = 0
-        self.last_scan_ns = 0
-        self._waiting = Waiting()
-        self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()  # boot -> first report of it, and how many
-        self._restarts = Allowance(_RESTARTS_AT_ONCE, _RESTARTS_PER_S)
-        self._talk = Allowance(_TEXTS_AT_ONCE, _TEXTS_PER_S)
-        self._parts: OrderedDict[int, list[ScanPart]] = OrderedDict()
+    def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
+        super().__init__(system, reception_findings)
+        self._text_allowance = Allowance(_TEXTS_AT_ONCE, _TEXTS_PER_S)
         self._texts: OrderedDict[int, dict[int, tuple[int, str]]] = OrderedDict()
-        self._layouts = layouts()
-        self._out: list[ev.Event] = []
-        self._told_of_foreign_channels = False
-        self._scan_component = -1  # the component of the latest scan that was believed
 
-    @property
-    def tracker(self) -> SequenceTracker:
-        """The tracker of the component that sends the scans, for the link is judged by the logger's numbers; before there are
-        any, of the one that sends most.
-        """
-        if self._scan_component in self.trackers:
-            return self.trackers[self._scan_component]
-        if not self.trackers:
-            return SequenceTracker()
-        return max(self.trackers.values(), key=lambda t: t.received)
-
-    @property
-    def books(self) -> SessionAccounting | None:
-        """The books of the present session."""
-        return self.sessions[-1] if self.sessions else None
-
-    def take(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> list[ev.Event]:
+    def decode_frame(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> list[ev.Event]:
         """Use a frame of this system; returns what it means, nothing for a repeated frame."""
-        self._out = []
+        self._events = []
         tracker = self.trackers.get(frame.component)
         if tracker is None:
             tracker = self.trackers[frame.component] = SequenceTracker()
-        if not tracker.take(frame, now_ns):
+        if not tracker.count_frame(frame, now_ns):
             return []
         if frame.msg_id in SCAN_IDS:
             self._take_scan(frame, now_ns, utc_ns)
-            return self._out
+            return self._events
         handler = _HANDLERS.get(frame.name)
         if handler is not None:
             handler(self, frame, frame.fields(), now_ns)
-        return self._out
-
-    # ------------------------------------------------------------------------------------------ scans
-
-    @property
-    def waiting(self) -> int:
-        """Scan parts that follow nothing known and wait for others to prove them."""
-        return self._waiting.count
-
-    def _take_scan(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> None:
-        part = self._part(frame, now_ns)
-        if part is None:
-            return
-        held: PendingScan = _new_tuple(PendingScan, (part, frame.component, now_ns, utc_ns))
-        straggled = None if len(self.sessions) < 2 else self._straggled(part)
-        if straggled is not None:
-            straggled.see(part.number)  # counted, not shown
-            if part.msg_id == SCAN_FAST_ID:
-                straggled.received.add(part.number)
-            return
-        books = self.books
-        if books is None or books.line is None:
-            self._begin(held, books)
-        elif books.line.follows(part, now_ns):
-            self._believe(books, held)
-            self._doubts.note(self.system, d.NUMBERS, self._waiting.clear())
-        elif not (books.line.is_older(part) and part.number in books.received):  # a copy that was long on its way
-            self._hold(books, held)
-
-    def _straggled(self, part: ScanPart) -> SessionAccounting | None:
-        """The earlier session that a part of another boot is a late one of."""
-        if self.books is None or part.boot == self.books.session.boot:
-            return None
-        for earlier in self.sessions[-4:-1]:
-            close = abs(part.time_monotonic_ns - earlier.last_time_ns) < LATE_NS
-            if earlier.session.boot == part.boot and close and part.number <= earlier.last + BLOCK:
-                return earlier
-        return None
-
-    def _begin(self, held: PendingScan, books: SessionAccounting | None) -> None:
-        """The first scan of all, or the first since a report made its session known."""
-        if books is None or books.session.boot != held.part.boot:
-            if books is not None and not self._restarts.take(1, held.now_ns):
-                self._doubts.note(self.system, d.RESTARTS)
-                return
-            books = self._new_session(held.part.boot, held.now_ns)
-        books.line = ScanRun(held.part, held.now_ns)
-        self._believe(books, held)
-
-    def _hold(self, books: SessionAccounting, held: PendingScan) -> None:
-        """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
-        proven, given_up = self._waiting.hold(held, self.trackers[held.component].lost)
-        self._doubts.note(self.system, d.NUMBERS, given_up)
-        if proven is None:
-            return
-        first = proven.parts[0].part
-        line = books.line
-        goes_on = line is not None and first.boot == line.boot
-        if goes_on and line is not None and first.number > line.number and line.in_step(first):
-            line.advance(first, proven.parts[0].now_ns)  # this computer's clock stood still, or the link was away
-        elif self._restarts.take(1, held.now_ns):
-            books = self._new_session(first.boot, held.now_ns)
-            books.line = ScanRun(first, proven.parts[0].now_ns)
-            self._restart_trackers(held.component, proven.lost)
-        else:
-            self._doubts.note(self.system, d.RESTARTS)
-            return
-        self._believe_all(books, proven)
-
-    def _restart_trackers(self, component: int, lost: int) -> None:
-        """The logger has started anew, and with it all its components; of an autopilot's a second's loss is forgiven."""
-        for number, tracker in self.trackers.items():
-            tracker.restart(lost if number == component else tracker.lost)
-            if number != component:
-                tracker.forget()
-
-    def _believe_all(self, books: SessionAccounting, proven: ConfirmedRun) -> None:
-        for held in proven.parts:
-            self._believe(books, held)
-
-    def _believe(self, books: SessionAccounting, held: PendingScan) -> None:
-        part, now_ns = held.part, held.now_ns
-        assert books.line is not None
-        books.line.advance(part, now_ns)
-        if self._claims:
-            self._claims.clear()
-        self._scan_component = held.component
-        for tracker in self.trackers.values():
-            tracker.settle()
-        books.see(part.number)
-        parts = self._parts.get(part.number)
-        if parts is None:
-            parts = self._parts[part.number] = []
-        elif any(p.msg_id == part.msg_id for p in parts):
-            return
-        late = part.time_monotonic_ns < books.last_time_ns
-        parts.append(part)
-        if len(self._parts) > _PARTS_KEPT:
-            self._forget_old_parts()
-        if part.msg_id == SCAN_FAST_ID:
-            if not books.received.add(part.number):
-                return
-            self.scans_since_report += 1
-            self.last_scan_ns = now_ns
-        elif all(p.msg_id != SCAN_FAST_ID for p in parts):
-            return  # the slow part comes first; the scan is reported with its fast part
-        else:
-            late = True
-        if part.time_monotonic_ns > books.last_time_ns:
-            books.last_time_ns = part.time_monotonic_ns
-        relation = self.sync.best
-        latency = None
-        if relation is not None:
-            latency = (now_ns + relation.offset_ns - part.time_monotonic_ns) / NS
-            self.latency_s = latency
-        scan = join_parts(parts)
-        fields = books.session, scan, now_ns, held.utc_ns, latency, late
-        self._out.append(_new_tuple(ev.ScanReceived, fields))
-
-    def _part(self, frame: MavlinkFrame, now_ns: int) -> ScanPart | None:
-        """What a scan message says; None, told once, for laboratory channels that no package here describes."""
-        layout = self._layouts.get(frame.msg_id)
-        if layout is not None:
-            try:
-                return unpack_scan(layout, padded(frame.payload, layout.size))
-            except ValueError:  # another table: told below
-                pass
-        if not self._told_of_foreign_channels:
-            self._told_of_foreign_channels = True
-            self._out.append(ev.StatusText(self.system, _WARNING, _FOREIGN_CHANNELS, now_ns))
-        return None
-
-    def _forget_old_parts(self) -> None:
-        while len(self._parts) > _PARTS_KEPT:
-            _, parts = self._parts.popitem(last=False)
-            if parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in parts):
-                self.partial_scans += 1
-
-    def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
-        previous = self.sessions[-1].session if self.sessions else None
-        made = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
-        self.sessions.append(made)
-        if len(self.sessions) > _MAX_SESSIONS:
-            self.sessions.pop(0)
-        self._parts.clear()
-        self.sync.reset()
-        self.latency_s = None
-        self._out.append(ev.Restarted(made.session, previous, now_ns))
-        return made
-
-    def _session(self, boot: int) -> SessionAccounting | None:
-        """The session of a report that carries a boot id; None before a scan of it has come."""
-        return next((b for b in reversed(self.sessions) if b.session.boot == boot), None)
-
-    # ------------------------------------------------------------------------------------------ reports
+        return self._events
 
     def _heartbeat(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        self._out.append(ev.Heartbeat(frame.system, frame.component, f["system_status"], now_ns))
+        self._events.append(ev.Heartbeat(frame.system, frame.component, f["system_status"], now_ns))
 
-    def _may_talk(self, now_ns: int) -> bool:
+    def _text_allowed(self, now_ns: int) -> bool:
         """Whether a text may come now; each is a line in the log."""
-        if self._talk.take(1, now_ns):
+        if self._text_allowance.spend(1, now_ns):
             return True
-        self._doubts.note(self.system, d.TEXTS)
+        self._findings.doubt(self.system, findings.TEXTS)
         return False
 
     def _statustext(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         number, index, severity, text = f["id"], f["chunk_seq"], f["severity"], f["text"]
-        if index >= _TEXT_PIECES or not self._may_talk(now_ns):
+        if index >= _TEXT_PIECES or not self._text_allowed(now_ns):
             return
         if number:
             pieces = self._texts.setdefault(number, {})
@@ -269,98 +77,84 @@ class AircraftDecoder:
                 return
             self._texts.pop(number)
             text = "".join(pieces[i][1] for i in sorted(pieces))
-        self._out.append(ev.StatusText(frame.system, severity, text, now_ns))
+        self._events.append(ev.StatusText(frame.system, severity, text, now_ns))
 
     def _logger_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        books = self._session(f["boot"])
-        if books is None:
+        accounting = self._session(f["boot"])
+        if accounting is None:
             return
-        names = ("slots", "written", "dropped", "lost", "missed", "queue", "lateness_p99_us", "write_errors")
-        self._out.append(
+        self._events.append(
             ev.LoggerStatus(
-                books.session,
+                accounting.session,
                 recording=bool(f["recording"]),
                 in_flight=bool(f["in_flight"]),
                 free_bytes=None if f["free_bytes"] == 2**64 - 1 else f["free_bytes"],
                 received_ns=now_ns,
-                **{n: f[n] for n in names},
+                **{name: f[name] for name in _STATUS_COUNTS},
             )
         )
 
     def _link_statistics(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
         # This report alone makes a session known: a ground station started after the last scan must find it.
-        books = self._session(f["boot"]) or self._claimed(f["boot"], now_ns)
-        if books is None:
+        accounting = self._session(f["boot"]) or self._claimed(f["boot"], now_ns)
+        if accounting is None:
             return
-        if f["scans_offered"] and not f["first_number"] <= f["last_number"] <= books.reach(now_ns):
-            self._doubts.note(self.system, d.REPORTS)
+        if f["scans_offered"] and not f["first_number"] <= f["last_number"] <= accounting.reach(now_ns):
+            self._findings.doubt(self.system, findings.REPORTS)
             return
-        names = (
-            "first_number",
-            "last_number",
-            "scans_offered",
-            "scans_sent",
-            "scans_dropped",
-            "frames_sent",
-            "rejected_frames",
-            "rejected_commands",
-        )
-        found = ev.AircraftStatistics(
-            books.session,
-            **{n: f[n] for n in names},
-            rate_hz=f["rate_centihz"] / 100,
-            received_ns=now_ns,
-        )
-        if books.statistics is None or found.scans_offered >= books.statistics.scans_offered:
-            books.statistics = found
-        self._out.append(found)
+        counts = {name: f[name] for name in _STATISTICS_COUNTS}
+        rate_hz = f["rate_centihz"] / 100
+        statistics = ev.AircraftStatistics(accounting.session, **counts, rate_hz=rate_hz, received_ns=now_ns)
+        if accounting.statistics is None or statistics.scans_offered >= accounting.statistics.scans_offered:
+            accounting.statistics = statistics
+        self._events.append(statistics)
 
     def _claimed(self, boot: int, now_ns: int) -> SessionAccounting | None:
         """The session that a report of an unknown run speaks of: the first at once, a further one when it is repeated
         while no scan of the known one comes."""
-        if self.books is not None:
-            since, count = self._claims.pop(boot, (now_ns, 0))
-            self._claims[boot] = (since, count + 1)
+        if self.accounting is not None:
+            first_ns, count = self._claims.pop(boot, (now_ns, 0))
+            self._claims[boot] = (first_ns, count + 1)
             if len(self._claims) > _MAX_CLAIMS:
                 self._claims.popitem(last=False)
-            if count + 1 < _CLAIMS or now_ns - since < _CLAIM_NS:
+            if count + 1 < _CLAIMS or now_ns - first_ns < _CLAIM_NS:
                 return None
             del self._claims[boot]
-            if not self._restarts.take(1, now_ns):
-                self._doubts.note(self.system, d.RESTARTS)
+            if not self._restart_allowance.spend(1, now_ns):
+                self._findings.doubt(self.system, findings.RESTARTS)
                 return None
         return self._new_session(boot, now_ns)
 
     def _sent_map(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        books = self._session(f["boot"])
-        if books is None:
+        accounting = self._session(f["boot"])
+        if accounting is None:
             return
         first = f["first_number"]
-        if f["last_number"] > books.reach(now_ns) or first > books.reach(now_ns):
-            self._doubts.note(self.system, d.REPORTS)
+        if f["last_number"] > accounting.reach(now_ns) or first > accounting.reach(now_ns):
+            self._findings.doubt(self.system, findings.REPORTS)
         elif first % BLOCK == 0:
-            sent, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
-            books.take_map(first, f["last_number"], sent, absent)
+            sent_bits, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
+            accounting.take_map(first, f["last_number"], sent_bits, absent)
 
     def _scan_event(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        books = self._session(f["boot"])
-        if books is None:
+        accounting = self._session(f["boot"])
+        if accounting is None:
             return
         time_ns, number = f["time_monotonic_ns"], f["number"]
-        if time_ns > MAX_AIRCRAFT_TIME_NS or number > books.reach(now_ns):
-            self._doubts.note(self.system, d.REPORTS)
+        if time_ns > MAX_AIRCRAFT_TIME_NS or number > accounting.reach(now_ns):
+            self._findings.doubt(self.system, findings.REPORTS)
             return
-        if not self._may_talk(now_ns):
+        if not self._text_allowed(now_ns):
             return
-        self._out.append(ev.EventMarked(books.session, time_ns, number, f["origin"], f["text"], now_ns))
+        self._events.append(ev.EventMarked(accounting.session, time_ns, number, f["origin"], f["text"], now_ns))
 
     def _sequencer_status(self, frame: MavlinkFrame, f: Mapping[str, Any], now_ns: int) -> None:
-        books = self._session(f["boot"])
-        if books is None:
+        accounting = self._session(f["boot"])
+        if accounting is None:
             return
-        self._out.append(
+        self._events.append(
             ev.SequencerStatus(
-                books.session,
+                accounting.session,
                 f["time_monotonic_ns"],
                 f["number"],
                 f["state"],

@@ -1,7 +1,7 @@
 """What the receiver reports, in the order it happened."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import NamedTuple
 
 from daq.contract.scan import Scan
@@ -63,8 +63,6 @@ class StatusText:
 
 @dataclass(frozen=True, slots=True)
 class LoggerStatus:
-    """State of recorder and logger."""
-
     session: Session
     recording: bool
     in_flight: bool
@@ -180,65 +178,45 @@ class ManoeuvreSent:
     received_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """Frames that a signing key kept out."""
+class ReceptionFindingKind(StrEnum):
+    """Why something that came is not used, or not trusted (`groundstation.receiver.findings`)."""
 
-    system: int
-    component: int
-    message: str
-    why: str
-    count: int
-    received_ns: int
+    REFUSED = "refused"
+    DOUBTED = "doubted"
+    QUARANTINED = "quarantined"
+    CONTESTED = "contested"
 
 
 @dataclass(frozen=True, slots=True)
-class Doubted:
-    """Said by an aircraft, or by somebody in its place, and not believed: so many since the last report."""
+class ReceptionFinding:
+    """Something that came and is not used, or not trusted. system 0: of no aircraft in particular.
 
-    system: int
-    what: str
-    count: int
-    received_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class Quarantined:
-    """Something of a sender that cannot be used, told the first time that it comes. system 0: of no aircraft in particular."""
-
-    system: int
-    what: str
-    why: str
-    received_ns: int
-
-    @property
-    def text(self) -> str:
-        """For a person."""
-        return f"{self.what} not used: {self.why}"
-
-
-@dataclass(frozen=True, slots=True)
-class Contested:
-    """A second sender speaks for an aircraft that is being heard from another.
-
-    used: its frames are used, because it came by another port. count: frames since the last report. first: nothing had
-    been told of it before.
+    subject: the message refused, what is doubted, the thing quarantined, or the second sender. detail: why, or from where the
+    aircraft is heard. count: since the last report. used: the second sender's frames are used, because it came by another port.
+    first: nothing had been reported of it before.
     """
 
+    kind: ReceptionFindingKind
     system: int
-    sender: str
-    heard_from: str
+    subject: str
+    detail: str
     count: int
-    used: bool
-    first: bool
     received_ns: int
+    used: bool = False
+    first: bool = True
 
     @property
     def text(self) -> str:
-        """For a person."""
+        match self.kind:
+            case ReceptionFindingKind.REFUSED:
+                return f"refused {self.count} x {self.subject}: {self.detail}"
+            case ReceptionFindingKind.DOUBTED:
+                return f"not believed: {self.count} {self.subject}"
+            case ReceptionFindingKind.QUARANTINED:
+                return f"{self.subject} not used: {self.detail}"
         fate = "both are used" if self.used else f"{self.count} frames not used"
         return (
-            f"second sender: {self.sender} speaks for aircraft {self.system}, which is heard from {self.heard_from}; "
+            f"second sender: {self.subject} speaks for aircraft {self.system}, which is heard from {self.detail}; "
             f"{fate} (a key on both ends tells who is genuine)"
         )
 
@@ -286,7 +264,6 @@ class Accounting:
 
     @property
     def lost_count(self) -> int:
-        """Scans sent and not received."""
         return sum(b - a + 1 for a, b in self.lost)
 
 
@@ -303,12 +280,7 @@ Event = (
     | Restarted
     | CommandResult
     | ManoeuvreSent
-    | Refused
-    | Doubted
-    | Quarantined
-    | Contested
+    | ReceptionFinding
     | Trouble
     | BackfillProgress
 )
-
-RadioFields = Mapping[str, int]

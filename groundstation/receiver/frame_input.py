@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.transport.mavlink_codec import FrameDecoder, Junk, MavlinkFrame
-from daq.transport.ports import BytePort, TcpServerPort
-from groundstation.receiver.faults import Faults
-from groundstation.receiver.ports.allowance import Allowance
-from groundstation.receiver.ports.link import receive
-from groundstation.receiver.ports.udp_listener import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
+from daq.transport.ports import BytePort, TcpServerPort, UdpPort
+from groundstation.receiver.findings import Faults
+from groundstation.receiver.ports import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
+from groundstation.receiver.storage.lasting_log import LastingLog
+from groundstation.receiver.timeline import Allowance
 from groundstation.receiver.tlog import TlogWriter
 
 _MAX_DECODERS = 32
@@ -28,7 +28,6 @@ class Sender(NamedTuple):
 
     @property
     def name(self) -> str:
-        """For a person."""
         return f"{self.source} on {self.port}" if self.source else self.port
 
 
@@ -53,15 +52,15 @@ class FrameInput:
                 if not self._allowed(port, sender, len(data), now_ns):
                     self._refused_bytes += len(data)
                     continue
-                for found in self._decoder(sender, utc_ns).feed(data):
-                    self._log(found, utc_ns)
-                    if isinstance(found, MavlinkFrame):
-                        yield sender, found
+                for item in self._decoder(sender, utc_ns).feed(data):
+                    self._log(item, utc_ns)
+                    if isinstance(item, MavlinkFrame):
+                        yield sender, item
 
     def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
         """Whether there is time to look at what a sender has sent; a listener for datagrams asks that by itself."""
-        known = not isinstance(port, TcpServerPort) or sender in self._aircraft
-        return known or self._strangers[sender.port].take(size, now_ns)
+        unlimited = not isinstance(port, TcpServerPort) or sender in self._aircraft
+        return unlimited or self._strangers[sender.port].spend(size, now_ns)
 
     def favour(self, sender: Sender) -> None:
         """An aircraft speaks from here: strangers shall not crowd it out."""
@@ -80,12 +79,16 @@ class FrameInput:
 
     def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
         try:
-            found = receive(port)
+            if isinstance(port, UdpPort | TcpServerPort):  # they know senders apart
+                datagrams = port.receive()
+            else:
+                data = port.read(65536)
+                datagrams = [("", data)] if data else []
         except OSError as error:
             self._faults.note(name, error)
             return []
         self._faults.clear(name)
-        return found
+        return datagrams
 
     def _decoder(self, sender: Sender, utc_ns: int) -> FrameDecoder:
         decoder = self._decoders.pop(sender, None)
@@ -97,17 +100,17 @@ class FrameInput:
         self._decoders[sender] = decoder  # the latest one last
         return decoder
 
-    def _log(self, found: MavlinkFrame | Junk, utc_ns: int) -> None:
+    def _log(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
         if self._tlog is not None:
             try:
-                self._tlog.write(found, utc_ns)
+                self._tlog.write(item, utc_ns)
             except OSError as error:  # cleared by `flush`, which says that the disk takes it again
                 self._faults.note(TELEMETRY_LOG, error)
 
     def _retire(self, sender: Sender, utc_ns: int) -> None:
         decoder = self._decoders.pop(sender)
-        for found in decoder.finish():
-            self._log(found, utc_ns)
+        for item in decoder.finish():
+            self._log(item, utc_ns)
         self._retired = [a + b for a, b in zip(self._retired, _counts(decoder), strict=True)]
 
     def totals(self) -> list[int]:
@@ -132,9 +135,8 @@ class FrameInput:
                 self._tlog.look_after()
 
     @property
-    def logs(self) -> list[TlogWriter]:
-        """The files it writes to."""
-        return [] if self._tlog is None else [self._tlog]
+    def logs(self) -> list[LastingLog]:
+        return [] if self._tlog is None else [self._tlog.file]
 
     def close(self, utc_ns: int) -> None:
         """Log what is still undecided, close the log."""

@@ -1,4 +1,4 @@
-"""Exact books of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
+"""Exact accounting of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
 
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class SequenceTracker:
         self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
         self._rate = 0.0
 
-    def take(self, frame: MavlinkFrame, now_ns: int) -> bool:
+    def count_frame(self, frame: MavlinkFrame, now_ns: int) -> bool:
         """Count a frame; False for a duplicate of a recent one."""
         sequence = frame.sequence
         digest = hash(frame.raw)
@@ -69,7 +69,7 @@ class SequenceTracker:
         self.lost = self._settled + self.lost - lost_at_jump
         self._missing.clear()
 
-    def forget(self) -> None:
+    def expect_any(self) -> None:
         """Whatever number comes next is no gap."""
         self._next = None
 
@@ -87,8 +87,8 @@ class SequenceTracker:
             m for m in self._missing if (m - self._next) & 255 >= 128
         }
         # After an outage of more than 256 frames the count has gone round; time tells how often.
-        expected = (now_ns - self._last_ns) / NS * self._rate
-        rounds = max(0, round((expected - step) / 256)) if expected > 256 else 0
+        frames_due = (now_ns - self._last_ns) / NS * self._rate
+        rounds = max(0, round((frames_due - step) / 256)) if frames_due > 256 else 0
         self.lost += step + 256 * rounds
 
 
@@ -105,7 +105,7 @@ class SessionAccounting:
         self.first: int | None = None
         self.last = -1
         self.last_time_ns = 0
-        self.line: ScanRun | None = None  # None before a scan has come down
+        self.run: ScanRun | None = None  # None before a scan has come down
         self.statistics: ev.AircraftStatistics | None = None
 
     def see(self, number: int) -> None:
@@ -117,22 +117,21 @@ class SessionAccounting:
 
     def reach(self, now_ns: int) -> int:
         """The highest number that the aircraft can have given by now."""
-        return _LAST if self.line is None else max(self.last, self.line.reach(now_ns))
+        return _LAST if self.run is None else max(self.last, self.run.reach(now_ns))
 
     def fits(self, number: int, time_ns: int) -> bool:
         """Whether a scan of that number can have been made at that time, as far as is known."""
-        return self.line is None or self.line.fits(number, time_ns)
+        return self.run is None or self.run.fits(number, time_ns)
 
     def take_map(self, first: int, settled: int, sent: int, absent: int) -> None:
-        """Use a SENT_MAP."""
         block, top = first // BLOCK, first + BLOCK - 1
         if settled < first or settled < self.settled.get(block, -1):
             return
-        known = min(settled, top)
-        mask = (1 << (known - first + 1)) - 1
+        last = min(settled, top)
+        mask = (1 << (last - first + 1)) - 1
         if block not in self.settled and len(self.settled) > 65536:
             return
-        self.settled[block] = known
+        self.settled[block] = last
         self.sent.set_word(block, self.sent.word(block) | sent & mask)
         self.absent.set_word(block, self.absent.word(block) | absent & mask)
 
@@ -154,35 +153,36 @@ class SessionAccounting:
             first, last = min(first, self.statistics.first_number), max(last, self.statistics.last_number)
         return first, last
 
-    def accounting(self) -> ev.Accounting:
+    def totals(self) -> ev.Accounting:
         """Where all scans went. Work and memory go by what has come, not by how far apart the numbers are."""
         span = self._span()
         if span is None:
             return ev.Accounting(self.session, 0, -1, 0, 0)
-        lost, missing, open_, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
+        lost_map, missing, open_, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
         sent_known = 0
         first, last = span
-        blocks = self._known_blocks(first // BLOCK, last // BLOCK)
+        known_blocks = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
+        blocks = sorted(b for b in known_blocks if first // BLOCK <= b <= last // BLOCK)
         for block in blocks:
             low, high = max(first, block * BLOCK), min(last, block * BLOCK + BLOCK - 1)
-            inside = _mask(low, high, block)
-            settled = _mask(low, min(high, self.settled.get(block, -1)), block)
+            block_mask = _mask(low, high, block)
+            settled_mask = _mask(low, min(high, self.settled.get(block, -1)), block)
             received = self.received.word(block)
-            sent = (self.sent.word(block) & settled) | received
-            sent_known += (sent & inside).bit_count()
-            lost.set_word(block, sent & ~received & inside)
-            missing.set_word(block, lost.word(block) & ~self.backfilled.word(block))
-            gone = self.absent.word(block) & settled
-            absent.set_word(block, gone)
-            open_.set_word(block, inside & ~settled & ~received)
-            never += (inside & settled & ~sent & ~gone).bit_count()
+            sent_bits = (self.sent.word(block) & settled_mask) | received
+            sent_known += (sent_bits & block_mask).bit_count()
+            lost_map.set_word(block, sent_bits & ~received & block_mask)
+            missing.set_word(block, lost_map.word(block) & ~self.backfilled.word(block))
+            absent_bits = self.absent.word(block) & settled_mask
+            absent.set_word(block, absent_bits)
+            open_.set_word(block, block_mask & ~settled_mask & ~received)
+            never += (block_mask & settled_mask & ~sent_bits & ~absent_bits).bit_count()
         return ev.Accounting(
             self.session,
             first,
             last,
             len(self.received),
             sent_known,
-            lost.ranges(),
+            lost_map.ranges(),
             never,
             absent.ranges(),
             _joined([*open_.ranges(), *_between(blocks, first, last)]),
@@ -190,32 +190,27 @@ class SessionAccounting:
             len(self.backfilled),
         )
 
-    def _known_blocks(self, first: int, last: int) -> list[int]:
-        """Blocks of which anything is known, ascending."""
-        known = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
-        return sorted(b for b in known if first <= b <= last)
-
 
 def _between(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, int]]:
     """Ranges of numbers from `first` to `last` that are in none of the blocks (ascending)."""
-    at = first
+    start = first
     for block in blocks:
-        if at < block * BLOCK:
-            yield at, block * BLOCK - 1
-        at = (block + 1) * BLOCK
-    if at <= last:
-        yield at, last
+        if start < block * BLOCK:
+            yield start, block * BLOCK - 1
+        start = (block + 1) * BLOCK
+    if start <= last:
+        yield start, last
 
 
 def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Ranges in ascending order, those that touch made one."""
-    out: list[tuple[int, int]] = []
+    joined: list[tuple[int, int]] = []
     for low, high in sorted(ranges):
-        if out and out[-1][1] == low - 1:
-            out[-1] = (out[-1][0], high)
+        if joined and joined[-1][1] == low - 1:
+            joined[-1] = (joined[-1][0], high)
         else:
-            out.append((low, high))
-    return out
+            joined.append((low, high))
+    return joined
 
 
 def _mask(low: int, high: int, block: int) -> int:

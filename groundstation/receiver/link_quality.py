@@ -1,11 +1,12 @@
-"""Quality of the link to one aircraft between two reports: loss, rate, latency, clock relation, signal."""
+"""What the receiver reports of its links: quality between two reports, and the counters of `ground --json`."""
 
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from groundstation.receiver import events as ev
 from groundstation.receiver.decode import AircraftDecoder
+from groundstation.receiver.link_accounting import SequenceTracker
 from groundstation.receiver.timeline import NS
 
 
@@ -16,16 +17,13 @@ class RateMeter:
         self._decoder = decoder
         self._last = (0, 0)
         self._last_ns: int | None = None
-        self._radio: deque[Mapping[str, int]] = deque(maxlen=1)
-
-    def radio(self, fields: Mapping[str, Any]) -> None:
-        """Remember the radio's own report."""
-        self._radio.append(dict(fields))
+        self.radio: Mapping[str, Any] = {}
+        """Fields of the radio's own latest report."""
 
     def report(self, now_ns: int) -> ev.LinkStatistics | None:
         """Link statistics since the last report; None before the aircraft has sent a scan."""
-        books = self._decoder.books
-        if books is None:
+        accounting = self._decoder.accounting
+        if accounting is None:
             return None
         tracker = self._decoder.tracker
         received, lost = tracker.received - self._last[0], tracker.lost - self._last[1]
@@ -35,7 +33,7 @@ class RateMeter:
         scans, self._decoder.scans_since_report = self._decoder.scans_since_report, 0
         relation = self._decoder.sync.best
         return ev.LinkStatistics(
-            books.session,
+            accounting.session,
             now_ns,
             loss=max(0, lost) / max(1, received + max(0, lost)),
             frames_received=tracker.received,
@@ -48,9 +46,9 @@ class RateMeter:
         )
 
     def _radio_values(self) -> dict[str, Any]:
-        if not self._radio:
+        if not self.radio:
             return {}
-        f = self._radio[0]
+        f = self.radio
         return {
             "rssi_dbm": _sik_dbm(f["rssi"]),
             "remote_rssi_dbm": _sik_dbm(f["remrssi"]),
@@ -63,3 +61,50 @@ class RateMeter:
 def _sik_dbm(value: int) -> float | None:
     """SiK signal value to dBm (SiK firmware documentation: value / 1.9 - 127)."""
     return None if value == 255 else value / 1.9 - 127.0
+
+
+def counters(
+    accounting: Sequence[ev.Accounting],
+    totals: Sequence[int],
+    trackers: Sequence[SequenceTracker],
+    rejected: int,
+    recordings: Sequence[Path],
+) -> dict[str, Any]:
+    """Counters of all aircraft; scan ranges are those of the session with most scans, `sessions` has them all.
+
+    totals: bytes received, frames, damaged frames, bytes discarded, of all decoders.
+    """
+    main = max(accounting, key=lambda a: a.received, default=None)
+    return {
+        "frames_received": totals[1],
+        "frames_damaged": totals[2],
+        "frames_lost": sum(t.lost for t in trackers),
+        "duplicates": sum(t.duplicates for t in trackers),
+        "scans_received": sum(a.received for a in accounting),
+        "scans_lost": [] if main is None else [list(r) for r in main.lost],
+        "scans_missing": [] if main is None else [list(r) for r in main.missing],
+        "bytes_received": totals[0],
+        "bytes_discarded": totals[3],
+        "unsigned_rejected": rejected,
+        "backfilled": sum(a.backfilled for a in accounting),
+        "flight": str(recordings[0]) if recordings else None,
+        "sessions": [_session(a) for a in accounting],
+    }
+
+
+def _session(a: ev.Accounting) -> dict[str, Any]:
+    return {
+        "system": a.session.system,
+        "boot": a.session.boot,
+        "turn": a.session.turn,
+        "first_scan": a.first,
+        "last_scan": a.last,
+        "scans_sent": a.sent,
+        "scans_received": a.received,
+        "scans_lost": [list(r) for r in a.lost],
+        "scans_missing": [list(r) for r in a.missing],
+        "scans_never_sent": a.never_sent,
+        "scans_absent": [list(r) for r in a.absent],
+        "scans_unknown": [list(r) for r in a.unknown],
+        "backfilled": a.backfilled,
+    }

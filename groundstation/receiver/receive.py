@@ -1,72 +1,45 @@
 """The receiver: bytes of all ports in, events out, nothing lost in between.
 
 `poll` never waits; call it often (a serial port's buffer holds under a second). Each port and sender has a decoder of
-its own, each aircraft its own books. Every byte goes to the telemetry log, every scan to the session's recorder.
+its own, each aircraft its own accounting. Every byte goes to the telemetry log, every scan to the session's recorder.
 All methods may be called from any thread.
 """
 
 import threading
 from collections.abc import Mapping
-from itertools import chain, islice
+from contextlib import ExitStack, closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, FrameEncoder, MavlinkFrame, message_types
 from daq.transport.ports import BytePort
-from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
-from groundstation.receiver.decode import AircraftDecoder
-from groundstation.receiver.faults import Faults
+from groundstation.receiver import findings
+from groundstation.receiver.aircraft import TrackedAircraft
+from groundstation.receiver.backfill import Mode
+from groundstation.receiver.commands import Commander
+from groundstation.receiver.downloads import LogFetcher
+from groundstation.receiver.events import ReceptionFindingKind
+from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import FrameInput, Sender
-from groundstation.receiver.kept.disk import Disk
-from groundstation.receiver.kept.recording import SessionRecorder
-from groundstation.receiver.kept.sessions import RECORDING, Sessions
-from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.link_quality import RateMeter
-from groundstation.receiver.ports.link import open_port
-from groundstation.receiver.quarantine import Quarantine
-from groundstation.receiver.security import SIGNING_STATE, SignatureGate, make_signer
-from groundstation.receiver.senders import Senders
-from groundstation.receiver.sending.backfill import BackfillClient, Mode
-from groundstation.receiver.sending.command import Commander
-from groundstation.receiver.sending.loglist import LogFetcher
-from groundstation.receiver.sending.manoeuvre_sender import ManoeuvreSender
-from groundstation.receiver.summary import counters
+from groundstation.receiver.link_quality import counters
+from groundstation.receiver.ports import LinkConfig, open_port
+from groundstation.receiver.senders import SIGNING_STATE, SignatureGate, make_signer
+from groundstation.receiver.storage.lasting_log import Disk
+from groundstation.receiver.storage.recording import SessionRecorder
+from groundstation.receiver.storage.sessions import RECORDING, Sessions
 from groundstation.receiver.timeline import NS, GroundClock
 
 _HEARTBEAT_NS = NS
 _REPORT_NS = NS
-_SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
-_MAP_NS = 2 * NS
-_MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _DISK = "disk"
-_KEPT = (ev.ScanReceived, ev.EventMarked)
+_RECORDED = (ev.ScanReceived, ev.EventMarked)
 _FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
-
-
-class _TrackedAircraft:
-    """One aircraft as the receiver keeps it."""
-
-    def __init__(
-        self, system: int, port: BytePort, sender: Sender, sessions: Sessions | None, doubts: d.Doubts
-    ) -> None:
-        self.decoder = AircraftDecoder(system, doubts)
-        self.first_sender = sender
-        self.senders = Senders(system)
-        self.meter = RateMeter(self.decoder)
-        self.port = port
-        self.sessions = sessions
-        self.backfill: BackfillClient | None = None
-        self.logs = LogFetcher(system)
-        self.manoeuvre = ManoeuvreSender(system)
-        self.next_sync_ns = 0
-        self.syncs = 0
-        self.next_map_ns = 0
 
 
 class Receiver:
@@ -85,16 +58,15 @@ class Receiver:
         self._folder = folder
         self._lock = threading.RLock()
         self.faults = Faults()
-        self.doubts = d.Doubts()
-        self.quarantine = Quarantine()
-        self._gate = SignatureGate(make_signer(config, clock), self.faults)
+        self.findings = ReceptionFindings()
+        self._gate = SignatureGate(make_signer(config, clock), self.faults, self.findings)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
         self._known_messages = frozenset(message_types())
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._frame_input = FrameInput(self._ports, folder, self.faults)
         self._disk = Disk()
-        self._aircraft: dict[int, _TrackedAircraft] = {}
+        self._aircraft: dict[int, TrackedAircraft] = {}
         self._next_heartbeat_ns = 0
         self._next_report_ns = 0
         self._written: list[Path] = []
@@ -103,15 +75,11 @@ class Receiver:
     @classmethod
     def open(cls, config: LinkConfig, clock: GroundClock, *, folder: Path | None = None) -> "Receiver":
         """A receiver on the ports of its configuration; PortError or SigningError when one cannot be had."""
-        ports: dict[str, BytePort] = {}
-        try:
-            for text in config.ports:
-                ports[text] = open_port(text, clock)
-            return cls(config, ports, clock, folder=folder)
-        except Exception:
-            for port in ports.values():
-                port.close()
-            raise
+        with ExitStack() as opened:
+            ports = {text: opened.enter_context(closing(open_port(text, clock))) for text in config.ports}
+            receiver = cls(config, ports, clock, folder=folder)
+            opened.pop_all()
+        return receiver
 
     # ------------------------------------------------------------------------------------------ receiving
 
@@ -120,18 +88,19 @@ class Receiver:
         with self._lock:
             if self._closed:
                 return []
-            out: list[ev.Event] = []
-            now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
-            for sender, frame in self._frame_input.frames(now, utc):
+            events: list[ev.Event] = []
+            now_ns, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
+            for sender, frame in self._frame_input.frames(now_ns, utc):
                 try:
-                    self._take_frame(frame, sender, now, utc, out)
+                    self._take_frame(frame, sender, now_ns, utc, events)
                 except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
-                    self.quarantine.put_error(frame.system, f"a frame of {frame.name}", error)
-            out += [*self._gate.reports(now), *self._contests(now)]
-            self._keep(out)
-            with self.quarantine.guard(d.NOBODY, "what is due to be sent and told"):
-                self._do_due(now, out)
-            return out + self.doubts.reports(now) + self.quarantine.reports(now) + self.faults.changes(now)
+                    self.findings.quarantine_error(frame.system, f"a frame of {frame.name}", error)
+            events += [*self.findings.reports(now_ns, ReceptionFindingKind.REFUSED), *self._contests(now_ns)]
+            self._record(events)
+            with self.findings.guard(findings.NOBODY, "what is due to be sent and told"):
+                self._send_due(now_ns, events)
+            events += self.findings.reports(now_ns, ReceptionFindingKind.DOUBTED, ReceptionFindingKind.QUARANTINED)
+            return events + self.faults.changes(now_ns)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -139,7 +108,7 @@ class Receiver:
         with self._lock:
             return dict(self.faults.present)
 
-    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
+    def _take_frame(self, frame: MavlinkFrame, sender: Sender, now_ns: int, utc: int, events: list[ev.Event]) -> None:
         if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
@@ -149,164 +118,113 @@ class Receiver:
             fields = frame.fields()
             for aircraft in self._aircraft.values():
                 if aircraft.port is port:
-                    aircraft.meter.radio(fields)
+                    aircraft.meter.radio = fields
             return
-        known = self._known(frame, sender)
-        if known is None or not self._believed(known, frame, sender, now):
+        speaking = self._aircraft_of(frame, sender)
+        if speaking is None or not self._may_speak(speaking, frame, sender, now_ns):
             return
-        known.port = port
-        out += known.decoder.take(frame, now, utc)
-        if frame.msg_id not in SCAN_IDS:
-            self._take_answer(known, frame, now, out)
+        speaking.port = port
+        events += speaking.decoder.decode_frame(frame, now_ns, utc)
+        if frame.msg_id in SCAN_IDS:
+            return
+        if frame.name == "COMMAND_ACK":
+            f: Mapping[str, Any] = frame.fields()
+            if f["target_system"] in (0, self.config.system_id):
+                events += self.commander.acknowledge(frame.system, f["command"], f["result"], now_ns)
+        else:
+            events += speaking.take_answer(frame, now_ns)
 
-    def _known(self, frame: MavlinkFrame, sender: Sender) -> _TrackedAircraft | None:
+    def _aircraft_of(self, frame: MavlinkFrame, sender: Sender) -> TrackedAircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
-        known = self._aircraft.get(frame.system)
-        if known is not None:
-            return known
+        aircraft = self._aircraft.get(frame.system)
+        if aircraft is not None:
+            return aircraft
         if self.config.systems and frame.system not in self.config.systems:
             return None
         if _is_aircraft(frame):
-            if not self.config.systems and not self._room_for_one_more(sender):
-                self.doubts.note(d.NOBODY, d.AIRCRAFT)
+            of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
+            room = len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
+            if not self.config.systems and not room:
+                self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
                 return None
             sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            known = _TrackedAircraft(frame.system, self._ports[sender.port], sender, sessions, self.doubts)
-            self._aircraft[frame.system] = known
-        return known
+            aircraft = self._aircraft[frame.system] = TrackedAircraft(
+                frame.system,
+                self._ports[sender.port],
+                sender,
+                sessions,
+                self.config.backfill,
+                self.faults,
+                self.findings,
+            )
+        return aircraft
 
-    def _room_for_one_more(self, sender: Sender) -> bool:
-        of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
-        return len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
-
-    def _believed(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, sender: Sender, now: int) -> bool:
+    def _may_speak(self, aircraft: TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
-        own = frame.msg_id >= FIRST_OWN_ID
-        before = aircraft.senders.speaker(sender.port) if own else None
+        is_own_message = frame.msg_id >= FIRST_OWN_ID
+        speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
         if self._gate.signer is None:
-            if not aircraft.senders.allows(sender, frame.component, own, now):
+            if not aircraft.senders.allows(sender, frame.component, is_own_message, now_ns):
                 return False
-        elif own:
-            aircraft.senders.speaks(sender, now)
-        if own and before != sender:
-            if before is not None:
-                self._frame_input.forget(before)
+        elif is_own_message:
+            aircraft.senders.speaks(sender, now_ns)
+        if is_own_message and speaker != sender:
+            if speaker is not None:
+                self._frame_input.forget(speaker)
             self._frame_input.favour(sender)
         return True
 
-    def _contests(self, now: int) -> list[ev.Contested]:
-        """Second senders that are to be told of; the first time of each is put into the recording."""
-        found = [r for a in self._aircraft.values() for r in a.senders.reports(now)]
-        for report in found:
+    def _contests(self, now_ns: int) -> list[ev.ReceptionFinding]:
+        """Second senders that are to be reported; the first time of each is put into the recording."""
+        reports = self.findings.reports(now_ns, ReceptionFindingKind.CONTESTED)
+        for report in reports:
             aircraft = self._aircraft[report.system]
-            books = aircraft.decoder.books
-            if report.first and aircraft.sessions is not None and books is not None:
-                aircraft.sessions.note(books.session, report.text)
-        return found
+            accounting = aircraft.decoder.accounting
+            if report.first and aircraft.sessions is not None and accounting is not None:
+                aircraft.sessions.note(accounting.session, report.text)
+        return reports
 
-    def _take_answer(self, aircraft: _TrackedAircraft, frame: MavlinkFrame, now: int, out: list[ev.Event]) -> None:
-        """Answers to what was asked from here."""
-        match frame.name:
-            case "COMMAND_ACK":
-                f = frame.fields()
-                if f["target_system"] in (0, self.config.system_id):
-                    done = self.commander.acknowledge(
-                        frame.system, int(_int(f["command"])), int(_int(f["result"])), now
-                    )
-                    out += [] if done is None else [done]
-            case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
-                f = frame.fields()
-                books = aircraft.decoder.books
-                if books is not None and f["boot"] == books.session.boot:
-                    with self.faults.watch("backfill"):
-                        if frame.name == "BACKFILL_DATA":
-                            before = aircraft.backfill.refused
-                            aircraft.backfill.take_data(f, now)
-                            self.doubts.note(frame.system, d.PAPERS, aircraft.backfill.refused - before)
-                            fetched = aircraft.backfill.take_fetched()
-                            out += [ev.ScanFetched(books.session, data, now) for data in fetched]
-                        else:
-                            aircraft.backfill.take_summary(f)
-            case "MANOEUVRE_STATUS":
-                out += aircraft.manoeuvre.take_status(frame.fields(), now)
-            case "LOG_ENTRY" | "LOG_DATA":
-                with self.faults.watch("download"):
-                    aircraft.logs.take(frame.name, frame.fields(), now)
-
-    def _keep(self, out: list[ev.Event]) -> None:
+    def _record(self, events: list[ev.Event]) -> None:
         """Hand events to the recorders of their sessions."""
-        for event in out:
+        for event in events:
             if isinstance(event, ev.Restarted):
-                with self.quarantine.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
-                    self._begin(event.session)
-            elif isinstance(event, _KEPT):
+                system = event.session.system
+                with self.findings.guard(system, "its new session"), self.faults.watch(RECORDING):
+                    self._aircraft[system].begin_session(event.session)
+            elif isinstance(event, _RECORDED):
                 try:
-                    self._keep_one(event)
+                    self._aircraft[event.session.system].record(event)
                 except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
-                    self.quarantine.put_error(event.session.system, f"a {type(event).__name__} in the recording", error)
-
-    def _keep_one(self, event: ev.ScanReceived | ev.EventMarked) -> None:
-        sessions = self._aircraft[event.session.system].sessions
-        if sessions is not None and not sessions.keep(event):
-            self.doubts.note(event.session.system, d.EVENTS)
-
-    def _begin(self, session: ev.Session) -> None:
-        aircraft = self._aircraft[session.system]
-        books = next((b for b in aircraft.decoder.sessions if b.session == session), None)
-        if aircraft.sessions is not None and books is not None:
-            aircraft.backfill = BackfillClient(aircraft.sessions.recorder(session), books, self.config.backfill)
+                    what = f"a {type(event).__name__} in the recording"
+                    self.findings.quarantine_error(event.session.system, what, error)
 
     # ------------------------------------------------------------------------------------------ sending
 
-    def _do_due(self, now: int, out: list[ev.Event]) -> None:
-        if now >= self._next_report_ns:
-            self._next_report_ns = now + _REPORT_NS
-            self._report(now, out)
-        self._gate.keep_state(now)
+    def _send_due(self, now_ns: int, events: list[ev.Event]) -> None:
+        if now_ns >= self._next_report_ns:
+            self._next_report_ns = now_ns + _REPORT_NS
+            self._report(now_ns, events)
+        self._gate.keep_state(now_ns)
         if not self.config.transmit:
             return
-        if now >= self._next_heartbeat_ns:
-            self._next_heartbeat_ns = now + _HEARTBEAT_NS
+        if now_ns >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now_ns + _HEARTBEAT_NS
             beat = self._encoder.message("HEARTBEAT", type=_GCS, autopilot=_NO_AUTOPILOT, mavlink_version=3)
             for port in self._ports.values():
                 self._write(port, beat)
-        send, given_up = self.commander.due(now)
-        out += given_up
+        send, given_up = self.commander.due(now_ns)
+        events += given_up
         for system, fields in send:
-            known = self._aircraft.get(system)
-            if known is not None:
-                self._send(known, "COMMAND_LONG", fields)
+            target = self._aircraft.get(system)
+            if target is not None:
+                self._send(target, "COMMAND_LONG", fields)
         for aircraft in self._aircraft.values():
-            out += aircraft.manoeuvre.given_up(now)
-            self._serve(aircraft, now)
-
-    def _serve(self, aircraft: _TrackedAircraft, now: int) -> None:
-        books = aircraft.decoder.books
-        if books is None:
-            return
-        if now >= aircraft.next_sync_ns:
-            aircraft.syncs += 1
-            aircraft.next_sync_ns = now + (_SYNC_FAST_NS if aircraft.syncs < _SYNC_FAST_COUNT else _SYNC_NS)
-            self._send(aircraft, "TIMESYNC", {"ts1": aircraft.decoder.sync.ask(now)})
-        if now >= aircraft.next_map_ns:
-            aircraft.next_map_ns = now + _MAP_NS
-            # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
-            quiet = self._quiet(aircraft, now)
-            wanted = (b for b in books.open_blocks() if b < books.last // BLOCK or quiet)
-            for block in islice(wanted, _MAPS_AT_ONCE):
-                self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
-        if aircraft.backfill is not None:
-            for name, fields in aircraft.backfill.due(now):
+            events += aircraft.manoeuvre.given_up(now_ns)
+            for name, fields in aircraft.due(now_ns):
                 self._send(aircraft, name, fields)
-        for name, fields in (*aircraft.logs.due(now), *aircraft.manoeuvre.due(now)):
-            self._send(aircraft, name, fields)
 
-    def _quiet(self, aircraft: _TrackedAircraft, now: int) -> bool:
-        """Whether no scan has come for a while, so that the last block will get no map by itself."""
-        return now - aircraft.decoder.last_scan_ns > 2 * NS
-
-    def _send(self, aircraft: _TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
-        targets = {} if name == "TIMESYNC" else {"target_system": aircraft.decoder.system}
+    def _send(self, aircraft: TrackedAircraft, name: str, fields: Mapping[str, Any]) -> None:
+        targets = {} if name == "TIMESYNC" else {"target_system": aircraft.system}
         self._write(aircraft.port, self._encoder.message(name, **{**targets, **fields}))
 
     def _write(self, port: BytePort, frame: bytes) -> None:
@@ -315,47 +233,31 @@ class Receiver:
         if name in self.faults.present:
             return  # away, and said so
         with self.faults.watch(f"{name} (sending)"):
-            taken = port.write(frame)
-            while 0 < taken < len(frame):  # never leave half a frame in the stream
-                more = port.write(frame[taken:])
-                if not more:
+            size = port.write(frame)
+            while 0 < size < len(frame):  # never leave half a frame in the stream
+                piece = port.write(frame[size:])
+                if not piece:
                     break
-                taken += more
+                size += piece
 
-    def _report(self, now: int, out: list[ev.Event]) -> None:
+    def _report(self, now_ns: int, events: list[ev.Event]) -> None:
         for aircraft in self._aircraft.values():
-            report = aircraft.meter.report(now)
-            if report is None:
-                continue
-            out.append(report)
-            if aircraft.sessions is not None:
-                aircraft.sessions.keep(report)
-            progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
-            if progress is not None:
-                out.append(progress)
+            events += aircraft.report(now_ns)
         self._frame_input.flush()
-        self._look_after_disk()
-        for what, count in (
-            (d.BYTES, self._frame_input.refused_bytes),
-            (d.DATAGRAMS, self._frame_input.datagrams_dropped),
-        ):
-            self.doubts.note(d.NOBODY, what, count - self.doubts.total(what))
-        with self.faults.watch(_DISK):
-            journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
-            self._disk.sync([*self._frame_input.logs, *journals])
-
-    def _look_after_disk(self) -> None:
-        """Journals go on where the disk failed, and what it has lost is wanted again."""
         for aircraft in self._aircraft.values():
-            if aircraft.sessions is not None:
-                aircraft.sessions.look_after()
-            if aircraft.backfill is not None:
-                aircraft.backfill.look_after()
+            aircraft.look_after()
+        for kind, count in (
+            (findings.BYTES, self._frame_input.refused_bytes),
+            (findings.DATAGRAMS, self._frame_input.datagrams_dropped),
+        ):
+            self.findings.doubt(findings.NOBODY, kind, count - self.findings.total_doubted(kind))
+        with self.faults.watch(_DISK):
+            journals = (r.journal.file for sessions in self._session_stores() for r in sessions.recorders.values())
+            self._disk.sync([*self._frame_input.logs, *journals])
 
     # ------------------------------------------------------------------------------------------ for the owner
 
     def set_backfill(self, mode: Mode, system: int | None = None) -> None:
-        """Change what is fetched, for one aircraft or all."""
         with self._lock:
             for number, aircraft in self._aircraft.items():
                 if aircraft.backfill is not None and system in (None, number):
@@ -364,13 +266,8 @@ class Receiver:
     def backfill_agreed(self, system: int) -> bool:
         """Whether air and ground agree by count and hash on all scans of the present session."""
         with self._lock:
-            known = self._aircraft.get(system)
-            return known is not None and known.backfill is not None and known.backfill.agreed
-
-    @property
-    def disk_busy(self) -> bool:
-        """Whether what was received is on its way to the disk."""
-        return self._disk.busy
+            aircraft = self._aircraft.get(system)
+            return aircraft is not None and aircraft.backfill is not None and aircraft.backfill.agreed
 
     @property
     def systems(self) -> list[int]:
@@ -396,16 +293,14 @@ class Receiver:
             self._aircraft[system].manoeuvre.send(manoeuvre)
 
     def accounting(self) -> list[ev.Accounting]:
-        """Where the scans of all sessions went."""
         with self._lock:
-            return [b.accounting() for a in self._aircraft.values() for b in a.decoder.sessions]
+            return [b.totals() for a in self._aircraft.values() for b in a.decoder.sessions]
 
     def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
-        """The recorders of all sessions."""
         with self._lock:
-            return {s: r for kept in self._kept() for s, r in kept.recorders.items()}
+            return {s: r for sessions in self._session_stores() for s, r in sessions.recorders.items()}
 
-    def _kept(self) -> list[Sessions]:
+    def _session_stores(self) -> list[Sessions]:
         return [a.sessions for a in self._aircraft.values() if a.sessions is not None]
 
     def write_recordings(self) -> list[Path]:
@@ -414,37 +309,38 @@ class Receiver:
         One that cannot be written is named in `port_faults`; its journal keeps the scans.
         """
         with self._lock:
-            self._written = list(chain.from_iterable(kept.write() for kept in self._kept()))
+            self._written = list(chain.from_iterable(sessions.write() for sessions in self._session_stores()))
             return list(self._written)
 
     def summary(self) -> dict[str, Any]:
         """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
-            made = counters(self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written)
-            return made | self._unbelieved() | self._on_disk()
+            counts = counters(
+                self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written
+            )
+            return counts | self._unused_counts() | self._disk_counts()
 
-    def _on_disk(self) -> dict[str, Any]:
+    def _disk_counts(self) -> dict[str, Any]:
         """What the disk holds of what came down, for `ground --json`."""
-        books = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
-        states = [(kept.state(b) if kept is not None else None) for kept, b in books]
-        known = [state for state in states if state is not None]
+        counts = [state for a in self._aircraft.values() for state in a.states_on_disk()]
         return {
-            "scans_on_disk": sum(on_disk for on_disk, _ in known),
-            "scans_not_on_disk": sum(gone for _, gone in known),
+            "scans_on_disk": sum(on_disk for on_disk, _ in counts),
+            "scans_not_on_disk": sum(missing for _, missing in counts),
             "telemetry_bytes_refused": sum(log.refused for log in self._frame_input.logs),
         }
 
-    def _unbelieved(self) -> dict[str, Any]:
+    def _unused_counts(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
+        pending_parts = sum(a.decoder.pending_parts for a in self._aircraft.values())
         return {
             "bytes_refused": self._frame_input.refused_bytes,
             "datagrams_dropped": self._frame_input.datagrams_dropped,
             "frames_contested": sum(a.senders.contested for a in self._aircraft.values()),
-            "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
-            "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
-            "doubted": self.doubts.table(),
-            "quarantined": self.quarantine.table(),
+            "second_senders": [row for system in self._aircraft for row in self.findings.second_senders(system)],
+            "scans_doubted": self.findings.total_doubted(findings.NUMBERS) + pending_parts,
+            "doubted": self.findings.doubted(),
+            "quarantined": self.findings.quarantined(),
         }
 
     def close(self) -> None:
@@ -456,8 +352,8 @@ class Receiver:
             self.write_recordings()
             self._closed = True
             self._gate.close()
-            for kept in self._kept():
-                kept.close()
+            for sessions in self._session_stores():
+                sessions.close()
             self._disk.close()
             for aircraft in self._aircraft.values():
                 aircraft.logs.close()
@@ -471,9 +367,5 @@ def _is_aircraft(frame: MavlinkFrame) -> bool:
     if frame.name != "HEARTBEAT":
         return False
     # The logger says truly that it is no autopilot, as do ground stations, cameras and radios: it is told by its type.
-    said = frame.fields()
-    return said["autopilot"] != _NO_AUTOPILOT or said["type"] == _FIXED_WING
-
-
-def _int(value: object) -> int:
-    return value if isinstance(value, int) else 0
+    heartbeat = frame.fields()
+    return heartbeat["autopilot"] != _NO_AUTOPILOT or heartbeat["type"] == _FIXED_WING

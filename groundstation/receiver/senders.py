@@ -1,22 +1,89 @@
-"""Who speaks for an aircraft: without a key the one that was heard first, for as long as it is heard.
+"""Who is believed on the ground end of the link: with a key good signatures only, without one whoever was heard first.
 
-A second sender of the same port is either somebody else, or the aircraft behind a new address. Its frames are kept in the
-telemetry log, counted and told, but not used until the first has been silent for a while. Another port is another radio of
-this ground station: an aircraft may be heard by both, which is told once. Components of an aircraft that send by themselves
-(an autopilot beside the logger) are told apart; the logger's own messages have one sender on a port.
+With a key set, a frame counts only with a good signature; RADIO_STATUS alone is excepted, because radios cannot sign it, and it
+feeds nothing but the display of signal strength. Without a key, a second sender of the same port is either somebody else, or the
+aircraft behind a new address. Its frames are kept in the telemetry log, counted and reported, but not used until the first has
+been silent for a while. Another port is another radio of this ground station: an aircraft may be heard by both, which is
+reported once. Components of an aircraft that send by themselves (an autopilot beside the logger) are distinguished; the logger's
+own messages have one sender on a port.
 """
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
-from groundstation.receiver import events as ev
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, MavlinkFrame
+from daq.transport.signing import Signer, load_key
+from groundstation.receiver.findings import Faults, ReceptionFindings
 from groundstation.receiver.frame_input import Sender
-from groundstation.receiver.timeline import NS
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.timeline import NS, GroundClock
 
+SAVE_NS = NS
+"""Signing timestamps are on disk no later than this, and the time one save takes: so much recorded radio traffic counts
+once more after a crash of the ground station."""
+SIGNING_STATE = "signing state"
 SILENCE_NS = 3 * NS
 """So long an aircraft must not have been heard before another address is believed: three heartbeats."""
-REPORT_EVERY_NS = 5 * NS
-_MAX_RIVALS = 16
 _LOGGER = None  # the role of the logger's own messages, beside the components'
+_MAX_CONFIRMED = 64
+
+
+def make_signer(config: LinkConfig, clock: GroundClock) -> Signer | None:
+    """The signer of a configuration; None without a key. Raises SigningError for a key that cannot be used."""
+    if config.key_file is None:
+        return None
+    state = config.signing_state or config.key_file.with_name(config.key_file.name + ".ground-state")
+    return Signer(load_key(config.key_file), clock.utc_ns, link_id=2, state_path=state)
+
+
+class SignatureGate:
+    """Lets frames through or not."""
+
+    def __init__(self, signer: Signer | None, faults: Faults, findings: ReceptionFindings) -> None:
+        self.signer = signer
+        self._faults = faults
+        self._findings = findings
+        self._worker: ThreadPoolExecutor | None = None
+        self._saving: Future[None] | None = None
+        self._next_save_ns = 0
+        self.rejected = 0
+
+    def allows(self, frame: MavlinkFrame) -> bool:
+        if self.signer is None or frame.msg_id == RADIO_STATUS_ID:
+            return True
+        verdict = self.signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
+        if verdict.accepted:
+            return True
+        self.rejected += 1
+        self._findings.refuse(frame.system, frame.component, frame.name, verdict.value)
+        return False
+
+    def keep_state(self, now_ns: int) -> None:
+        """Save signing timestamps when it is time, in a thread: a disk may be slow, and nobody here waits for it."""
+        if self.signer is None or now_ns < self._next_save_ns or not self._saved():
+            return
+        self._next_save_ns = now_ns + SAVE_NS
+        if self.signer.needs_saving():
+            if self._worker is None:
+                self._worker = ThreadPoolExecutor(1, thread_name_prefix="signing-state")
+            self._saving = self._worker.submit(self.signer.save)
+
+    def _saved(self) -> bool:
+        """Whether the last save is over; what it met goes to the faults."""
+        if self._saving is not None and self._saving.done():
+            with self._faults.watch(SIGNING_STATE):
+                self._saving.result()
+            self._saving = None
+        return self._saving is None
+
+    def close(self) -> None:
+        """End the thread and save once more."""
+        if self._worker is not None:
+            self._worker.shutdown(wait=True)
+            self._worker = None
+        if self.signer is not None:
+            with self._faults.watch(SIGNING_STATE):
+                self.signer.save()
 
 
 @dataclass
@@ -25,96 +92,53 @@ class _Speaker:
     heard_ns: int
 
 
-@dataclass
-class _Rival:
-    heard_from: str
-    used: bool
-    whole: int = 0
-    untold: int = 0
-    told_ns: int | None = None
-
-
-_MOST_USUAL = 64
-
-
 class Senders:
-    """The speakers of one aircraft."""
-
-    def __init__(self, system: int) -> None:
+    def __init__(self, system: int, findings: ReceptionFindings) -> None:
         self.system = system
+        self._findings = findings
         self._speakers: dict[tuple[int | None, str], _Speaker] = {}  # by role and port; 257 roles at most
-        self._rivals: dict[str, _Rival] = {}
-        self._usual: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # who spoke before, and is who it was
+        self._confirmed: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # spoke before, and still may
         self.contested = 0
 
-    def allows(self, sender: Sender, component: int, own: bool, now_ns: int) -> bool:
-        """Whether a frame may be used. own: it is one of the logger's own messages."""
-        usual = self._usual.get((sender, component, own))
-        if usual is not None:
-            for known in usual:
-                known.heard_ns = now_ns
+    def allows(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
+        """Whether a frame may be used. is_own_message: it is one of the logger's own messages."""
+        confirmed = self._confirmed.get((sender, component, is_own_message))
+        if confirmed is not None:
+            for confirmed_speaker in confirmed:
+                confirmed_speaker.heard_ns = now_ns
             return True
         port = sender.port
-        roles = ((component, port), (_LOGGER, port)) if own else ((component, port),)
+        roles = ((component, port), (_LOGGER, port)) if is_own_message else ((component, port),)
         speakers = [self._speakers.get(role) for role in roles]
         for speaker in speakers:
             if speaker is not None and speaker.sender != sender and now_ns - speaker.heard_ns < SILENCE_NS:
                 self.contested += 1
-                self._note(sender, speaker.sender, used=False)
+                self._findings.contest(self.system, sender.name, speaker.sender.name, used=False)
                 return False
-        if own and (_LOGGER, sender.port) not in self._speakers:
-            self._note_second_port(sender, now_ns)
+        if is_own_message and (_LOGGER, sender.port) not in self._speakers:
+            self._report_second_port(sender, now_ns)
         for role, speaker in zip(roles, speakers, strict=True):
             if speaker is None or speaker.sender != sender:
                 self._speakers[role] = _Speaker(sender, now_ns)
-                self._usual.clear()  # who is replaced is no usual speaker any more
+                self._confirmed.clear()  # who is replaced may not speak any more
             else:
                 speaker.heard_ns = now_ns
-        if len(self._usual) < _MOST_USUAL:
-            self._usual[sender, component, own] = tuple(self._speakers[role] for role in roles)
+        if len(self._confirmed) < _MAX_CONFIRMED:
+            self._confirmed[sender, component, is_own_message] = tuple(self._speakers[role] for role in roles)
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:
         """Its signature says who it is: no question."""
         self._speakers[_LOGGER, sender.port] = _Speaker(sender, now_ns)
-        self._usual.clear()
+        self._confirmed.clear()
 
     def speaker(self, port: str) -> Sender | None:
         """Who sends the logger's own messages by a port at present."""
-        found = self._speakers.get((_LOGGER, port))
-        return None if found is None else found.sender
+        speaker = self._speakers.get((_LOGGER, port))
+        return None if speaker is None else speaker.sender
 
-    def _note_second_port(self, sender: Sender, now_ns: int) -> None:
+    def _report_second_port(self, sender: Sender, now_ns: int) -> None:
         for (role, _), speaker in self._speakers.items():
             if role is _LOGGER and now_ns - speaker.heard_ns < SILENCE_NS:
-                self._note(sender, speaker.sender, used=True)
+                self._findings.contest(self.system, sender.name, speaker.sender.name, used=True)
                 return
-
-    def _note(self, sender: Sender, heard_from: Sender, *, used: bool) -> None:
-        name = sender.name if sender.name in self._rivals or len(self._rivals) < _MAX_RIVALS else "further senders"
-        rival = self._rivals.setdefault(name, _Rival(heard_from.name, used))
-        rival.heard_from, rival.used = heard_from.name, used
-        rival.whole += 1
-        rival.untold += 1
-
-    def reports(self, now_ns: int) -> list[ev.Contested]:
-        """What is due to be told."""
-        out = []
-        for name, r in self._rivals.items():
-            if r.untold and (r.told_ns is None or now_ns - r.told_ns >= REPORT_EVERY_NS):
-                out.append(ev.Contested(self.system, name, r.heard_from, r.untold, r.used, r.told_ns is None, now_ns))
-                r.told_ns, r.untold = now_ns, 0
-        return out
-
-    def table(self) -> list[dict[str, str | int | bool]]:
-        """Second senders as `ground --json` lists them; frames: how many were not used."""
-        return [
-            {
-                "system": self.system,
-                "sender": name,
-                "heard_from": r.heard_from,
-                "used": r.used,
-                "frames": 0 if r.used else r.whole,
-            }
-            for name, r in self._rivals.items()
-        ]

@@ -1,4 +1,4 @@
-"""Time on the ground: the clock that is passed in, and the relation of the aircraft's clock to it."""
+"""Time on the ground: the clock that is passed in, the aircraft's clock against it, and how much may come in a second."""
 
 import time
 from collections import deque
@@ -21,8 +21,6 @@ class GroundClock(Protocol):
 
 
 class SystemClock:
-    """The clock of this machine."""
-
     def monotonic_ns(self) -> int:
         return time.monotonic_ns()
 
@@ -74,3 +72,22 @@ class ClockSync:
         self._samples.clear()
         self.best = None
         self._asked.clear()
+
+
+class Allowance:
+    """at_once: what is there in the beginning, and at most. per_s: what comes back in a second."""
+
+    def __init__(self, at_once: float, per_s: float) -> None:
+        self._capacity, self._per_s = at_once, per_s
+        self._available = at_once
+        self._last_ns: int | None = None
+
+    def spend(self, amount: float, now_ns: int) -> bool:
+        """Use some of it; False, and nothing used, when there is not enough."""
+        if self._last_ns is not None:
+            self._available = min(self._capacity, self._available + max(0, now_ns - self._last_ns) / NS * self._per_s)
+        self._last_ns = now_ns
+        if amount > self._available:
+            return False
+        self._available -= amount
+        return True

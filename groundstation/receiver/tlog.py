@@ -18,7 +18,7 @@ from daq.contract.link.wire import layouts
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, Junk, MavlinkFrame, frame_at
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived
-from groundstation.receiver.kept.lasting_log import LastingLog
+from groundstation.receiver.storage.lasting_log import LastingLog
 
 JUNK_PAYLOAD_TYPE = 44100
 """TUNNEL payload type of wrapped bytes, from the range of types in private use."""
@@ -38,55 +38,45 @@ class TlogWriter:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._file = LastingLog(path)
+            self.file = LastingLog(path)
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
         self.path = path
         self._wrapper = FrameEncoder(0, 0)
         self._sound = True
 
-    def write(self, found: MavlinkFrame | Junk, utc_ns: int) -> None:
+    def write(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
         """Keep a frame, or bytes that are none."""
         stamp = _STAMP.pack(max(0, utc_ns) // 1000)
-        if isinstance(found, MavlinkFrame):
-            self._put(stamp + found.raw)
+        if isinstance(item, MavlinkFrame):
+            self._put(stamp + item.raw)
             return
-        for at in range(0, len(found.raw), JUNK_CHUNK):
-            piece = found.raw[at : at + JUNK_CHUNK]
+        for offset in range(0, len(item.raw), JUNK_CHUNK):
+            piece = item.raw[offset : offset + JUNK_CHUNK]
             wrapped = self._wrapper.message(
                 "TUNNEL", payload_type=JUNK_PAYLOAD_TYPE, payload_length=len(piece), payload=piece
             )
             self._put(stamp + wrapped)
 
     def _put(self, record: bytes) -> None:
-        self._file.append(record)
-        if self._file.waiting >= _FLUSH_BYTES and self._sound:
+        self.file.append(record)
+        if self.file.waiting >= _FLUSH_BYTES and self._sound:
             self.flush()
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
         self._sound = False  # on a disk that fails it is tried once a second, not at each frame
-        self._file.flush()
+        self.file.flush()
         self._sound = True
 
     def look_after(self) -> None:
         """Called now and then: as `LastingLog.look_after`, and everything handed to the operating system."""
         self._sound = False
-        self._file.look_after()
+        self.file.look_after()
         self.flush()
 
-    @property
-    def refused(self) -> int:
-        """Bytes for which there was no room, neither on the disk nor in memory."""
-        return self._file.refused
-
-    def descriptor(self) -> int:
-        """The open file, for whoever syncs it."""
-        return self._file.descriptor()
-
     def close(self) -> None:
-        """Close the file, its content on the disk."""
-        self._file.close()
+        self.file.close()
 
 
 def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
@@ -96,20 +86,20 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
     """
     path = Path(path)
     data = read_bytes(path, "telemetry log", TlogError)
-    at, found = 0, 0
-    while (record := _RECORD.search(data, at)) is not None:
-        at = record.start()
-        (stamp,) = _STAMP.unpack_from(data, at)
-        frame = frame_at(data, at + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
+    offset, count = 0, 0
+    while (record := _RECORD.search(data, offset)) is not None:
+        offset = record.start()
+        (stamp,) = _STAMP.unpack_from(data, offset)
+        frame = frame_at(data, offset + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
         if frame is None:
-            at += 1
+            offset += 1
             continue
-        found += 1
-        at += 8 + len(frame.raw)
+        count += 1
+        offset += 8 + len(frame.raw)
         yield stamp * 1000, _unwrapped(frame)
     if not data:
         raise TlogError(f"{path}: the telemetry log is empty")
-    if not found:
+    if not count:
         raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
 
 
@@ -133,18 +123,18 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
     last: int | None = None
     for utc, data in read_tlog(path):
         first_utc, last_utc = first_utc or utc, utc
-        for found in decoder.feed(data):
-            if isinstance(found, MavlinkFrame) and found.msg_id in layouts():
-                known = aircraft.setdefault(found.system, AircraftDecoder(found.system))
-                for event in known.take(found, utc, utc):
+        for item in decoder.feed(data):
+            if isinstance(item, MavlinkFrame) and item.msg_id in layouts():
+                aircraft_decoder = aircraft.setdefault(item.system, AircraftDecoder(item.system))
+                for event in aircraft_decoder.decode_frame(item, utc, utc):
                     if isinstance(event, ScanReceived):
                         number = event.scan.number
                         first = number if first is None else min(first, number)
                         last = number if last is None else max(last, number)
                         for name in event.scan.values:
                             samples[name] = samples.get(name, 0) + 1
-    books = [b for a in aircraft.values() for b in a.sessions]
-    scans = sum(len(b.received) for b in books)
+    accounting = [b for a in aircraft.values() for b in a.sessions]
+    scans = sum(len(b.received) for b in accounting)
     duration = (last_utc - first_utc) * 1e-9
     return {
         "file": str(path),
@@ -162,5 +152,5 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
         "software": "",
         "frames": decoder.counts.frames,
         "frames_damaged": decoder.counts.damaged,
-        "sessions": len(books),
+        "sessions": len(accounting),
     }

@@ -10,7 +10,7 @@ from groundstation.flight import Flight
 from groundstation.flight.flight import GAP_FACTOR
 from groundstation.flight.manoeuvres import find_manoeuvres
 from groundstation.flight.marks import marks_of
-from groundstation.viewer.live import ViewerError
+from groundstation.viewer.gate import ViewerError
 
 Array = NDArray[np.float64]
 
@@ -41,35 +41,37 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
         "correlation": _by_correlation, "input": _by_input, "event": _by_event, "start": _by_start,
     }  # fmt: skip
-    tried = ("correlation", "input", "start") if by == "auto" else (by,)
-    found = next((f for f in (ways[w](first, second) for w in tried) if f is not None), None)
-    if found is None:
+    methods = ("correlation", "input", "start") if by == "auto" else (by,)
+    result = next((f for f in (ways[w](first, second) for w in methods) if f is not None), None)
+    if result is None:
         raise ViewerError(
             f"{second.name} cannot be laid on {first.name} by {by}: they have nothing of it in common; try --align start"
         )
-    shift, text = found
+    shift, text = result
     time = second.time + shift
     columns = {
-        f"{n}{BESIDE}": _onto(first.time, time, v, second) for n, v in second.columns.items() if not n.endswith(BESIDE)
+        f"{n}{BESIDE}": _resampled(first.time, time, v, second)
+        for n, v in second.columns.items()
+        if not n.endswith(BESIDE)
     }
     if not any(np.isfinite(v).any() for v in columns.values()):
         raise ViewerError(f"{second.name}, moved by {shift:+.2f} s, has no time in common with {first.name}")
-    own = {n: v for n, v in first.columns.items() if not n.endswith(BESIDE)}
-    together = Flight.build(
-        first.name, first.time, {**own, **columns}, segment=first.segment, provenance=first.provenance
+    first_columns = {n: v for n, v in first.columns.items() if not n.endswith(BESIDE)}
+    pair = Flight.build(
+        first.name, first.time, {**first_columns, **columns}, segment=first.segment, provenance=first.provenance
     )
-    return PairedFlight(together, shift, f"{second.name} is moved by {shift:+.2f} s onto {first.name}: {text}")
+    return PairedFlight(pair, shift, f"{second.name} is moved by {shift:+.2f} s onto {first.name}: {text}")
 
 
-def _onto(base: Array, time: Array, values: Array, flight: Flight) -> Array:
+def _resampled(base: Array, time: Array, values: Array, flight: Flight) -> Array:
     """Values of the second at times of the first; NaN outside it and in its gaps."""
-    good = np.isfinite(values)
-    if good.sum() < 2:
+    finite = np.isfinite(values)
+    if finite.sum() < 2:
         return np.full(base.size, np.nan)
-    t, v = time[good], values[good]
-    at = np.clip(np.searchsorted(t, base) - 1, 0, t.size - 2)
-    inside = (base >= t[0]) & (base <= t[-1]) & (t[at + 1] - t[at] <= GAP_FACTOR * flight.sample_interval)
-    return np.where(inside, np.interp(base, t, v), np.nan)
+    t, v = time[finite], values[finite]
+    index = np.clip(np.searchsorted(t, base) - 1, 0, t.size - 2)
+    covered = (base >= t[0]) & (base <= t[-1]) & (t[index + 1] - t[index] <= GAP_FACTOR * flight.sample_interval)
+    return np.where(covered, np.interp(base, t, v), np.nan)
 
 
 def _by_start(first: Flight, second: Flight) -> tuple[float, str]:
@@ -85,50 +87,54 @@ def _by_input(first: Flight, second: Flight) -> tuple[float, str] | None:
 
 def _by_event(first: Flight, second: Flight) -> tuple[float, str] | None:
     theirs: dict[str, float] = {}
-    for time, text in _said(second):
+    for time, text in _events_of(second):
         theirs.setdefault(text, time)
-    return next(((time - theirs[text], f"by '{text}'") for time, text in _said(first) if text in theirs), None)
+    return next(((time - theirs[text], f"by '{text}'") for time, text in _events_of(first) if text in theirs), None)
 
 
-def _said(flight: Flight) -> list[tuple[float, str]]:
+def _events_of(flight: Flight) -> list[tuple[float, str]]:
     marks = marks_of(flight)
-    found = [(m.time, m.text) for m in (*marks.events, *marks.messages)] + [
+    events = [(m.time, m.text) for m in (*marks.events, *marks.messages)] + [
         (m.start, f"mode {m.name}") for m in marks.modes
     ]
-    return sorted(found)
+    return sorted(events)
 
 
 def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:
     """The shift at which the columns that both have are most alike, over all of them."""
     names = [n for n in COMPARED if first.measured(n) and second.measured(n)]
-    best = None
+    peak = None
     a, b = (np.arange(f.time[0], f.time[-1], 1 / RATE) for f in (first, second))
-    least = round(SHORTEST * RATE)
-    if not names or min(a.size, b.size) < least:
+    min_samples = round(SHORTEST * RATE)
+    if not names or min(a.size, b.size) < min_samples:
         return None
     size = a.size + b.size
-    top = np.zeros(2 * size)
-    one = two = np.zeros(2 * size)
+    cross = np.zeros(2 * size)
+    power_a = power_b = np.zeros(2 * size)
     for name in names:
-        x, y = _even(first, name, a), _even(second, name, b)
-        top = top + _products(x, y, size)
-        one = one + _products(x**2, np.ones_like(y), size)
-        two = two + _products(np.ones_like(x), y**2, size)
+        x, y = _normalised(first, name, a), _normalised(second, name, b)
+        cross = cross + _products(x, y, size)
+        power_a = power_a + _products(x**2, np.ones_like(y), size)
+        power_b = power_b + _products(np.ones_like(x), y**2, size)
     common = _products(np.ones(a.size), np.ones(b.size), size)
     with np.errstate(invalid="ignore", divide="ignore"):
-        alike = np.where((common >= least) & (one > 0) & (two > 0), top / np.sqrt(one * two), -1.0)
-        alike = alike * np.sqrt(np.clip(common / min(a.size, b.size), 0.0, 1.0))  # a short overlap is alike by chance
-    best = int(np.argmax(alike))
-    if alike[best] < ALIKE:
+        correlation = np.where(
+            (common >= min_samples) & (power_a > 0) & (power_b > 0), cross / np.sqrt(power_a * power_b), -1.0
+        )
+        correlation = correlation * np.sqrt(
+            np.clip(common / min(a.size, b.size), 0.0, 1.0)
+        )  # a short overlap is alike by chance
+    peak = int(np.argmax(correlation))
+    if correlation[peak] < ALIKE:
         return None
-    lag = best if best < size else best - 2 * size
-    return float(a[0] - b[0] + lag / RATE), f"{', '.join(names)} correlate by {alike[best]:.2f}"
+    lag = peak if peak < size else peak - 2 * size
+    return float(a[0] - b[0] + lag / RATE), f"{', '.join(names)} correlate by {correlation[peak]:.2f}"
 
 
-def _even(flight: Flight, name: str, time: Array) -> Array:
+def _normalised(flight: Flight, name: str, time: Array) -> Array:
     """A column at an even rate, about its median, in units of its spread over both."""
-    good = np.isfinite(flight[name])
-    values = np.interp(time, flight.time[good], flight[name][good])
+    finite = np.isfinite(flight[name])
+    values = np.interp(time, flight.time[finite], flight[name][finite])
     values = values - np.median(values)
     return np.asarray(values / (np.sqrt(np.mean(values**2)) or 1.0))
 

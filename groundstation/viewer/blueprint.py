@@ -4,8 +4,9 @@ Thirty-second sliding windows that follow live data; for a recorded flight the w
 recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rbl` saves it alone, for rerun's own use.
 """
 
+import inspect
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +16,6 @@ import rerun.blueprint as rrb
 from daq.contract.durable import write_bytes
 from daq.identification.airframe import EQUATIONS
 from groundstation.viewer import entities as e
-from groundstation.viewer.panes import fitted
 
 Layout = Literal["full", "light"]
 WINDOW_S = 30.0  # two manoeuvres; a window of a minute is empty for the first half of a short flight
@@ -86,10 +86,12 @@ def blueprint(
         rrb.TimePanel(state="collapsed", timeline=e.TIMELINE, play_state=following),
     )
     if layout == "light":
-        left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
+        plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
         words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
         right = rrb.Vertical(events, words, row_shares=[1, 1.6]) if identified and live else events
-        return rrb.Blueprint(rrb.Horizontal(left, right, column_shares=[3, 2 if right is not events else 1]), *panels)
+        return rrb.Blueprint(
+            rrb.Horizontal(plots_left, right, column_shares=[3, 2 if right is not events else 1]), *panels
+        )
     chase = rrb.Spatial3DView(
         origin=e.ATTITUDE,
         name="Attitude",
@@ -103,7 +105,7 @@ def blueprint(
     map_view = rrb.MapView(origin="/map", name="Map")
     status = rrb.TextDocumentView(origin=e.STATUS, name="Status")
     health = rrb.StateTimelineView(origin=e.HEALTH, name="Sensor health")
-    left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"], plots["acceleration"])
+    plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"], plots["acceleration"])
     middle = rrb.Vertical(
         rrb.Tabs(chase, track, map_view, name="Where"),
         plots["attitude"],
@@ -112,7 +114,7 @@ def blueprint(
     )
     link = rrb.Tabs(plots["link"], plots["signal"])
     right = rrb.Vertical(health, link, rrb.Tabs(events, status), row_shares=[2.2, 1, 1.3])
-    flying = rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
+    flying = rrb.Horizontal(plots_left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
     if not identified:
         return rrb.Blueprint(flying, *panels)
     return rrb.Blueprint(rrb.Tabs(flying, _identification(live, coefficients), active_tab=0), *panels)
@@ -143,6 +145,66 @@ def _identification(live: bool, coefficients: Sequence[str]) -> rrb.Horizontal:
 def save_blueprint(path: Path, layout: Layout = "full") -> None:
     """Write the layout for live data as .rbl; OSError when the file cannot be written."""
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "layout.rbl"
-        fitted(blueprint(layout), live=True).save(e.APPLICATION, str(made))
-        write_bytes(path, made.read_bytes())
+        scratch = Path(folder) / "layout.rbl"
+        fitted(blueprint(layout), live=True).save(e.APPLICATION, str(scratch))
+        write_bytes(path, scratch.read_bytes())
+
+
+TOP = 0.10  # of the height: a line of read-outs from 720 lines of screen on
+CONTAINERS = (rrb.Vertical, rrb.Horizontal, rrb.Tabs, rrb.Grid)
+
+
+def fitted(page: rrb.Blueprint, *, live: bool, filled: Collection[str] | None = None) -> rrb.Blueprint:
+    """The layout with read-outs and, live, the alarms above it.
+
+    filled: entities with something to show, all of them where None is given; a pane without any is taken out, and so is a
+    container that has no pane left.
+    """
+    body = page.root_container if filled is None else _without_empty(page.root_container, filled)
+    top = _top(live=live) if filled is None or e.READOUTS in filled else None
+    rows = [(part, share) for part, share in ((top, TOP), (body, 1.0 - TOP)) if part is not None]
+    if rows:
+        page.root_container = rrb.Vertical(*(p for p, _ in rows), row_shares=[s for _, s in rows])
+    return page
+
+
+def _top(*, live: bool) -> rrb.Container:
+    """Read-outs; live with the alarms in words, and a lamp in the colour of the highest."""
+    readouts = _bare(rrb.TextDocumentView(origin=e.READOUTS, name="Read-outs"))
+    if not live:
+        return rrb.Horizontal(readouts)
+    words = _bare(rrb.TextDocumentView(origin=e.ALARM_WORDS, name="Alarms"))
+    lamp = _bare(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
+    return rrb.Horizontal(readouts, words, lamp, column_shares=[3.4, 1.1, 0.5])
+
+
+def _bare(view: rrb.View) -> rrb.View:
+    """The view without its title bar: its height is that of a line of read-outs."""
+    view.titlebar = False
+    return view
+
+
+def _without_empty(pane: rrb.Container | rrb.View, filled: Collection[str]) -> rrb.Container | rrb.View | None:
+    """The pane with what has something to show; None where nothing of it has."""
+    if not isinstance(pane, CONTAINERS):
+        return pane if _shows(pane, filled) else None
+    parts = [(i, part) for i, inner in enumerate(pane.contents) if (part := _without_empty(inner, filled)) is not None]
+    if not parts:
+        return None
+    rows, columns = (s and [s[i] for i, _ in parts] for s in (pane.row_shares, pane.column_shares))
+    arguments = {"row_shares": rows, "column_shares": columns, "grid_columns": pane.grid_columns, "name": pane.name}
+    kind = next(k for k in CONTAINERS if isinstance(pane, k))
+    accepted = inspect.signature(kind.__init__).parameters
+    chosen_arguments = {name: value for name, value in arguments.items() if name in accepted and value is not None}
+    return kind(*(part for _, part in parts), **chosen_arguments)
+
+
+def _shows(view: rrb.View, filled: Collection[str]) -> bool:
+    """Whether any of the entities that a view asks for is filled."""
+    contents = [view.contents] if isinstance(view.contents, str) else list(view.contents)
+    for text in contents:
+        entity = str(text).replace("$origin", str(view.origin)).lstrip("+ ")
+        root = entity.removesuffix("/**")
+        if any(f == root or (root != entity and f.startswith(f"{root}/")) for f in filled):
+            return True
+    return False

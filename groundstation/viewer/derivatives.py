@@ -9,13 +9,16 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from daq.identification.airframe import Belief
 from groundstation.identification.history import BELIEVED, DETAIL, history_of
 from groundstation.identification.session import LiveState
 from groundstation.identification.words import markdown
 from groundstation.viewer import entities as e
-from groundstation.viewer.glyphs import drawable
+from groundstation.viewer.entities import drawable
+
+Array = NDArray[np.float64]
 
 BAND = 2.0  # bounds to each side: 95 %
 BAND_LABEL = " "  # of its edges: in the colour of their derivative, and the legend is long enough
@@ -23,7 +26,6 @@ THIN, THICK = 0.6, 2.0  # widths of lines, in points
 
 
 def entity(coefficient: str) -> str:
-    """Where the curves of a coefficient are."""
     return f"{e.IDENTIFICATION}/{coefficient}"
 
 
@@ -33,6 +35,13 @@ def by_coefficient(names: Iterable[str]) -> dict[str, list[str]]:
     for name in names:
         groups.setdefault(name.partition("_")[0], []).append(name)
     return groups
+
+
+def send_scalars(stream: rr.RecordingStream, entity: str, time: Array, table: Array) -> None:
+    """Log scalars of a whole flight at once. time: (N,) [s]; table: (N, series)."""
+    index = rr.TimeColumn(e.TIMELINE, duration=time)
+    columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * len(time))
+    stream.send_columns(entity, indexes=[index], columns=columns)
 
 
 class DerivativeCurves:
@@ -48,40 +57,40 @@ class DerivativeCurves:
         self._name_once(by_coefficient(state.aircraft.shown), state.aircraft.sources)
         self._stream.set_time(e.TIMELINE, duration=state.time)
         for coefficient, names in by_coefficient(state.aircraft.shown).items():
-            known = [state.estimates.derivatives[n] for n in names]
+            derivatives = [state.estimates.derivatives[n] for n in names]
             rows = [
-                _shown(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0))) for d in known
+                _band(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0)))
+                for d in derivatives
             ]
             self._stream.log(entity(coefficient), rr.Scalars(np.ravel(rows)))
         text = rr.TextDocument(drawable(markdown(state)), media_type=rr.MediaType.MARKDOWN)
         self._stream.log(e.IDENTIFIED, text)
 
-    def kept(self, detail: Mapping[str, object]) -> None:
+    def show_history(self, detail: Mapping[str, object]) -> None:
         """The history that a finished flight carries, if it does."""
-        found = history_of(detail)
-        if found is None:
+        history = history_of(detail)
+        if history is None:
             return
-        times, series = found
-        believed = _believed(detail)
+        times, series = history
+        beliefs = _beliefs_of(detail)
         groups = by_coefficient(n for n in series if not n.endswith("_0"))
         self._name_once(groups, {})
         for coefficient, names in groups.items():
             empty = ([math.nan] * len(times),) * 2
             table = [
-                [_shown(v, s, believed.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
+                [_band(v, s, beliefs.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
                 for n in names
             ]
             flat = np.array(table).transpose(1, 0, 2).reshape(len(times), -1)
-            index = rr.TimeColumn(e.TIMELINE, duration=np.array(times))
-            columns = rr.Scalars.columns(scalars=flat.ravel()).partition([flat.shape[1]] * len(times))
-            self._stream.send_columns(entity(coefficient), indexes=[index], columns=columns)
+            send_scalars(self._stream, entity(coefficient), np.array(times), flat)
 
     def _name_once(self, groups: Mapping[str, Sequence[str]], sources: Mapping[str, str]) -> None:
         if self._named:
             return
         self._named = True
         for coefficient, names in groups.items():
-            labels = [x for n in names for x in _labels(n, sources.get(n, ""))]
+            headings = [f"{n} (0: {sources[n]})" if sources.get(n) else n for n in names]
+            labels = [label for heading in headings for label in (heading, BAND_LABEL, BAND_LABEL)]
             colors = [c for i in range(len(names)) for c in (e.PALETTE[i], _faded(e.PALETTE[i]), _faded(e.PALETTE[i]))]
             lines = rr.SeriesLines(
                 names=labels, colors=np.array(colors, np.uint32), widths=[THICK, THIN, THIN] * len(names)
@@ -89,13 +98,7 @@ class DerivativeCurves:
             self._stream.log(entity(coefficient), lines, static=True)
 
 
-def _labels(name: str, source: str) -> Iterable[str]:
-    yield f"{name}{f' (0: {source})' if source else ''}"
-    yield BAND_LABEL
-    yield BAND_LABEL
-
-
-def _shown(value: float, bound: float, belief: Belief) -> Sequence[float]:
+def _band(value: float, bound: float, belief: Belief) -> Sequence[float]:
     """Estimate and the edges of its band, in standard deviations of the belief."""
     if not (math.isfinite(value) and belief.std > 0.0):
         return (math.nan,) * 3
@@ -107,13 +110,13 @@ def _faded(color: int) -> int:
     return (color & 0xFFFFFF00) | 0x80
 
 
-def _believed(detail: Mapping[str, object]) -> dict[str, Belief]:
-    kept = detail.get(DETAIL)
-    rows = kept.get(BELIEVED) if isinstance(kept, Mapping) else None
-    found = {}
+def _beliefs_of(detail: Mapping[str, object]) -> dict[str, Belief]:
+    identification = detail.get(DETAIL)
+    rows = identification.get(BELIEVED) if isinstance(identification, Mapping) else None
+    beliefs = {}
     for name, row in rows.items() if isinstance(rows, Mapping) else ():
         if isinstance(row, Mapping):
             value, std = row.get("value"), row.get("std")
             if isinstance(value, int | float) and isinstance(std, int | float):
-                found[str(name)] = Belief(float(value), float(std))
-    return found
+                beliefs[str(name)] = Belief(float(value), float(std))
+    return beliefs

@@ -5,6 +5,7 @@ per entity and chunk, not per number. Angles are shown in degrees: this is a per
 """
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -39,6 +40,37 @@ IDENTIFIED = f"{IDENTIFICATION}/words"
 
 # Okabe-Ito: told apart by colour-blind people too, and readable on rerun's dark ground.
 PALETTE = (0x56B4E9FF, 0xE69F00FF, 0x009E73FF, 0xF0E442FF, 0xCC79A7FF, 0xD55E00FF, 0x0072B2FF, 0xBBBBBBFF)
+
+LINK_SERIES = (
+    (LINK_LOSS, "lost [%]", PALETTE[5]),
+    (LINK_RATE, "scans [1/s]", PALETTE[2]),
+    (LINK_SIGNAL, "signal [dBm]", PALETTE[0]),
+    (LINK_LATENCY, "latency [ms]", PALETTE[1]),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSample:
+    """State of the radio link: loss [%], frame rate [1/s], received signal [dBm], latency [s]; NaN unknown."""
+
+    loss_percent: float = math.nan
+    rate_hz: float = math.nan
+    signal_dbm: float = math.nan
+    latency_s: float = math.nan
+
+    @classmethod
+    def reported(cls, loss: float, rate_hz: float, signal: float | None, latency_s: float | None) -> "LinkSample":
+        """From a report of the receiver. loss: share of frames; None: not known."""
+        unknown = math.nan
+        return cls(
+            100 * loss, rate_hz, unknown if signal is None else signal, unknown if latency_s is None else latency_s
+        )
+
+    def by_entity(self) -> dict[str, float]:
+        """Values as shown, by the entity that shows them."""
+        values = (self.loss_percent, self.rate_hz, self.signal_dbm, 1e3 * self.latency_s)
+        return dict(zip((row[0] for row in LINK_SERIES), values, strict=True))
+
 
 _HUES: Mapping[str, int] = {"/controls/commanded": 3}  # drawn with what was measured
 _MODEL_HUE = 4
@@ -77,17 +109,17 @@ class SeriesGroup:
 
 def _group(entity: str, columns: Iterable[FlightColumn], suffix: str = "") -> SeriesGroup:
     rows = tuple(columns)
-    shown = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
-    labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, shown, strict=True))
-    scale, offset = np.array([s for _, s, _ in shown]), np.array([o for _, _, o in shown])
+    conversions = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
+    labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, conversions, strict=True))
+    scale, offset = np.array([s for _, s, _ in conversions]), np.array([o for _, _, o in conversions])
     return SeriesGroup(entity, tuple(c.name for c in rows), labels, scale, offset, _HUES.get(entity, 0))
 
 
 def series_groups(available: Iterable[str] | None = None) -> tuple[SeriesGroup, ...]:
     """Series groups in table order, of the columns that are available (all of the table by default)."""
-    wanted = {c.name for c in COLUMNS} if available is None else set(available)
-    entities = dict.fromkeys(c.entity for c in COLUMNS if c.name in wanted)
-    return tuple(_group(e, (c for c in COLUMNS if c.entity == e and c.name in wanted)) for e in entities)
+    names = {c.name for c in COLUMNS} if available is None else set(available)
+    entities = dict.fromkeys(c.entity for c in COLUMNS if c.name in names)
+    return tuple(_group(e, (c for c in COLUMNS if c.entity == e and c.name in names)) for e in entities)
 
 
 def model_groups(available: Iterable[str], whose: str = "model") -> tuple[SeriesGroup, ...]:
@@ -104,7 +136,6 @@ def model_groups(available: Iterable[str], whose: str = "model") -> tuple[Series
 
 
 def health_entity(group: str) -> str:
-    """Entity of one sensor's state lane."""
     return f"{HEALTH}/{group}"
 
 
@@ -126,3 +157,38 @@ STATE_COLORS: Mapping[str, int] = {
     "fault": 0xB22222FF,
     "off": 0x555555FF,
 }
+
+
+# what rerun's only font does not hold; its native viewer (0.41) ends at the first such letter
+UNDRAWN = re.compile("[^\n -~¡-¬®-ňŊ-ſΑ-ΡΣ-Ωα-ωА-я\u0302\u0307ḣṗṙẊ→−√≠■…]")
+
+
+def drawable(text: str) -> str:
+    """`text` with a question mark for every letter that the viewer cannot draw."""
+    return UNDRAWN.sub("?", text)
+
+
+SPAN, ROOT_CHORD, TAPER, CG_AFT_OF_NOSE = 1.50, 0.90, 0.1667, 0.44
+FIN_HEIGHT, FIN_ROOT, FIN_TIP = 0.30, 0.28, 0.16
+_WING, _ELEVON, _FIN = (0x9FB4C7FF, 0xE69F00FF, 0xD55E00FF)
+
+
+def airframe_mesh() -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint32]]:
+    """Vertices (n, 3), triangles (m, 3) and vertex colours (n,) 0xRRGGBBAA; both faces of every plate."""
+    nose = CG_AFT_OF_NOSE
+    tail = nose - ROOT_CHORD
+    tip_lead = tail + ROOT_CHORD * TAPER
+    half = SPAN / 2
+    hinge = 0.12
+    plates: list[tuple[list[tuple[float, float, float]], int]] = []
+    for side in (-1.0, 1.0):
+        y = side * half
+        plates.append(([(nose, 0.0, 0.0), (tip_lead, y, 0.0), (tail + hinge, y, 0.0), (tail + hinge, 0.0, 0.0)], _WING))
+        plates.append(([(tail + hinge, 0.0, 0.0), (tail + hinge, y, 0.0), (tail, y, 0.0), (tail, 0.0, 0.0)], _ELEVON))
+    fin = [(tail + FIN_ROOT, 0.0, 0.0), (tail + FIN_TIP, 0.0, -FIN_HEIGHT), (tail, 0.0, -FIN_HEIGHT), (tail, 0.0, 0.0)]
+    plates.append((fin, _FIN))
+    vertices = np.array([v for corners, _ in plates for v in corners], np.float32)
+    colors = np.array([color for corners, color in plates for _ in corners], np.uint32)
+    quads = np.arange(len(vertices)).reshape(-1, 4)
+    front = np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return vertices, np.vstack([front, front[:, ::-1]]).astype(np.uint32), colors

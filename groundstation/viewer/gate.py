@@ -16,6 +16,8 @@ import threading
 from collections.abc import Mapping
 from http import HTTPStatus
 
+from daq.contract.errors import UserError
+
 LOOPBACK = "127.0.0.1"
 HERE = frozenset({"127.0.0.1", "localhost", "::1"})
 """Names of this computer that a page of it can be asked by."""
@@ -28,6 +30,27 @@ _BLOCK = 1 << 16
 _BACKLOG = 128
 _HTTP2 = b"PRI * HTTP/2.0\r\n\r\n"
 COOKIE = "sideslip"
+
+
+class ViewerError(UserError):
+    """The viewer cannot be started."""
+
+
+def port_is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError:
+            return False
+    return True
+
+
+def free_port() -> int:
+    """A TCP port on loopback that is free now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
 
 
 def hidden_address() -> str:
@@ -46,17 +69,17 @@ def host_of(header: str) -> str:
 
 
 def refusal(
-    headers: Mapping[str, str], known: frozenset[str], token: str, *, tokens: tuple[str, ...] = ()
+    headers: Mapping[str, str], names: frozenset[str], token: str, *, tokens: tuple[str, ...] = ()
 ) -> HTTPStatus | None:
-    """Why a request is not answered; None where it is. headers: by their names in small letters. known: names that this
+    """Why a request is not answered; None where it is. headers: by their names in small letters. names: names that this
     server goes by; with a token any, for a strange name has no token. tokens: those that the request shows besides its cookie."""
     host, origin = headers.get("host", ""), headers.get("origin", "null")
-    if not token and host_of(host) not in known:
+    if not token and host_of(host) not in names:
         return HTTPStatus.MISDIRECTED_REQUEST
-    if origin != "null" and host_of(origin) not in (known if not token else {host_of(host)}):
+    if origin != "null" and host_of(origin) not in (names if not token else {host_of(host)}):
         return HTTPStatus.FORBIDDEN
-    shown = [*tokens, *_cookies(headers.get("cookie", ""))]
-    if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in shown):
+    candidates = [*tokens, *_cookies(headers.get("cookie", ""))]
+    if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in candidates):
         return HTTPStatus.FORBIDDEN
     return None
 
@@ -73,9 +96,17 @@ class BoundedServer(socketserver.ThreadingTCPServer):
     allow_reuse_address = True
     request_queue_size = _BACKLOG
 
-    def __init__(self, address: tuple[str, int], handler: type[socketserver.BaseRequestHandler]) -> None:
+    def __init__(self, address: tuple[str, int], handler: type[socketserver.BaseRequestHandler], name: str) -> None:
         self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__(address, handler)
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name=name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: object) -> None:
         """Serve, or close where there are too many."""
@@ -87,7 +118,6 @@ class BoundedServer(socketserver.ThreadingTCPServer):
     def process_request_thread(
         self, request: socket.socket | tuple[bytes, socket.socket], client_address: object
     ) -> None:
-        """In the connection's thread."""
         try:
             super().process_request_thread(request, client_address)  # type: ignore[arg-type]
         finally:
@@ -97,41 +127,33 @@ class BoundedServer(socketserver.ThreadingTCPServer):
         """A connection that breaks is no news."""
 
 
-def pump(one: socket.socket, other: socket.socket, idle_s: float = IDLE_S) -> None:
+def pump(first: socket.socket, second: socket.socket, idle_s: float = IDLE_S) -> None:
     """Pass bytes on in both directions until one side ends, or nothing comes for too long."""
-    to = {one: other, other: one}
-    for side in to:
+    destination = {first: second, second: first}
+    for side in destination:
         side.settimeout(HEAD_S)
     while True:
-        ready, _, _ = select.select(list(to), [], [], idle_s)
+        ready, _, _ = select.select(list(destination), [], [], idle_s)
         if not ready:
             return
         for side in ready:
             data = side.recv(_BLOCK)
             if not data:
                 return
-            to[side].sendall(data)
+            destination[side].sendall(data)
 
 
-class ViewerGate:
+class ViewerGate(BoundedServer):
     """In front of rerun's own server of a live view, on loopback. backend: where that listens. Raises OSError."""
 
     def __init__(self, port: int, backend: tuple[str, int]) -> None:
-        class GateHandler(_Passing):
+        class GateHandler(_GateConnection):
             behind = backend
 
-        self._server = BoundedServer((LOOPBACK, port), GateHandler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-gate", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Let nobody in any more."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().__init__((LOOPBACK, port), GateHandler, "viewer-gate")
 
 
-class _Passing(socketserver.BaseRequestHandler):
+class _GateConnection(socketserver.BaseRequestHandler):
     """One connection: its first request decides."""
 
     behind = ("", 0)
@@ -143,23 +165,29 @@ class _Passing(socketserver.BaseRequestHandler):
             if head is None:
                 return
             if not head.startswith(_HTTP2):
-                why = refusal(_headers(head), HERE, "")
-                if why is not None:
-                    said = (f"HTTP/1.1 {why.value} {why.phrase}", "Content-Length: 0", "Connection: close", "", "")
-                    client.sendall("\r\n".join(said).encode())
+                status = refusal(_headers(head), HERE, "")
+                if status is not None:
+                    response = (
+                        f"HTTP/1.1 {status.value} {status.phrase}",
+                        "Content-Length: 0",
+                        "Connection: close",
+                        "",
+                        "",
+                    )
+                    client.sendall("\r\n".join(response).encode())
                     return
-                head = once(head)
+                head = single_request(head)
             with socket.create_connection(self.behind, HEAD_S) as server:
                 server.sendall(head)
                 pump(client, server)
 
 
-def once(head: bytes) -> bytes:
+def single_request(head: bytes) -> bytes:
     """The head of a request (with what follows it) that lets no second request follow on the same connection: only the first
     was looked at."""
     lines, body = head.partition(b"\r\n\r\n")[::2]
-    kept = [line for line in lines.split(b"\r\n") if not line.lower().startswith((b"connection:", b"upgrade:"))]
-    return b"\r\n".join([*kept, b"Connection: close"]) + b"\r\n\r\n" + body
+    headers = [line for line in lines.split(b"\r\n") if not line.lower().startswith((b"connection:", b"upgrade:"))]
+    return b"\r\n".join([*headers, b"Connection: close"]) + b"\r\n\r\n" + body
 
 
 def _head(client: socket.socket) -> bytes | None:
@@ -176,9 +204,9 @@ def _head(client: socket.socket) -> bytes | None:
 
 def _headers(head: bytes) -> dict[str, str]:
     """Headers by their names in small letters; of one that comes twice nothing is believed."""
-    found: dict[str, str] = {}
+    headers: dict[str, str] = {}
     for line in head.partition(b"\r\n\r\n")[0].decode("latin-1").split("\r\n")[1:]:
         name, _, value = line.partition(":")
         key = name.strip().lower()
-        found[key] = "," if key in found else value.strip()
-    return found
+        headers[key] = "," if key in headers else value.strip()
+    return headers

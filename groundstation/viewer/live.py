@@ -6,11 +6,8 @@ server that viewers attach to lives in this process, on loopback, with bounded m
 back. Each start makes a recording id of its own, because a viewer shows an old recording for a known id.
 """
 
-import math
 import queue
-import socket
 import threading
-import time
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,24 +15,19 @@ from pathlib import Path
 
 import rerun as rr
 
-from daq.contract.errors import UserError
 from daq.identification.airframe import EQUATIONS
 from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
-from groundstation.viewer.blueprint import Layout, blueprint
-from groundstation.viewer.gate import LOOPBACK, ViewerGate, hidden_address
-from groundstation.viewer.panes import fitted
-from groundstation.viewer.scene import LinkSample, Scene
+from groundstation.viewer.blueprint import Layout, blueprint, fitted
+from groundstation.viewer.entities import LinkSample
+from groundstation.viewer.gate import LOOPBACK, ViewerError, ViewerGate, free_port, hidden_address, port_is_free
+from groundstation.viewer.scene import Scene
 
 DEFAULT_PORT = 9876
 QUEUE_LENGTH = 600
 TICK_S: Mapping[str, float] = {"full": 0.1, "light": 1.0}
 FLUSH_TIMEOUT_S = 5.0
-
-
-class ViewerError(UserError):
-    """The viewer cannot be started."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,24 +50,6 @@ class ViewOptions:
     coefficients: tuple[str, ...] = tuple(EQUATIONS)
 
 
-def port_is_free(port: int) -> bool:
-    """Whether a TCP port on loopback can be bound."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((LOOPBACK, port))
-        except OSError:
-            return False
-    return True
-
-
-def free_port() -> int:
-    """A TCP port on loopback that is free now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
-
-
 class LiveView:
     """One aircraft, live. Methods may be called from any thread and never block."""
 
@@ -85,8 +59,8 @@ class LiveView:
                 f"viewer port {LOOPBACK}:{options.port} is in use; close the other viewer or give another port"
             )
         self._queue: queue.Queue[Callable[[Scene], None] | None] = queue.Queue(QUEUE_LENGTH)
-        self._dropped = 0
-        self._shown = 0
+        self.dropped = 0  # pictures, because the viewer side was slow
+        self.shown = 0  # pictures handed to rerun
         self._closing = False
         config = rr.ChunkBatcherConfig(flush_tick=options.tick_s or TICK_S[options.layout])
         run = f"{title}-{uuid.uuid4().hex[:12]}"
@@ -113,40 +87,23 @@ class LiveView:
         self._thread.start()
 
     # ------------------------------------------------------------------------------------------------ callers' side
-    @property
-    def dropped(self) -> int:
-        """Pictures dropped because the viewer side was slow."""
-        return self._dropped
-
-    @property
-    def shown(self) -> int:
-        """Pictures handed to rerun."""
-        return self._shown
-
     def sample(self, time_s: float, values: Mapping[str, float]) -> None:
-        """Show one calibrated sample."""
         self._put(lambda scene: scene.sample(time_s, values))
 
     def states(self, time_s: float, states: Mapping[str, str]) -> None:
-        """Show sensor states in words."""
         self._put(lambda scene: scene.states(time_s, states))
 
     def event(self, time_s: float, text: str, level: str = "INFO") -> None:
-        """Show an event."""
         self._put(lambda scene: scene.event(time_s, text, level))
 
     def link(self, time_s: float, link: LinkSample) -> None:
-        """Show link quality."""
         self._put(lambda scene: scene.link(time_s, link))
 
     def quality(self, time_s: float, report: LinkStatistics) -> None:
-        """Show what the receiver says of the link."""
-        signal = math.nan if report.rssi_dbm is None else report.rssi_dbm
-        latency = math.nan if report.latency_s is None else report.latency_s
-        self.link(time_s, LinkSample(100 * report.loss, report.scan_rate_hz, signal, latency))
+        sample = LinkSample.reported(report.loss, report.scan_rate_hz, report.rssi_dbm, report.latency_s)
+        self.link(time_s, sample)
 
     def status(self, time_s: float, markdown: str) -> None:
-        """Show the status page."""
         self._put(lambda scene: scene.status(time_s, markdown))
 
     def readouts(self, time_s: float, numbers: str, alarms: str, level: str) -> None:
@@ -154,7 +111,6 @@ class LiveView:
         self._put(lambda scene: scene.readouts(time_s, numbers, alarms, level))
 
     def identification(self, state: LiveState) -> None:
-        """Show what is identified by now."""
         self._put(lambda scene: scene.identification(state))
 
     def close(self) -> None:
@@ -185,7 +141,7 @@ class LiveView:
     def _drop_oldest(self) -> None:
         try:
             self._queue.get_nowait()
-            self._dropped += 1
+            self.dropped += 1
         except queue.Empty:
             pass
 
@@ -194,13 +150,4 @@ class LiveView:
         scene = Scene(self._stream, self._columns)
         while (job := self._queue.get()) is not None:
             job(scene)
-            self._shown += 1
-
-    def drain(self, timeout_s: float) -> bool:
-        """Wait until everything queued so far was logged; False when that took longer."""
-        deadline = time.monotonic() + timeout_s
-        while not self._queue.empty():
-            if time.monotonic() > deadline:
-                return False
-            threading.Event().wait(0.005)
-        return True
+            self.shown += 1

@@ -8,7 +8,6 @@ sees them, and a Content-Security-Policy makes the browser refuse whatever were 
 import contextlib
 import re
 import socket
-import threading
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -53,7 +52,7 @@ _KEEP_TO_THIS_COMPUTER = """<script>
     </script>"""
 
 
-def kept_home(page: str) -> str:
+def confined_page(page: str) -> str:
     """rerun's page with its links to other hosts taken out, and its requests to them made to fail."""
     return _FOREIGN_LINK.sub("", page).replace("<head>", f"<head>\n    {_KEEP_TO_THIS_COMPUTER}", 1)
 
@@ -75,7 +74,7 @@ def policy(data: Sequence[str]) -> str:
     )
 
 
-class PageServer:
+class PageServer(BoundedServer):
     """Serves the page, from the files of a rerun program that serves them at `files` (http://...), and its data from `behind`.
 
     data: other origins the page may take its data from. host: where to listen. key: token that every request has to show; beyond
@@ -97,15 +96,7 @@ class PageServer:
                 "X-DNS-Prefetch-Control": "off",
             }
 
-        self._server = BoundedServer((host, port), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-page", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Serve no more."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
+        super().__init__((host, port), Handler, "viewer-page")
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -121,10 +112,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path, _, query = self.path.partition("?")
-        shown = tuple(urllib.parse.parse_qs(query).get(TOKEN, ()))
-        if not self._welcome(shown):
+        tokens = tuple(urllib.parse.parse_qs(query).get(TOKEN, ()))
+        if not self._welcome(tokens):
             return
-        if self.token and shown and path == "/":
+        if self.token and tokens and path == "/":
             self._remember(query)
             return
         if path != "/" and path not in FILES:
@@ -134,7 +125,7 @@ class _Handler(BaseHTTPRequestHandler):
             with DIRECT.open(self.source + path, timeout=_ASK_S) as answer:
                 head = {name: answer.headers[name] for name in _PASSED_ON if answer.headers[name]}
                 if path == "/":
-                    page = kept_home(answer.read().decode("utf-8")).encode()
+                    page = confined_page(answer.read().decode("utf-8")).encode()
                     self._send(head | {"Content-Length": str(len(page)), "rerun-final-length": str(len(page))})
                     self.wfile.write(page)
                     return
@@ -162,9 +153,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(413)
             return
         body = self.rfile.read(int(length))
-        kept = [f"{n}: {v}" for n, v in self.headers.items() if n.lower() not in _OWN_HEADERS]
+        headers = [f"{n}: {v}" for n, v in self.headers.items() if n.lower() not in _OWN_HEADERS]
         host = f"Host: {self.backend[0]}:{self.backend[1]}"
-        head = "\r\n".join([f"{self.command} {self.path} HTTP/1.1", host, *kept, "Connection: close"]) + "\r\n\r\n"
+        head = "\r\n".join([f"{self.command} {self.path} HTTP/1.1", host, *headers, "Connection: close"]) + "\r\n\r\n"
         with contextlib.suppress(OSError), socket.create_connection(self.backend, _ASK_S) as server:
             server.sendall(head.encode("latin-1") + body)
             pump(self.connection, server)
@@ -174,11 +165,11 @@ class _Handler(BaseHTTPRequestHandler):
         headers = {name.lower(): value for name, value in self.headers.items()}
         if len(self.headers.get_all("Host", [])) > 1:
             headers["host"] = ","
-        why = refusal(headers, self.names, self.token, tokens=shown)
-        if why is not None:
+        status = refusal(headers, self.names, self.token, tokens=shown)
+        if status is not None:
             self.close_connection = True
-            self.send_error(why.value)
-        return why is None
+            self.send_error(status.value)
+        return status is None
 
     def _remember(self, query: str) -> None:
         """The token out of the address into a cookie, which goes with every request of this page and no other site's."""

@@ -1,21 +1,35 @@
 """Any file a person may have, as a rerun recording: flights, raw recordings, recordings of rerun itself."""
 
 import math
+import uuid
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import rerun as rr
+
 from daq.contract.recordings.messages import LogLevel
+from groundstation.calibration.recording import calibrate_opened, is_raw, open_flight, open_recording
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.marks import marks_of
+from groundstation.flight.writing import rerun_file
+from groundstation.identification.history import history_of
+from groundstation.live.readouts import READOUTS
+from groundstation.viewer import entities as e
 from groundstation.viewer.beside import beside
-from groundstation.viewer.blueprint import Layout
-from groundstation.viewer.glyphs import drawable
-from groundstation.viewer.live import ViewerError
-from groundstation.viewer.replay import write_rrd
-from groundstation.viewer.scene import LinkSample
+from groundstation.viewer.blueprint import Layout, blueprint, fitted
+from groundstation.viewer.derivatives import by_coefficient
+from groundstation.viewer.derivatives import entity as curves_of
+from groundstation.viewer.entities import LinkSample, drawable
+from groundstation.viewer.gate import ViewerError
+from groundstation.viewer.scene import Scene
 
 if TYPE_CHECKING:
     from daq.contract.recordings.reading import Recording
+
+StateHistory = Mapping[str, Sequence[tuple[float, str]]]
+TimedText = tuple[float, str, str]
 
 _TOLD = 20  # damages on the status page
 _LATEST_S = 2**63 * 1e-9  # what rerun's nanoseconds can hold
@@ -38,11 +52,11 @@ def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path 
     if file.suffix == ".rrd":
         if not file.is_file():
             raise ViewerError(f"{file}: no such file")
-        with file.open("rb") as opened:
-            if opened.read(3) != b"RRF":
+        with file.open("rb") as stream:
+            if stream.read(3) != b"RRF":
                 raise ViewerError(f"{file}: not a recording of rerun (its first bytes are not 'RRF')")
         return file
-    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
+    if is_raw(file):
         return _raw(file, target, layout, calibration)
     flight = read_flight(file)
     write_rrd(flight, target, layout=layout, events=_events(flight))
@@ -53,42 +67,14 @@ def both_as_rrd(
     first: Path, second: Path, target: Path, layout: Layout, by: str, calibration: Path | None = None
 ) -> tuple[Path, str]:
     """Two files as one view, the second laid on the first in time; the path, and how the second was moved."""
-    a, b = (_flight(f, calibration) for f in (first, second))
-    found = beside(a, b, by)
-    marks = [(t + found.shift, f"{b.name}: {text}", level) for t, text, level in _events(b)]
-    write_rrd(
-        found.flight,
-        target,
-        layout=layout,
-        events=sorted([*_events(a), *marks]),
-        status=found.text,
-        whose=drawable(b.name),
-    )
-    return target, found.text
-
-
-def _flight(file: Path, calibration: Path | None) -> Flight:
-    """A flight, or a raw recording calibrated."""
-    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
-        from groundstation.calibration.recording import calibrate_recording
-
-        return calibrate_recording(file, calibration, salvage=True)
-    return read_flight(file)
-
-
-def is_raw(file: Path) -> bool:
-    """Whether a .mcap file holds scans as counts, told by its first bytes; a flight does not."""
-    from daq.contract.scan import SCAN_TOPIC
-
-    if not file.is_file():
-        return False
-    with file.open("rb") as opened:
-        return SCAN_TOPIC.encode() in opened.read(65536)
+    a, b = (open_flight(f, calibration) for f in (first, second))
+    pair = beside(a, b, by)
+    events = _events(a) + [(t + pair.shift, f"{b.name}: {text}", level) for t, text, level in _events(b)]
+    write_rrd(pair.flight, target, layout=layout, events=sorted(events), status=pair.text, whose=drawable(b.name))
+    return target, pair.text
 
 
 def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> Path:
-    from groundstation.calibration.recording import calibrate_opened, open_recording
-
     recording, notes = open_recording(file, salvage=True)
     flight = calibrate_opened(recording, calibration)
     states: dict[str, list[tuple[float, str]]] = {}
@@ -97,33 +83,18 @@ def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> 
             history = states.setdefault(group, [])
             if not history or history[-1][1] != status.state.words:
                 history.append((scan.time, status.state.words))
-    said = [
-        (line.time_monotonic_ns * 1e-9, f"{line.name}: {line.message}", _LEVELS[line.level]) for line in recording.log
-    ]
-    write_rrd(
-        flight,
-        target,
-        layout=layout,
-        states=states,
-        events=sorted([*_events(flight), *said]),
-        link=_link(file),
-        status=_status(recording, flight, notes),
-    )
+    log = [(row.time_monotonic_ns * 1e-9, f"{row.name}: {row.message}", _LEVELS[row.level]) for row in recording.log]
+    events, status_page = sorted([*_events(flight), *log]), _status(recording, flight, notes)
+    write_rrd(flight, target, layout=layout, states=states, events=events, link=_link(file), status=status_page)
     return target
 
 
 def _link(file: Path) -> list[tuple[float, LinkSample]]:
     """Quality of the radio link, where the recording was received over one."""
-    from groundstation.receiver.kept.recording import read_link
-
-    def known(value: float | None) -> float:
-        return math.nan if value is None else value
+    from groundstation.receiver.storage.recording import read_link
 
     return [
-        (
-            r["time_monotonic_s"],
-            LinkSample(100 * r["loss"], r["scan_rate_hz"], known(r["rssi_dbm"]), known(r["latency_s"])),
-        )
+        (r["time_monotonic_s"], LinkSample.reported(r["loss"], r["scan_rate_hz"], r["rssi_dbm"], r["latency_s"]))
         for r in (read_link(file) if file.is_file() else [])
     ]
 
@@ -131,11 +102,11 @@ def _link(file: Path) -> list[tuple[float, LinkSample]]:
 def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
     """The status page: what this recording is, and how it went."""
     info = recording.info
-    how = f"{info.source}, received by radio" if info.role == "received" else info.source
+    source = f"{info.source}, received by radio" if info.role == "received" else info.source
     lines = [
         f"**{info.aircraft or 'aircraft'}**, session {info.session}",
         "",
-        f"- {len(recording.numbers)} scans, {flight.time[-1] - flight.time[0]:.1f} s, {how}",
+        f"- {len(recording.numbers)} scans, {flight.time[-1] - flight.time[0]:.1f} s, {source}",
         f"- software {info.software}",
     ]
     lines += [f"- {note}" for note in notes]
@@ -148,17 +119,17 @@ def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
     return "\n".join(lines)
 
 
-def _events(flight: Flight) -> list[tuple[float, str, str]]:
+def _events(flight: Flight) -> list[TimedText]:
     """Event marks and manoeuvres that the flight carries; what is none (a flight may come from anybody) is left out."""
-    found = []
-    for e in _listed(flight, "events", ("time", "origin", "text")):
-        found.append((float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO"))
-    for m in _listed(flight, "manoeuvres", ("start", "title")):
-        found.append((float(m["start"]), f"manoeuvre: {m['title']}", "INFO"))
+    events = []
+    for row in _listed(flight, "events", ("time", "origin", "text")):
+        events.append((float(row["time"]), f"event ({row['origin']}): {row['text']}", "INFO"))
+    for row in _listed(flight, "manoeuvres", ("start", "title")):
+        events.append((float(row["start"]), f"manoeuvre: {row['title']}", "INFO"))
     marks = marks_of(flight)
-    found += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
-    found += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
-    return sorted(found)
+    events += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
+    events += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
+    return sorted(events)
 
 
 def _listed(flight: Flight, key: str, fields: tuple[str, ...]) -> list[dict[str, Any]]:
@@ -170,3 +141,76 @@ def _listed(flight: Flight, key: str, fields: tuple[str, ...]) -> list[dict[str,
         if isinstance(row, dict) and row.keys() >= set(fields)
         if isinstance(row[fields[0]], int | float) and abs(row[fields[0]]) <= _LATEST_S
     ]
+
+
+def write_rrd(
+    flight: Flight,
+    path: Path,
+    *,
+    layout: Layout = "full",
+    states: StateHistory | None = None,
+    events: Sequence[TimedText] = (),
+    link: Sequence[tuple[float, LinkSample]] = (),
+    status: str = "",
+    whose: str = "model",
+) -> None:
+    """Write a flight as .rrd with its blueprint inside. whose: what the columns `<name>_model` are of.
+
+    states: sensor group -> (time [s], state in words). events: (time [s], text, level). link: (time [s], quality).
+    status: the status page as Markdown.
+    Raises ViewerError when the file cannot be written.
+    """
+    run = f"{drawable(flight.name)}-{uuid.uuid4().hex[:8]}"
+    stream = rr.RecordingStream(e.APPLICATION, recording_id=run)
+    lanes = states or {}
+    filled = filled_entities(flight, lanes, events, link, status)
+    coefficients = _identified(flight)
+    page = blueprint(layout, live=False, identified=bool(coefficients), coefficients=coefficients)
+    try:
+        with rerun_file(stream, path, fitted(page, live=False, filled=filled)):
+            scene = Scene(stream, tuple(flight.columns), whose)
+            scene.flight(flight)
+            for group, history in lanes.items():
+                for time, state in history:
+                    scene.states(time, {group: state})
+            for time, text, level in events:
+                scene.event(time, text, level)
+            for time, sample in link:
+                scene.link(time, sample)
+            if status:
+                scene.status(float(flight.time[0]), status)
+    except OSError as error:
+        raise ViewerError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def filled_entities(
+    flight: Flight,
+    states: StateHistory,
+    events: Sequence[TimedText],
+    link: Sequence[tuple[float, LinkSample]],
+    status: str,
+) -> set[str]:
+    """Entities of the layout that this flight has something to show in; a pane of none of them stays away."""
+    columns = [c for c in flight.columns if flight.measured(c)]
+    filled = {group.entity for group in (*e.series_groups(columns), *e.model_groups(columns))}
+    fixed = [np.isfinite(flight[c]) for c in ("latitude", "longitude") if c in flight]
+    tracked = len(fixed) == 2 and bool(np.any(fixed[0] & fixed[1]))
+    has_content_of = {
+        e.CHASED: {"phi", "theta", "psi"} <= set(columns),
+        e.TRACK: tracked,
+        e.MAP_TRACK: tracked,
+        e.READOUTS: any(r.column in columns for r in READOUTS),
+        e.EVENTS: bool(events or flight.notes),
+        e.HEALTH: any(states.values()),
+        e.STATUS: bool(status),
+    }
+    filled |= {entity for entity, has_content in has_content_of.items() if has_content}
+    for _, sample in link:
+        filled |= {entity for entity, value in sample.by_entity().items() if math.isfinite(value)}
+    return filled | {curves_of(c) for c in _identified(flight)}
+
+
+def _identified(flight: Flight) -> tuple[str, ...]:
+    """Coefficients of the derivatives whose history a flight carries."""
+    history = history_of(flight.provenance.detail)
+    return () if history is None else tuple(by_coefficient(n for n in history[1] if not n.endswith("_0")))

@@ -7,7 +7,6 @@ Time is the flight's own time [s] on the timeline `flight_time`. Nothing here op
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -18,9 +17,8 @@ from groundstation.flight import Flight
 from groundstation.identification.session import LiveState
 from groundstation.live.readouts import READOUTS, FreshValues, readout_line
 from groundstation.viewer import entities as e
-from groundstation.viewer.airframe import airframe_mesh
-from groundstation.viewer.derivatives import DerivativeCurves
-from groundstation.viewer.glyphs import drawable
+from groundstation.viewer.derivatives import DerivativeCurves, send_scalars
+from groundstation.viewer.entities import LinkSample, airframe_mesh, drawable
 
 TRACK_POINTS = 400
 TRACK_SCALE = 12.0
@@ -42,14 +40,10 @@ def quaternion_xyzw(phi: float, theta: float, psi: float) -> tuple[float, float,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class LinkSample:
-    """State of the radio link: loss [%], frame rate [1/s], received signal [dBm], latency [s]; NaN unknown."""
-
-    loss_percent: float = math.nan
-    rate_hz: float = math.nan
-    signal_dbm: float = math.nan
-    latency_s: float = math.nan
+def _lane(colors: Mapping[str, int]) -> rr.StateConfiguration:
+    """States in words, each with its colour."""
+    names = list(colors)
+    return rr.StateConfiguration(values=names, labels=names, colors=np.array(list(colors.values()), np.uint32))
 
 
 class Scene:
@@ -87,23 +81,10 @@ class Scene:
             show_labels=False,
         )
         rec.log(f"{e.CHASED}/axes", axes, static=True)
-        names = list(e.STATE_COLORS)
-        lane = rr.StateConfiguration(
-            values=names, labels=names, colors=np.array(list(e.STATE_COLORS.values()), np.uint32)
-        )
-        levels = list(e.ALARM_COLORS)
-        lamp = rr.StateConfiguration(
-            values=levels, labels=levels, colors=np.array(list(e.ALARM_COLORS.values()), np.uint32)
-        )
-        rec.log(e.ALARM, lamp, static=True)
+        rec.log(e.ALARM, _lane(e.ALARM_COLORS), static=True)
         for sensor in e.HEALTH_TITLES:
-            rec.log(e.health_entity(sensor), lane, static=True)
-        for entity, label, color in (
-            (e.LINK_LOSS, "lost [%]", e.PALETTE[5]),
-            (e.LINK_RATE, "scans [1/s]", e.PALETTE[2]),
-            (e.LINK_SIGNAL, "signal [dBm]", e.PALETTE[0]),
-            (e.LINK_LATENCY, "latency [ms]", e.PALETTE[1]),
-        ):
+            rec.log(e.health_entity(sensor), _lane(e.STATE_COLORS), static=True)
+        for entity, label, color in e.LINK_SERIES:
             rec.log(entity, rr.SeriesLines(names=[label], colors=np.array([color], np.uint32)), static=True)
 
     # ------------------------------------------------------------------------------------------------ live
@@ -123,9 +104,9 @@ class Scene:
     def _pose(self, angles: list[float]) -> None:
         """The aircraft on its track, and as seen by one who flies behind it: bank and pitch, the heading always ahead."""
         translation = self._track[-1][2:] if self._track else (0.0, 0.0, 0.0)
-        turned = rr.Quaternion(xyzw=quaternion_xyzw(*angles))
+        attitude = rr.Quaternion(xyzw=quaternion_xyzw(*angles))
         chased = rr.Quaternion(xyzw=quaternion_xyzw(angles[0], angles[1], 0.0))
-        self._stream.log(e.AIRCRAFT, rr.Transform3D(quaternion=turned, translation=translation))
+        self._stream.log(e.AIRCRAFT, rr.Transform3D(quaternion=attitude, translation=translation))
         self._stream.log(e.CHASED, rr.Transform3D(quaternion=chased))
 
     def _position(self, time: float, values: Mapping[str, float]) -> None:
@@ -181,21 +162,14 @@ class Scene:
             self._stream.log(e.ALARM, rr.StateChange(state=level or e.NO_ALARM))
 
     def identification(self, state: LiveState) -> None:
-        """What is identified by now."""
         self._derivatives.show(state)
 
     def _document(self, entity: str, markdown: str) -> None:
         self._stream.log(entity, rr.TextDocument(drawable(markdown), media_type=rr.MediaType.MARKDOWN))
 
     def link(self, time: float, link: LinkSample) -> None:
-        """Quality of the radio link."""
         self._stream.set_time(e.TIMELINE, duration=time)
-        for entity, value in (
-            (e.LINK_LOSS, link.loss_percent),
-            (e.LINK_RATE, link.rate_hz),
-            (e.LINK_SIGNAL, link.signal_dbm),
-            (e.LINK_LATENCY, 1e3 * link.latency_s),
-        ):
+        for entity, value in link.by_entity().items():
             if math.isfinite(value):
                 self._stream.log(entity, rr.Scalars([value]))
 
@@ -209,18 +183,12 @@ class Scene:
             )
             keep = np.isfinite(table).any(axis=1)
             if present and keep.any():
-                self._columns(group.entity, flight.time[keep], group.shown(table[keep]))
+                send_scalars(self._stream, group.entity, flight.time[keep], group.shown(table[keep]))
         self._flight_pose(flight)
         self._flight_readouts(flight)
-        self._derivatives.kept(flight.provenance.detail)
+        self._derivatives.show_history(flight.provenance.detail)
         for note in flight.notes:
             self.event(float(flight.time[0]), note.text, "WARN")
-
-    def _columns(self, entity: str, time: NDArray[np.float64], table: NDArray[np.float64]) -> None:
-        index = rr.TimeColumn(e.TIMELINE, duration=time)
-        width = table.shape[1]
-        scalars = rr.Scalars.columns(scalars=table.ravel())
-        self._stream.send_columns(entity, indexes=[index], columns=scalars.partition([width] * len(time)))
 
     def _flight_pose(self, flight: Flight) -> None:
         position: Mapping[str, NDArray[np.float64]] = {
@@ -239,12 +207,12 @@ class Scene:
         if not keep.size:
             return
         index = rr.TimeColumn(e.TIMELINE, duration=flight.time[keep])
-        turned = [quaternion_xyzw(*row) for row in angles[keep]]
+        attitudes = [quaternion_xyzw(*row) for row in angles[keep]]
         places = self._places(flight, keep)
-        pose = rr.Transform3D.columns(quaternion=turned, translation=places)
+        pose = rr.Transform3D.columns(quaternion=attitudes, translation=places)
         self._stream.send_columns(e.AIRCRAFT, indexes=[index], columns=pose)
-        ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
-        self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=ahead))
+        attitudes_ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
+        self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=attitudes_ahead))
 
     def _flight_readouts(self, flight: Flight) -> None:
         """The read-outs of a recorded flight, at most READOUTS_OF_A_FLIGHT of them: the viewer shows those at its cursor."""
@@ -252,14 +220,14 @@ class Scene:
         if not columns:
             return
         period = max(READOUT_PERIOD_S, float(flight.time[-1] - flight.time[0]) / READOUTS_OF_A_FLIGHT)
-        at = np.unique(np.searchsorted(flight.time, np.arange(flight.time[0], flight.time[-1], period)))
+        rows = np.unique(np.searchsorted(flight.time, np.arange(flight.time[0], flight.time[-1], period)))
         fresh, texts, begin = FreshValues(), [], 0
-        for i in at:
+        for i in rows:
             for row in range(begin, int(i) + 1):
                 fresh.update(float(flight.time[row]), {c: float(v[row]) for c, v in columns.items()})
             begin = int(i) + 1
             texts.append(drawable(readout_line(fresh.at(float(flight.time[i])))))
-        index = rr.TimeColumn(e.TIMELINE, duration=flight.time[at])
+        index = rr.TimeColumn(e.TIMELINE, duration=flight.time[rows])
         documents = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
         self._stream.send_columns(e.READOUTS, indexes=[index], columns=documents)
 
@@ -275,5 +243,5 @@ class Scene:
             return np.zeros((keep.size, 3))
         local = [self._local(flight["latitude"][i], flight["longitude"][i]) for i in fixes]
         table = np.column_stack([np.array(local), -np.nan_to_num(height[fixes])])
-        at, times = flight.time[keep], flight.time[fixes]
-        return np.column_stack([np.interp(at, times, table[:, i]) for i in range(3)])
+        sample_times, times = flight.time[keep], flight.time[fixes]
+        return np.column_stack([np.interp(sample_times, times, table[:, i]) for i in range(3)])

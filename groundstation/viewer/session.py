@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from daq.identification.regression import REGRESSIONS
 from groundstation.live.config import ViewConfig
-from groundstation.viewer.gate import LOOPBACK
-from groundstation.viewer.live import LiveView, ViewerError, ViewOptions, port_is_free
+from groundstation.viewer.gate import LOOPBACK, ViewerError, port_is_free
+from groundstation.viewer.live import LiveView, ViewOptions
 from groundstation.viewer.window import NativeWindow, WebPage, Window
 
 _RESTART_S = 5.0
@@ -27,7 +27,7 @@ class SessionViews:
         self._config, self._window, self._say = config, window, say
         self._token = secrets.token_urlsafe(16) if config.token or config.host != LOOPBACK else ""
         self._views: list[LiveView] = []
-        self._shown: list[WebPage | NativeWindow] = []
+        self._windows: list[WebPage | NativeWindow] = []
         self._pages: dict[int, str] = {}  # index of a page: the aircraft's name
         self._next_look = 0.0
         for key, port in (("port", config.port), ("web_port", config.web_port)):
@@ -51,13 +51,13 @@ class SessionViews:
             if self._window == "web":
                 web_port = _free_from(self._config.web_port + len(self._pages))
                 page = WebPage(view.url, web_port, wait=False, host=self._config.host, token=self._token)
-                self._pages[len(self._shown)] = name
-                self._shown.append(page)
+                self._pages[len(self._windows)] = name
+                self._windows.append(page)
                 self._say(f"{name}: {page.url}")
                 if self._config.layout == "full" and len(self._pages) == 1:
                     self._say('if the browser lags: --layout light, or layout = "light" under [view]')
             else:
-                self._shown.append(NativeWindow(view.url))
+                self._windows.append(NativeWindow(view.url))
         except (ViewerError, OSError) as error:
             self._say(f"{name}: no picture ({error}); reception goes on")
             return None
@@ -65,22 +65,21 @@ class SessionViews:
 
     def tend(self) -> None:
         """Called often: a page whose process has died is started anew. A window may be closed as one likes."""
-        now = time.monotonic()
-        if now < self._next_look:
+        now_s = time.monotonic()
+        if now_s < self._next_look:
             return
-        self._next_look = now + _RESTART_S
+        self._next_look = now_s + _RESTART_S
         for index, name in self._pages.items():
-            page = self._shown[index]
+            page = self._windows[index]
             if isinstance(page, WebPage) and not page.open:
                 self._say(f"{name}: the page's server has ended; it is started anew on {page.address}")
                 page.restart()
 
     def close(self) -> None:
-        """Close all views, pages and windows."""
         for view in self._views:
             view.close()
-        for shown in self._shown:
-            shown.close()
+        for window in self._windows:
+            window.close()
 
 
 def _free_from(port: int) -> int:

@@ -18,8 +18,7 @@ import urllib.parse
 from pathlib import Path
 from typing import Literal
 
-from groundstation.viewer.gate import LOOPBACK, hidden_address
-from groundstation.viewer.live import ViewerError, free_port, port_is_free
+from groundstation.viewer.gate import LOOPBACK, ViewerError, free_port, hidden_address, port_is_free
 from groundstation.viewer.page import DIRECT, TOKEN, PageServer
 
 Window = Literal["web", "native", "none"]
@@ -61,12 +60,41 @@ def _start(command: list[str]) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, env=os.environ | _PROXIES, preexec_fn=end_with_parent)  # noqa: PLW1509
 
 
-def this_computer() -> str:
-    """The name by which others in the network may reach this computer."""
-    return socket.gethostname()
+class RerunProcess:
+    """A rerun program as a child process."""
+
+    def __init__(self, command: list[str]) -> None:
+        self._command = [rerun_binary(), *command]
+        self._process = _start(self._command)
+
+    @property
+    def open(self) -> bool:
+        """Whether the process is there."""
+        return self._process.poll() is None
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def restart(self) -> None:
+        self._process = _start(self._command)
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Until the process ends, as when a person closes its window, or the time is over."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+
+    def close(self) -> None:
+        """End the process; rerun has been seen to survive one SIGTERM, so it is killed after a grace time."""
+        self._process.terminate()
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
-class WebPage:
+class WebPage(RerunProcess):
     """The rerun web viewer on loopback, as a child process, showing a live server or a recording.
 
     source: the gRPC address of a live view, or an .rrd file that this page serves itself. wait: until it answers.
@@ -85,45 +113,32 @@ class WebPage:
             raise ViewerError(f"the page on {host} can be reached from elsewhere: it needs a token")
         if not port_is_free(port):
             raise ViewerError(f"web port {LOOPBACK}:{port} is in use; give another with --web-port")
-        own_port, hidden = free_port(), hidden_address()
-        self._command = [rerun_binary(), "--serve-web", "--bind", hidden, "--port", str(own_port)]
-        files_port = free_port()
-        self._command += ["--web-viewer-port", str(files_port), "--server-memory-limit", "512MB"]
+        data_port, hidden, files_port = free_port(), hidden_address(), free_port()
+        command = ["--serve-web", "--bind", hidden, "--port", str(data_port)]
+        command += ["--web-viewer-port", str(files_port), "--server-memory-limit", "512MB"]
         live = not isinstance(source, Path)
-        if not live:
-            self._command.append(str(source))
-        behind = urllib.parse.urlsplit(str(source)).netloc if live else f"{hidden}:{own_port}"
-        shown = this_computer() if host not in (LOOPBACK, "localhost") and host.startswith("0.") else host
-        asked = {"url": f"rerun+http://{shown}:{port}/proxy", "renderer": "webgl", "hide_welcome_screen": "1"}
-        query = urllib.parse.urlencode({TOKEN: token, **asked} if token else asked)
-        self.address = f"http://{shown}:{port}/"
+        backend = urllib.parse.urlsplit(str(source)).netloc if live else f"{hidden}:{data_port}"
+        public_host = socket.gethostname() if host not in (LOOPBACK, "localhost") and host.startswith("0.") else host
+        parameters = {
+            "url": f"rerun+http://{public_host}:{port}/proxy",
+            "renderer": "webgl",
+            "hide_welcome_screen": "1",
+        }
+        query = urllib.parse.urlencode({TOKEN: token, **parameters} if token else parameters)
+        self.address = f"http://{public_host}:{port}/"
         self.url = f"{self.address}?{query}"
-        name, _, number = behind.rpartition(":")
-        self._process = _start(self._command)
+        name, _, number = backend.rpartition(":")
+        super().__init__(command if live else [*command, str(source)])
         try:
             files = f"http://{hidden}:{files_port}"
-            self._server = PageServer(port, files, (f"http://{shown}:{port}",), (name, int(number)), host, token)
+            self._server = PageServer(port, files, (f"http://{public_host}:{port}",), (name, int(number)), host, token)
         except OSError as error:
-            self._end_process()
+            super().close()
             raise ViewerError(f"web port {LOOPBACK}:{port} cannot be used ({error.strerror})") from error
         if wait:
-            self._wait(self.address)
+            self._wait_for_answer(self.address)
 
-    @property
-    def open(self) -> bool:
-        """Whether the page's process is there."""
-        return self._process.poll() is None
-
-    @property
-    def pid(self) -> int:
-        """Process id of the page's server."""
-        return self._process.pid
-
-    def restart(self) -> None:
-        """Start the page's process anew, after it has died."""
-        self._process = _start(self._command)
-
-    def _wait(self, address: str) -> None:
+    def _wait_for_answer(self, address: str) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline:
             if self._process.poll() is not None:
@@ -134,27 +149,12 @@ class WebPage:
         self.close()
         raise ViewerError(f"rerun's web server did not answer on {address} within {START_TIMEOUT_S:g} s")
 
-    def wait(self, timeout: float | None = None) -> None:
-        """Until the page's process ends or the time is over."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout)
-
     def close(self) -> None:
-        """End the page."""
         self._server.close()
-        self._end_process()
-
-    def _end_process(self) -> None:
-        """rerun has been seen to survive one SIGTERM, so it is killed after a grace time."""
-        self._process.terminate()
-        try:
-            self._process.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        super().close()
 
 
-class NativeWindow:
+class NativeWindow(RerunProcess):
     """rerun's own window, attached to a live view or opened on a recording.
 
     headless: draw without a display, for tests. The viewer's control port is on loopback too; rerun's default is not.
@@ -164,31 +164,9 @@ class NativeWindow:
         target = [str(source)] if isinstance(source, Path) else ["--connect", source]
         port = free_port()
         self.control = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        command = [rerun_binary(), *target, "--memory-limit", VIEWER_MEMORY, "--hide-welcome-screen"]
-        command += ["--bind", LOOPBACK, "--port", str(port), *(["--headless"] if headless else [])]
-        self._process = _start(command)
-
-    @property
-    def pid(self) -> int:
-        """Process id of the viewer."""
-        return self._process.pid
-
-    @property
-    def open(self) -> bool:
-        """Whether the window is still there."""
-        return self._process.poll() is None
-
-    def wait(self, timeout: float | None = None) -> None:
-        """Until the person closes the window or the time is over."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout)
+        command = [*target, "--memory-limit", VIEWER_MEMORY, "--hide-welcome-screen", "--bind", LOOPBACK]
+        super().__init__([*command, "--port", str(port), *(["--headless"] if headless else [])])
 
     def close(self) -> None:
-        """Close the window."""
         if self.open:
-            self._process.terminate()
-            try:
-                self._process.wait(2.0)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+            super().close()

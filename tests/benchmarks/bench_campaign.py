@@ -24,8 +24,9 @@ from estimation.campaign.schema import RESULTS, arrow_schema
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
-from estimation.campaign.workers.serial import SerialEngine
-from estimation.campaign.workers.work import do, read_subject
+from estimation.campaign.workers.in_process import SerialEngine
+from estimation.campaign.workers.subjects import read_subject
+from estimation.campaign.workers.work import do_work
 from groundstation.flight.quality.report import quality_report
 from tests.estimation.campaign.running import children, results_of, start
 from tests.studies.campaign_scaling import make_flights, memory_of
@@ -72,9 +73,9 @@ def test_overhead_of_a_flight(flights: Path, tmp_path: Path) -> None:
     begin = time.process_time()
     works = work_list(plan, entries_of(plan, Path()), Path())
     planning = time.process_time() - begin
-    do(works.planned[0].work)  # libraries are loaded, forms traced
+    do_work(works.planned[0].work)  # libraries are loaded, forms traced
     begin = time.process_time()
-    rows = [do(p.work) for p in works.planned]
+    rows = [do_work(p.work) for p in works.planned]
     whole = time.process_time() - begin
     runs = [r for own in rows for r in own if r["kind"] == "run"]
     fits = sum(r["cpu"] for r in runs)
@@ -105,7 +106,7 @@ def test_memory_of_a_worker_does_not_grow(flights: Path) -> None:
     sizes = [memory_of(os.getpid())]
     for _ in range(3):
         for work in works:
-            assert {r["status"] for r in do(work) if r["kind"] == "run"} == {"ok"}
+            assert {r["status"] for r in do_work(work) if r["kind"] == "run"} == {"ok"}
         sizes.append(memory_of(os.getpid()))
     growth = (sizes[3] - sizes[1]) / (2 * len(works))
     print(f"\nresident set: {', '.join(f'{s:.0f}' for s in sizes)} MB after 0, 1, 2, 3 times {len(works)} flights")

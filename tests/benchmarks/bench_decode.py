@@ -9,7 +9,7 @@ from daq.contract.link.dialect import sideslip_dialect
 from daq.contract.link.wire import SCAN_FAST_ID, layouts, pack_scan, unpack_scan
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, frames_of, padded
 from daq.transport.ports import memory_pair
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import SystemClock
 from tests.benchmarks.conftest import Against

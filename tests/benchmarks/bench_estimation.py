@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from estimation.engine.data import FlightData, prepare
 from estimation.engine.simulate import Compile, simulate_with_sensitivities
-from estimation.estimators.output_error import OutputErrorOptions, build_problem, optimum, output_error
+from estimation.estimators.output_error import OutputErrorOptions, build_problem, find_optimum, output_error
 from estimation.models import load_model
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import write_flight
 from tests.estimation.truth import NOISE, STRONG, Case, fly
 
@@ -56,7 +57,7 @@ def fit(data: list[FlightData], compile_: Compile) -> object:
 def search(data: list[FlightData], options: OutputErrorOptions) -> object:
     """What scipy does: the optimum from the model's own start values."""
     problem = build_problem(MODEL, data, options)
-    return optimum(problem, problem.pack(MODEL.starts()), options)
+    return find_optimum(problem, problem.pack(MODEL.starts()), options)
 
 
 def scipy_fit(data: FlightData) -> tuple[dict[str, float], float]:

@@ -19,7 +19,7 @@ from daq.acquisition.health import HealthSummary
 from daq.contract.recordings.accounting import verify
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from tests.benchmarks.conftest import Against
 from tests.benchmarks.replayed_bus import RecordingBus, RecordingPort
 

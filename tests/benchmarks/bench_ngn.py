@@ -10,7 +10,7 @@ import pytest
 
 from estimation.aircraft import load_aircraft
 from estimation.estimators.neural_gauss_newton import estimate_campaign, estimate_ngn
-from estimation.estimators.neural_gauss_newton.options import default_options
+from estimation.estimators.neural_gauss_newton.training import default_options
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
 from tests.benchmarks.conftest import Against

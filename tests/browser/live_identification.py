@@ -21,8 +21,7 @@ from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
 from groundstation.live.readouts import banner, readout_line
 from groundstation.viewer import entities as e
-from groundstation.viewer.blueprint import blueprint
-from groundstation.viewer.panes import fitted
+from groundstation.viewer.blueprint import blueprint, fitted
 from groundstation.viewer.scene import Scene
 from sideslip.live_aircraft import live_aircraft
 from tests.browser.screenshot import take

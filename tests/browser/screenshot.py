@@ -148,7 +148,7 @@ def main() -> None:
     from groundstation.viewer.recorded import as_rrd
     from groundstation.viewer.window import WebPage
     from sideslip.chain import fly_scenario
-    from sideslip.demo import DEMO_RADIO
+    from sideslip.verbs.demo import DEMO_RADIO
 
     target = Path(__file__).parents[2] / "docs" / "pictures" / "view.png"
     with tempfile.TemporaryDirectory() as scratch:

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
+from estimation.campaign.aerodynamics.differences import difference_rows, step_rows
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.groups import group_rows
 from estimation.campaign.pages.page import write_campaign_page

@@ -13,8 +13,8 @@ from estimation.compatibility.reconstruction import compatibility
 from estimation.gap.answer.result import DisagreementView, GapResult, Migration, Rejected, Tie
 from estimation.gap.pages.report import write_gap_report
 from estimation.report.check_page import write_check_report
+from estimation.report.estimate_page import write_estimate_report
 from estimation.report.front import write_front_page
-from estimation.report.page import write_estimate_report
 from estimation.session import runner
 from groundstation.flight.quality.report import quality_report
 from tests.browser.fits import OVERFLOW

@@ -11,8 +11,8 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan, decode_scan, encode_scan
 from groundstation.flight import read_flight
 from groundstation.live.handover import hand_over
-from groundstation.receiver.kept.session_log import SessionLog
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.storage.session_log import SessionLog
 from groundstation.receiver.tlog import read_tlog
 from tests.card.cuts import ONE_SECOND
 from tests.card.forgetting import CUTS
@@ -34,7 +34,7 @@ def fly(rig: Rig, scans: int, seed: int = 1) -> None:
     for _ in range(scans):
         rig.fly(1, made)
         deadline = time.monotonic() + 30.0
-        while rig.ground.disk_busy:
+        while rig.ground._disk.busy:
             assert time.monotonic() < deadline
             time.sleep(0.0005)
 

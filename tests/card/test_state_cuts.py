@@ -21,7 +21,7 @@ from daq.service.preflight import _probe
 from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
 from daq.transport.signing import SignatureVerdict, Signer, SigningState, load_state, save_state
 from groundstation.receiver import events as ev
-from groundstation.receiver.kept.recording import SessionRecorder
+from groundstation.receiver.storage.recording import SessionRecorder
 from tests.card.cuts import FLIGHT
 from tests.card.flight import CardFlight
 from tests.card.forgetting import CUTS, Cut
@@ -188,7 +188,7 @@ def test_received_recording(card: MountedCard) -> None:
         recorder.write()
         for n in range(20, 40):
             recorder.complete(encode_scan(make_scan(n)))
-        recorder.journal.flush()
+        recorder.journal.file.flush()
 
     def check(folder: Path, finished: bool) -> None:
         with pytest.raises(OSError):

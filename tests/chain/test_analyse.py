@@ -13,7 +13,7 @@ from estimation.aircraft import load_aircraft
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
-from sideslip.analysing import analyse
+from sideslip.verbs.analyse import analyse
 from tests.chain.autopilot_logs import BOOT, dataflash
 from tests.docs.blocks import files_of
 

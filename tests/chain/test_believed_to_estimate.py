@@ -16,7 +16,7 @@ from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import Flight
-from groundstation.importers.aircraft import with_aircraft
+from groundstation.importers.records import with_aircraft
 from groundstation.importers.run import import_data
 from tests.chain.autopilot_logs import pulses
 from tests.groundstation.importers import autopilots

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sideslip.demo import DEMO_HIDDEN
+from sideslip.verbs.demo import DEMO_HIDDEN
 
 pytestmark = pytest.mark.long
 

@@ -149,7 +149,7 @@ def test_ground_without_the_package_says_so_once_and_receives_the_rest(tmp_path:
         for i, made in ((SCAN_LABORATORY_ID, layout), (SCAN_FAST_ID, layouts()[SCAN_FAST_ID])):
             [frame] = FrameDecoder().feed(encoder.frame(i, pack_scan(made, scan, 3)))
             assert isinstance(frame, MavlinkFrame)
-            events += decoder.take(frame, number, 0)
+            events += decoder.decode_frame(frame, number, 0)
     told = [e.text for e in events if isinstance(e, StatusText)]
     assert len(told) == 1
     assert "no package installed here describes" in told[0]

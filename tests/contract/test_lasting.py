@@ -14,7 +14,7 @@ import pytest
 from daq.transport import reconnecting_port
 from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort
 from daq.transport.reconnecting_port import FIRST_RETRY_NS, LONGEST_RETRY_NS, ReconnectingPort, open_lasting
-from groundstation.receiver.ports.link import open_port
+from groundstation.receiver.ports import open_port
 
 
 class StepClock:

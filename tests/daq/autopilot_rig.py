@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Mapping
 
-from daq.actuation.actuation import Actuation, output_of
+from daq.actuation.actuation import Actuation, Devices, output_of
 from daq.actuation.autopilot.output import ArduPilotOutput
 from daq.actuation.config import SequencerConfig
-from daq.actuation.devices import Devices
 from daq.actuation.servos import ServoManoeuvre, plan_of
 from daq.clock import SimulatedClock
 from daq.contract.manoeuvre import Manoeuvre

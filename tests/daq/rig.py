@@ -10,7 +10,7 @@ from typing import Any
 from daq.acquisition.sampler import EventMark, Sampler
 from daq.clock import SimulatedClock
 from daq.contract.scan import Scan, SensorState
-from daq.sensors.config import SensorsConfig, cdfp_sensors
+from daq.sensors.config import SensorsConfig
 from firmware_sim.hardware.bus import BusModel
 from firmware_sim.hardware.faults import FaultSet, parse_faults
 from firmware_sim.hardware.sensing.instruments import TruthSource
@@ -20,6 +20,7 @@ from firmware_sim.runs.flight import SimulatedHardware, build_aircraft
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.truth import Truth
 from firmware_sim.world.world import World
+from tests.daq.cdfp_fit import cdfp_sensors
 
 UTC0 = 1_795_000_000_000_000_000
 AIRBORNE_S = 30.0

@@ -5,9 +5,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from daq.actuation.actuation import Actuation, output_of
+from daq.actuation.actuation import Actuation, Devices, output_of
 from daq.actuation.config import SequencerConfig
-from daq.actuation.devices import Devices
 from daq.actuation.pwm.heartbeat import HeartbeatLine
 from daq.actuation.servos import ServoManoeuvre, plan_of
 from daq.clock import SimulatedClock
@@ -15,13 +14,13 @@ from daq.contract.manoeuvre import Manoeuvre
 from daq.contract.recordings.messages import EventMessage, LogLevel, SequencerFrame
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
 from daq.contract.sequencing import Reason, State
-from daq.sensors.config import SensorsConfig, cdfp_sensors
+from daq.sensors.config import SensorsConfig
 from daq.sensors.ms4525do import nominal_transfer
 from firmware_sim.hardware.bus import BusModel, Disturbance, SimulatedBus
-from firmware_sim.hardware.cockpit import Cockpit, CockpitTable
-from firmware_sim.hardware.multiplexer import Monostable
+from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
 from firmware_sim.hardware.registers.capture import CaptureChip
 from firmware_sim.physics.plant import Commands
+from tests.daq.cdfp_fit import cdfp_sensors
 
 PERIOD_NS = 20_000_000
 GROUPS = ("imu", "attitude", "analog_a", "pitot", "capture", "gnss")

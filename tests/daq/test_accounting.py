@@ -20,7 +20,7 @@ from daq.contract.recordings.summary import info_mcap
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
 from groundstation.flight import Flight, Provenance, write_flight
-from sideslip.contents import info
+from sideslip.verbs.info import info
 from tests.daq.synthetic import PERIOD_NS, make_info, make_scan
 
 

@@ -8,7 +8,10 @@ import pytest
 
 from daq.acquisition.air_truth import AirTruth, Scales, level, mounting_for, pitot_at_rest
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.sensors.config import Axis, ImuConfig, PitotConfig, SensorsConfig
+from daq.sensors.config import SensorsConfig
+from daq.sensors.icm20948 import ImuConfig
+from daq.sensors.mounting import Axis
+from daq.sensors.ms4525do import PitotConfig
 from daq.sensors.standstill import pitot_unrest, unrest
 
 PASCAL = 1.0520

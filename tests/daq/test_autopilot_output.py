@@ -3,8 +3,7 @@
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 
-from daq.actuation.autopilot.demands import wrong_parameter
-from daq.actuation.autopilot.output import RELEASES
+from daq.actuation.autopilot.output import RELEASES, wrong_parameter
 from daq.contract.sequencing import Reason, State
 from tests.daq.autopilot_histories import AutopilotHistory, histories, mixed, played
 from tests.daq.autopilot_rig import USUAL, AutopilotRig

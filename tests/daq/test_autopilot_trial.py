@@ -4,14 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from daq.actuation.devices import Devices
-from daq.actuation.finding import TrialFinding
-from daq.actuation.trials import findings
-from firmware_sim.hardware.autopilots.px4 import Px4
+from daq.actuation.actuation import Devices, findings
+from daq.actuation.servos import TrialFinding
 from firmware_sim.hardware.serial import SimulatedSerial
 from firmware_sim.runs.flight import MANOEUVRE_FILE
 from tests.daq.autopilot_rig import AutopilotRig, autopilot_config
 from tests.daq.sequencer_rig import OFF, Flying, scan_of, switch_plan
+from tests.firmware_sim.px4 import Px4
 
 
 def tried(rig: AutopilotRig, manoeuvre: Path = MANOEUVRE_FILE) -> dict[str, TrialFinding]:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.companion.config import IdentificationConfig
-from daq.companion.process import BACKLOG, Companion
+from daq.companion.process import BACKLOG, Companion, IdentificationConfig
 from daq.companion.wire import CompanionReply, read_answer
 from daq.config import ConfigError, parse_config
 from daq.contract.recordings.messages import LogLevel
@@ -18,7 +17,7 @@ from daq.identification.movement import ManoeuvreDetector
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification
 from sideslip.live_aircraft import live_aircraft

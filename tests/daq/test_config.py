@@ -8,13 +8,13 @@ import pytest
 from pydantic import BaseModel
 
 from daq.config import ConfigError, LoggerConfig, ScanConfig, load_config, parse_config, read_calibration
-from daq.sensors.config import cdfp_sensors
 from daq.telemetry.config import LinkLimits
-from firmware_sim.hardware.registers.ublox import Fix, nav_pvt
+from firmware_sim.hardware.registers.ublox import ReceiverFix, nav_pvt
 from firmware_sim.hardware.sensing.sensor_models import GnssModel
 from firmware_sim.physics.atmosphere import Site
+from tests.daq.cdfp_fit import cdfp_sensors
 
-FIX = Fix(1_790_000_000 * 10**9, 3, 9, 26.5, 80.2, 60.0, (15.0, 0.0, 0.0), 3e-8, 1.0, 1.0, 0.1)
+FIX = ReceiverFix(1_790_000_000 * 10**9, 3, 9, 26.5, 80.2, 60.0, (15.0, 0.0, 0.0), 3e-8, 1.0, 1.0, 0.1)
 EXAMPLE = Path(__file__).resolve().parents[2] / "daq/configs/cdfp.toml"
 
 

@@ -6,23 +6,14 @@ from collections.abc import Generator
 import pytest
 
 from daq.contract.scan import SensorState
-from daq.sensors.ads1115 import Ads1115
-from daq.sensors.ak09916 import Ak09916
+from daq.sensors.ads1115 import Ads1115, AnalogConfig
+from daq.sensors.ak09916 import Ak09916, MagConfig
 from daq.sensors.base import Driver, Reading, SelfTestError, WrongChipError
-from daq.sensors.bmp390 import Bmp390
-from daq.sensors.capture import Capture, ChecksumError, crc8
-from daq.sensors.config import (
-    AnalogConfig,
-    CaptureConfig,
-    ImuConfig,
-    MagConfig,
-    PitotConfig,
-    StaticConfig,
-    ThrustConfig,
-)
-from daq.sensors.icm20948 import Icm20948
-from daq.sensors.ms4525do import Ms4525do, split
-from daq.sensors.nau7802 import Nau7802
+from daq.sensors.bmp390 import Bmp390, StaticConfig
+from daq.sensors.capture import Capture, CaptureConfig, ChecksumError, crc8
+from daq.sensors.icm20948 import Icm20948, ImuConfig
+from daq.sensors.ms4525do import Ms4525do, PitotConfig, split
+from daq.sensors.nau7802 import Nau7802, ThrustConfig
 from tests.daq.fakes import FakeBus, FakeChip, WordChip
 
 
@@ -164,7 +155,7 @@ class TestAk09916:
 class TestAds1115:
     def driver(self, chip: FakeChip, now: list[int] | None = None) -> Ads1115:
         clock = now or [0]
-        return Ads1115(AnalogConfig(address=0x48), "analog_a", FakeBus({0x48: chip}), lambda: clock[0])
+        return Ads1115(AnalogConfig(address=0x48), FakeBus({0x48: chip}), lambda: clock[0], "analog_a")
 
     def test_configuration_word_of_the_datasheet_example(self) -> None:
         chip = WordChip(lambda word: 0)

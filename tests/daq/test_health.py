@@ -5,8 +5,12 @@ from pydantic import ValidationError
 
 from daq.acquisition.health import GroupHealth, GroupWatch, HealthSummary
 from daq.contract.scan import SensorState
-from daq.sensors.config import AnalogConfig, HealthConfig, ImuConfig, MagConfig, SensorsConfig, cdfp_sensors
+from daq.sensors.ads1115 import AnalogConfig
+from daq.sensors.ak09916 import MagConfig
+from daq.sensors.config import HealthConfig, SensorsConfig
+from daq.sensors.icm20948 import ImuConfig
 from daq.sensors.mounting import rotation
+from tests.daq.cdfp_fit import cdfp_sensors
 
 PERIOD = 50_000_000
 

@@ -129,7 +129,7 @@ def test_a_turn_takes_a_bounded_number_of_frames_and_leaves_the_others_for_the_n
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     taken: list[int] = []
-    monkeypatch.setattr(Uplink, "_take", lambda self, frame, now, control: taken.append(frame.sequence))
+    monkeypatch.setattr(Uplink, "_receive", lambda self, frame, now, control: taken.append(frame.sequence))
     encoder = FrameEncoder(255, 190)
     frames = (encoder.message("HEARTBEAT") for _ in range(3 * FRAMES))
     aircraft = Aircraft(HostilePort(frames))
@@ -158,7 +158,7 @@ def test_a_turn_ends_when_its_time_is_over() -> None:
 def test_slow_frames_end_a_turn_too(monkeypatch: pytest.MonkeyPatch) -> None:
     aircraft = Aircraft(HostilePort(cycle([MINE.message("HEARTBEAT", type=6)])))
     slow = lambda self, frame, now, control: aircraft.clock.advance(400_000)  # noqa: E731
-    monkeypatch.setattr(Uplink, "_take", slow)
+    monkeypatch.setattr(Uplink, "_receive", slow)
     for _ in range(5):
         begun = aircraft.clock.monotonic_ns()
         aircraft.link.uplink.service(begun, aircraft.logger)

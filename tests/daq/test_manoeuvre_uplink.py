@@ -228,7 +228,7 @@ def test_only_with_the_switch_at_off_another_manoeuvre_is_taken_and_then_flown()
 
     def each() -> None:
         if rig.now < 2_300_000_000:
-            why = rig.actuation.sequencer.take(other)
+            why = rig.actuation.sequencer.load_plan(other)
             taken.setdefault((rig.state, why), rig.now * 1e-9)
             if not why:
                 rig.actuation.sequencer.plan = before if rig.now < 2_100_000_000 else other

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import common as v2
 
 from daq.contract.scan import SensorState
 from daq.sensors.base import SelfTestError
-from daq.sensors.config import CaptureConfig
+from daq.sensors.capture import CaptureConfig
 from daq.sensors.mavlink_servo import MavlinkServo, servo_frames
 from tests.daq.fakes import FakePort
 

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from daq.actuation.config import ChipConfig
-from daq.actuation.pwm.part import RETRY_NS, ChipState
-from daq.actuation.pwm.pca9685 import OSCILLATOR_START, Pca9685, prescale
+from daq.actuation.pwm.pca9685 import OSCILLATOR_START, RETRY_NS, ChipState, Pca9685, prescale
 from daq.clock import SimulatedClock
 from daq.sensors.base import SelfTestError
 from firmware_sim.hardware.bus import SimulatedBus

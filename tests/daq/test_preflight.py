@@ -11,16 +11,16 @@ import pytest
 from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.acquisition.supervisor import GroupOutcome
-from daq.actuation.devices import Devices
+from daq.actuation.actuation import Devices
 from daq.clock import NS, SimulatedClock
 from daq.config import LoggerConfig, PreflightConfig
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
 from daq.recorder.storage import RealStorage, in_memory
-from daq.sensors.config import ImuConfig, SensorsConfig
-from daq.service.checks import PreflightVerdict
-from daq.service.preflight import Preflight, RadioReport, run_preflight
-from daq.service.radio_probe import listen
+from daq.sensors.config import SensorsConfig
+from daq.sensors.icm20948 import ImuConfig
+from daq.service.checks import PreflightVerdict, RadioReport, listen_to_radio
+from daq.service.preflight import Preflight, run_preflight
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of
 from daq.transport.ports import memory_pair
@@ -206,12 +206,12 @@ def test_radio_is_listened_to_after_a_heartbeat() -> None:
             radio.write(SIK_REPORT)
 
     clock.on_advance(sik)
-    report = listen(air, clock)
+    report = listen_to_radio(air, clock)
     assert report is not None
     assert report.rssi_dbm == pytest.approx(190 / 1.9 - 127)
     assert report.noise_dbm == pytest.approx(57 / 1.9 - 127)
     assert report.free_percent == 96
-    assert listen(memory_pair()[0], SimulatedClock()) is None
+    assert listen_to_radio(memory_pair()[0], SimulatedClock()) is None
 
 
 def _sik_report() -> bytes:

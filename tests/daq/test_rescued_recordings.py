@@ -19,7 +19,7 @@ from daq.contract.recordings.segments import read_parts
 from daq.contract.recordings.summary import info_mcap
 from daq.contract.scan import encode_scan
 from groundstation.calibration.recording import calibrate_recording
-from groundstation.receiver.kept.recording import ReceivedWriter
+from groundstation.receiver.storage.recording import ReceivedWriter
 from groundstation.viewer.recorded import as_rrd
 from tests.daq.synthetic import PER_CHUNK, SCANS, make_info, make_scan, write_recording
 

@@ -10,15 +10,19 @@ from daq.acquisition.sampler import Sampler
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, channels_of
 from daq.contract.scan import SensorState, decode_scan, encode_scan
-from daq.sensors.config import AnalogConfig, ImuConfig, SensorsConfig, ThrustConfig, cdfp_sensors
+from daq.sensors.ads1115 import AnalogConfig
+from daq.sensors.config import SensorsConfig
+from daq.sensors.icm20948 import ImuConfig
+from daq.sensors.nau7802 import ThrustConfig
 from firmware_sim.hardware.bus import BusModel
 from firmware_sim.hardware.sensing.instruments import AT
-from firmware_sim.hardware.sensing.truth_log import TruthLog
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.truth import Truth
 from firmware_sim.world.world import World
+from tests.daq.cdfp_fit import cdfp_sensors
 from tests.daq.fakes import FakeBus, FakeChip
 from tests.daq.rig import UTC0, moment, rig, states
+from tests.firmware_sim.truth_log import TruthLog
 
 OK = SensorState.OK
 ON_BUS = ("imu", "mag", "analog_a", "analog_b", "analog_c", "pitot", "static", "thrust", "capture")

@@ -19,10 +19,12 @@ from smbus2 import SMBus
 
 from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
+from daq.sensors.base import DriverConfigError
 from daq.sensors.bus import I2cBus, SerialPortCalls
-from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
+from daq.sensors.config import BusConfig, SensorsConfig
 from daq.sensors.open import REOPEN_AFTER_NS, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
-from daq.sensors.registry import DriverConfigError
+from daq.sensors.ublox import GnssConfig
+from tests.daq.cdfp_fit import cdfp_sensors
 from tests.daq.fakes import FakeBus
 
 MAY_IMPORT_HARDWARE = {"daq/sensors/bus.py", "daq/sensors/open.py"}

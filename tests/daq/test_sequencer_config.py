@@ -12,7 +12,7 @@ from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatError
 from daq.assembly import HardwareEdge, assemble
 from daq.clock import SimulatedClock
 from daq.config import ConfigError, LoggerConfig, parse_config
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import toml_text
 
 CONFIGS = Path(__file__).parents[2] / "daq" / "configs"
 

@@ -4,8 +4,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from daq.actuation.motion import MotionState
-from daq.actuation.proof import FrequencyProof
-from daq.actuation.seen import Glimpse, Seen
+from daq.actuation.output import FrameObservation, OutputObservation
+from daq.actuation.pwm.output import FrequencyProof
 from daq.actuation.sequencer import Sequencer
 from daq.actuation.servos import plan_of, servos_of
 from daq.contract.sequencing import TRANSITIONS, State, Switch
@@ -68,12 +68,12 @@ def test_whatever_is_seen_gives_a_frame_in_its_limits(glimpsed: list[tuple], cal
     seen = [(20, s, still, well, 1500.0, True, "", 0) for s in to_armed] + glimpsed
     for gap, switch, pilot, motion, loopback, recording, fault, late in seen:
         now += gap * 1_000_000
-        frame = sequencer.step(
-            Seen(
+        frame = sequencer.decide_frame(
+            FrameObservation(
                 now,
                 late * 1_000_000,
                 motion,
-                Glimpse(switch, pilot, loopback_us=loopback, fault=fault, readback=(1500.0,) * 3),
+                OutputObservation(switch, pilot, loopback_us=loopback, fault=fault, readback=(1500.0,) * 3),
                 recording,
                 0.1,
             )

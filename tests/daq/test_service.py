@@ -21,7 +21,7 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError
 from daq.recorder.recorder import Recorder
 from daq.service import realtime
-from daq.service.notify import Notifier
+from daq.service.realtime import Notifier
 from daq.service.run import run_until_signal
 
 ROOT = Path(__file__).resolve().parents[2]

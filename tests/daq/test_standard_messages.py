@@ -16,7 +16,7 @@ from daq.telemetry.display import WindMean, calibrated_airspeed, standard_densit
 from daq.telemetry.standard_messages import StandardMessages, autopilot_version, heartbeat, sys_status
 from daq.transport.mavlink_codec import message_types
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
-from groundstation.calibration.conversions import air_data
+from groundstation.calibration import conversions
 from tests.link_rig import random_scan
 
 DISPLAY = DisplayConfig(
@@ -73,7 +73,7 @@ def shown(about: StandardMessages, name: str, *scans: Scan) -> dict[str, Any] | 
 
 @pytest.mark.parametrize("speed", [0.0, 5.0, 15.0, 40.0, 200.0])
 def test_airspeed_is_that_of_the_ground_s_calibration(speed: float) -> None:
-    pressure = air_data.impact_pressure(speed, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE)
+    pressure = conversions.impact_pressure(speed, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE)
     assert calibrated_airspeed(pressure) == pytest.approx(speed, abs=1e-6)
     assert calibrated_airspeed(-pressure) == 0.0
 
@@ -178,7 +178,7 @@ def test_an_old_fix_is_no_position() -> None:
 def test_pressure_is_that_of_the_ground_s_calibration() -> None:
     nvm = calibration_bytes()
     found = shown(messages(nvm=nvm.hex()), "SCALED_PRESSURE", scan(**EVERYTHING))
-    pressure, temperature = air_data.Bmp390Compensation.from_nvm(nvm).compensate(6_400_000.0, 8_400_000.0)
+    pressure, temperature = conversions.Bmp390Compensation.from_nvm(nvm).compensate(6_400_000.0, 8_400_000.0)
     assert found is not None
     assert found["press_abs"] == pytest.approx(pressure / 100, rel=1e-6)
     assert found["temperature"] == round((temperature - 273.15) * 100)

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from daq.contract.scan import SensorState
 from daq.sensors.base import SelfTestError
-from daq.sensors.config import GnssConfig
 from daq.sensors.timebase import TimeBase
-from daq.sensors.ublox import Ublox
+from daq.sensors.ublox import GnssConfig, Ublox
 from daq.sensors.ubx import NAV_PVT, UbxParser, frame, parse_nav_pvt, setup_m8, setup_m9
 from tests.daq.fakes import FakePort
 

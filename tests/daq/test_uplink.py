@@ -11,7 +11,7 @@ from daq.telemetry.config import DownlinkConfig
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.signing import Signer
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))
@@ -222,7 +222,7 @@ def test_a_refusal_of_the_sequencer_is_told_in_words(tmp_path: Path) -> None:
 def test_nonsense_about_the_sequencer_is_unsupported(tmp_path: Path, parameters: tuple[float, ...]) -> None:
     rig = keyed(tmp_path)
     at_rest(rig)
-    rig.ground.commander._add(1, c.SEQUENCER, *parameters)
+    rig.ground.commander._send(1, c.SEQUENCER, *parameters)
     at_rest(rig)
     assert rig.logger.asked == []
     assert (c.SEQUENCER, "unsupported") in results(rig)

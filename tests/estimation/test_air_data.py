@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.reconstruct import reconstruct
 from estimation.compatibility.air_data import AIR, AirData, airspeed_of, reconstruct_air, with_air
 from estimation.compatibility.air_filter import STATES, Assumptions, Nodes, Noise, _Chain
-from estimation.compatibility.air_nodes import fresh
+from estimation.compatibility.air_nodes import fresh_samples
 from estimation.errors import DataError
 from firmware_sim.runs.direct import measured
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import RECONSTRUCTED, Flight, MissingColumnError, read_flight, write_flight
+from sideslip.verbs.reconstruct import reconstruct
 
 Columns = dict[str, np.ndarray]
 FIX_EVERY = 4  # samples: GNSS at 5 Hz beside the 20 Hz of the rest
@@ -118,8 +118,8 @@ def test_a_pitot_that_reads_high_and_a_biased_imu_stay_within(calm: list[tuple[C
 def test_held_fixes_count_once(calm: list[tuple[Columns, AirData]]) -> None:
     truth, _ = calm[0]
     held = seen(truth, 0, hold=True)
-    assert 0.8 < fresh(held, ("vn", "ve", "vd")).sum() * FIX_EVERY / len(held) < 1.2
-    assert fresh(seen(truth, 0), ("vn", "ve", "vd")).sum() * FIX_EVERY / len(held) < 1.2
+    assert 0.8 < fresh_samples(held, ("vn", "ve", "vd")).sum() * FIX_EVERY / len(held) < 1.2
+    assert fresh_samples(seen(truth, 0), ("vn", "ve", "vd")).sum() * FIX_EVERY / len(held) < 1.2
     air = reconstruct_air(held)
     assert np.sqrt(np.mean(ratios(air, truth, "beta") ** 2)) < 2.0
 

@@ -19,17 +19,17 @@ from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from estimation.aircraft import Aircraft, PriorDerivative, built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.aircraft.handbook import HandbookShape, beliefs, flap_effectiveness, lift_slope, wing_moment
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft.library import aircraft_of
 from estimation.aircraft.schema import aircraft_from_text
-from estimation.commands.aircraft import aircraft as verb
-from estimation.commands.estimate import estimate
-from estimation.commands.gap import gap
-from estimation.commands.match import match
 from estimation.errors import AircraftError, ModelError
 from estimation.models import load_model, write_model
-from estimation.session.aircraft_review import review
-from groundstation.cli.data import import_
+from estimation.session.aircraft_review import review_aircraft
+from groundstation.cli.import_log import import_
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
+from sideslip.verbs.aircraft import aircraft as verb
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.gap import gap
+from sideslip.verbs.match import match
 from tests.estimation.cessna import CESSNA_172, PUBLISHED, SHAPE
 
 FULL = "[geometry]\nspan = 2.0\narea = 0.5\nchord = 0.26\n[mass]\nmass = 3.0\nIxx = 0.2\nIyy = 0.15\nIzz = 0.3\n"
@@ -261,14 +261,14 @@ def test_check_of_an_empty_or_impossible_file_fails(tmp_path: Path) -> None:
 )
 def test_doubtful_numbers_are_warned_of(change: dict[str, object], check: str, said: str) -> None:
     sound = replace(made(), sensors={"imu": (0.0, 0.0, 0.0)})
-    assert not [n for n in review(sound) if n.verdict == "warn"]
-    warned = [n for n in review(replace(sound, **change)) if n.verdict == "warn"]  # type: ignore[arg-type]
+    assert not [n for n in review_aircraft(sound) if n.verdict == "warn"]
+    warned = [n for n in review_aircraft(replace(sound, **change)) if n.verdict == "warn"]  # type: ignore[arg-type]
     assert any(n.check == check and said in n.text for n in warned)
 
 
 def test_built_in_aircraft_are_beyond_doubt() -> None:
     for name in built_in_aircraft():
-        assert {n.verdict for n in review(load_aircraft(name))} == {"ok"}
+        assert {n.verdict for n in review_aircraft(load_aircraft(name))} == {"ok"}
 
 
 # ------------------------------------------------------------------------------------------------ beliefs from the shape

@@ -11,12 +11,12 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
-from estimation.commands.estimate import estimate
-from estimation.commands.match import match
 from estimation.models import load_model
 from estimation.models.base import Model
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.flight import read_flight
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.match import match
 
 DOCS = Path(__file__).parents[2] / "docs"
 TRUE = np.array([-1.1, 0.97, -0.12, -6.2, -1.7, -9.5])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from estimation.estimators.arrow import solved
-from estimation.estimators.box import step_within
+from estimation.estimators.normal_equations import solved, step_within
 
 
 def test_a_free_optimum_inside_the_box_is_the_free_step() -> None:

@@ -9,15 +9,14 @@ from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.signal import savgol_filter
 
-from estimation.commands.check import check
-from estimation.compatibility.bounds import refuse_singular
-from estimation.compatibility.correct import corrected
-from estimation.compatibility.reconstruction import compatibility
+from estimation.compatibility.correct import correct_flight
+from estimation.compatibility.problem import refuse_singular
+from estimation.compatibility.reconstruction import Compatibility, compatibility
 from estimation.compatibility.records import attitude_errors, attitude_jumps
-from estimation.compatibility.result import Compatibility
 from estimation.errors import EstimationError
 from estimation.models.kinematic import compatibility_model
 from groundstation.flight import Flight, MissingColumnError, write_flight
+from sideslip.verbs.check import check
 
 DEG = np.pi / 180
 NOISE = {
@@ -215,7 +214,7 @@ def test_a_time_jump_is_not_integrated_across(rng: np.random.Generator) -> None:
 
 def test_corrected_flight_has_no_factors_left(rng: np.random.Generator) -> None:
     f = flight(rng, **PLANTED)
-    again = compatibility(corrected(f, compatibility(f)))
+    again = compatibility(correct_flight(f, compatibility(f)))
     for name, factor in again.factors.items():
         neutral = 1.0 if name.startswith("K") else 0.0
         assert abs(factor.estimate - neutral) < 0.3 * factor.std_coloured, name

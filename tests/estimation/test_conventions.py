@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.aircraft import load_aircraft
-from estimation.answers.estimate_lines import session_lines
+from estimation.answers.estimates import session_lines
 from estimation.models import load_model
 from estimation.report.conventions import conventions_table
 from estimation.report.model_export import export_estimates

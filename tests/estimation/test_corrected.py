@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from estimation.compatibility.correct import corrected
-from estimation.compatibility.result import Compatibility, FactorEstimate
+from estimation.compatibility.correct import correct_flight
+from estimation.compatibility.reconstruction import Compatibility, FactorEstimate
 from groundstation.flight import Flight
 
 TIME = np.arange(600) * 0.04
@@ -52,7 +52,7 @@ def result(factors: dict[str, float], known: dict[str, float]) -> Compatibility:
 @pytest.mark.parametrize("given", [True, False])
 def test_positions_held_or_estimated_move_what_they_say(given: bool) -> None:
     places = {**VANE, **IMU}
-    moved = corrected(as_shown(), result({} if given else places, places if given else {}))
+    moved = correct_flight(as_shown(), result({} if given else places, places if given else {}))
     truth, inner = at_the_centre(), slice(5, -5)  # the rates' parabolas end there
     for name, close in (("alpha", 1e-5), ("beta", 1e-5), ("ax", 2e-3), ("ay", 2e-3), ("az", 2e-3)):
         assert np.abs(moved[name] - truth[name])[inner].max() < close, name
@@ -63,7 +63,7 @@ def test_positions_held_or_estimated_move_what_they_say(given: bool) -> None:
 def test_a_vane_that_cannot_be_moved_is_said() -> None:
     flight = as_shown()
     blind = flight.with_columns(V=np.full(len(flight), np.nan))
-    moved = corrected(blind, result({}, VANE))
+    moved = correct_flight(blind, result({}, VANE))
     assert np.array_equal(moved["beta"], blind["beta"])
     assert "x_vane" in moved.notes[1].text
     assert "x_vane" not in moved.notes[0].text

@@ -6,11 +6,11 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from estimation.engine.compiled import compile_kernel, compiler
-from estimation.engine.data import prepare
 from estimation.engine.simulate import Compile, Simulator, simulate, simulate_with_sensitivities
 from estimation.engine.virtual import VirtualKernel
 from estimation.errors import DataError
 from estimation.models import InputTransform, Model, Parameter, Signal, load_model
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, MissingColumnError
 
 needs_gcc = pytest.mark.skipif(compiler() is None, reason="no gcc here")

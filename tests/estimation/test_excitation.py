@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import Aircraft, PriorDerivative, load_aircraft
-from estimation.commands.check import check
 from estimation.compatibility.excitation import CHECK, PredictedBound, excitation_findings, predicted_bounds
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
 from groundstation.flight import Flight, read_flight
+from sideslip.verbs.check import check
 from tests.estimation.truth import STRONG
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from estimation.engine.data import Preparation, prepare
 from estimation.engine.kernel import Array
 from estimation.models import load_model
-from estimation.signals.feedback import ControlStretch, following, gains
-from estimation.signals.preprocess import denoise
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
+from estimation.signals.controls import ControlStretch, feedback_gains, with_feedback
+from estimation.signals.denoise import denoise
 from groundstation.flight import Flight
 
 NOISE, GAIN = 0.001, 0.1
@@ -31,9 +32,9 @@ def test_what_follows_the_motion_is_kept() -> None:
         values, true, q = control(np.random.default_rng(seed), GAIN)
         smooth = denoise(values).values
         piece = ControlStretch(values, smooth, q[:, None])
-        found = gains([piece], NOISE)
+        found = feedback_gains([piece], NOISE)
         assert found is not None
-        back, errors = following(piece, found, NOISE, 24, np.random.default_rng(1))
+        back, errors = with_feedback(piece, found, NOISE, 24, np.random.default_rng(1))
         slopes.append([float((v - true) @ q / (q @ q)) for v in (smooth, back)])
         kept.append([np.std(v - true) for v in (smooth, back)])
         sizes.append(np.std(errors) / np.std(back - true))
@@ -48,16 +49,16 @@ def test_a_control_that_follows_nothing_is_left_alone() -> None:
     found = 0
     for seed in range(40):
         values, _, q = control(np.random.default_rng(seed), 0.0)
-        found += gains([ControlStretch(values, denoise(values).values, q[:, None])], NOISE) is not None
+        found += feedback_gains([ControlStretch(values, denoise(values).values, q[:, None])], NOISE) is not None
     assert found <= 1  # one in a thousand by chance
 
 
 def test_nothing_to_go_by() -> None:
     flat = np.zeros(30)
-    assert gains([ControlStretch(flat, flat, np.zeros((30, 2)))], NOISE) is None
-    assert gains([], NOISE) is None
+    assert feedback_gains([ControlStretch(flat, flat, np.zeros((30, 2)))], NOISE) is None
+    assert feedback_gains([], NOISE) is None
     short = np.random.default_rng(1).standard_normal(7) * NOISE
-    assert gains([ControlStretch(short, short, short[:, None])], NOISE) is None
+    assert feedback_gains([ControlStretch(short, short, short[:, None])], NOISE) is None
 
 
 @pytest.mark.parametrize("draws", [0, 24])

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.estimate import estimate
-from estimation.commands.match import match
 from estimation.errors import ModelError
 from estimation.models import load_model, write_model
 from estimation.models.load import read_model
-from estimation.session.flown import beyond, flown
+from estimation.session.proof_of_match import beyond_flown, flown_ranges
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.match import match
 
 LATERAL = load_model("lateral", "cdfp")
 
 
 def test_ranges_are_those_of_what_forces_depend_on(made_flights: list[Flight]) -> None:
-    found = flown(LATERAL, made_flights)
+    found = flown_ranges(LATERAL, made_flights)
     assert {"beta", "p", "r", "delta_a", "delta_r", "V", "alpha"} <= set(found)
     assert not {"phi", "rho", "theta"} & set(found)
     everything = np.concatenate([f["beta"] for f in made_flights])
@@ -34,20 +34,23 @@ def test_one_wild_value_is_no_range(made_flights: list[Flight]) -> None:
     flight = made_flights[0]
     beta = flight["beta"].copy()
     beta[7] = 1.5
-    assert flown(LATERAL, [flight.with_columns(beta=beta)])["beta"][1] < 2.0 * flown(LATERAL, [flight])["beta"][1]
+    assert (
+        flown_ranges(LATERAL, [flight.with_columns(beta=beta)])["beta"][1]
+        < 2.0 * flown_ranges(LATERAL, [flight])["beta"][1]
+    )
 
 
 def test_a_flight_of_half_the_size_stays_within_and_one_of_twice_does_not(made_flights: list[Flight]) -> None:
     flight = made_flights[0]
-    model = replace(LATERAL, flown=flown(LATERAL, [flight]))
+    model = replace(LATERAL, flown=flown_ranges(LATERAL, [flight]))
     moving = ("beta", "p", "r", "delta_a", "delta_r")
     for factor, told in ((0.5, set()), (2.0, set(moving))):
         scaled = flight.with_columns(**{n: factor * flight[n] for n in moving})
-        assert {b.name for b in beyond(model, scaled)} == told
-    (first, *_) = beyond(model, flight.with_columns(beta=2.0 * flight["beta"]))
+        assert {b.name for b in beyond_flown(model, scaled)} == told
+    (first, *_) = beyond_flown(model, flight.with_columns(beta=2.0 * flight["beta"]))
     assert first.text.startswith("beta from ")
     assert " deg, estimated from " in first.text
-    assert beyond(LATERAL, flight) == ()  # a model of which nobody says what was flown
+    assert beyond_flown(LATERAL, flight) == ()  # a model of which nobody says what was flown
 
 
 def test_from_the_command_line(made_flights: list[Flight], tmp_path: Path) -> None:

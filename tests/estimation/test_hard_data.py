@@ -10,18 +10,19 @@ from click.testing import CliRunner, Result
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
-from estimation.engine.data import Preparation, prepare
-from estimation.engine.plausible import stuck
 from estimation.errors import DataError, ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
+from estimation.prepare.stretches import flights_of_segments, select_segments
 from estimation.session import runner
-from estimation.session.flights import select_segments, separated
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import finding_texts
+from groundstation.flight.quality.repeats import repeats
+from sideslip.verbs.estimate import estimate
 
 LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]
@@ -78,7 +79,8 @@ def test_a_stuck_sensor_is_left_out_and_the_answer_stays_right(made_flights: lis
     for name in ("Cl_p", "Cl_da", "Cn_beta"):
         assert abs(result.values[name] - sound.values[name]) < 3.0 * result.std_coloured[name]
     quiet = np.zeros(400)  # a channel without noise may stand still
-    assert not stuck(np.arange(400) * 0.05, quiet).any()
+    still = Flight.build("still", np.arange(400) * 0.05, {"quiet": quiet})
+    assert not repeats(still, "quiet").stuck.any()
 
 
 def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) -> None:
@@ -154,10 +156,10 @@ def test_segments_say_what_is_wrong_with_them(made_flights: list[Flight]) -> Non
 
 def test_each_segment_becomes_a_flight(made_flights: list[Flight]) -> None:
     flight = select_segments(made_flights[0], "1:14,15:29")
-    first, second = separated(flight)
+    first, second = flights_of_segments(flight)
     assert (first.name, second.name) == (f"{flight.name}.1", f"{flight.name}.2")
     assert len(first) + len(second) == len(flight)
-    assert separated(made_flights[0]) == [made_flights[0]]
+    assert flights_of_segments(made_flights[0]) == [made_flights[0]]
 
 
 def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:
@@ -165,7 +167,7 @@ def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:
     column = LATERAL.input_names.index("delta_a")
     assert np.array_equal(data.segments[0].u[:, column], made_flights[0]["delta_a"])
     assert data.noise["delta_a"][0] > 0.0
-    assert "measured inputs taken with their noise" in texts(data.notes)
+    assert "measured inputs taken with their noise" in finding_texts(data.notes)
 
 
 def test_noise_left_in_inputs_is_in_the_corrected_bound(made_flights: list[Flight]) -> None:
@@ -250,7 +252,7 @@ def density_found(flight: Flight, **columns: np.ndarray) -> tuple[np.ndarray, li
     air = ("rho", "altitude", "p_dynamic", "p_static", "temperature")
     rest = {n: v for n, v in flight.columns.items() if n not in air}
     data = prepare(LATERAL, Flight.build("climb", flight.time, {**rest, **columns}))
-    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), texts(data.notes)
+    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), finding_texts(data.notes)
 
 
 def test_density_comes_from_pressure_and_temperature_before_the_standard_atmosphere(made_flights: list[Flight]) -> None:

@@ -10,18 +10,17 @@ from scipy.linalg import cho_factor, eigh, solve_discrete_are
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError
-from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
+from estimation.estimators.arithmetic import NumericalFailure, mark_not_finite, numerical_failures
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.estimator import Estimator, Task
-from estimation.estimators.filter_error import ProcessNoiseProblem
+from estimation.estimators.filter_error import GainLaw, ProcessNoiseProblem, gain_law
 from estimation.estimators.gauss_newton import SolverStep, Status, minimise
-from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
+from estimation.prepare.pipeline import prepare_all
 from estimation.session import runner
 from estimation.session.structured import StructureWish
 from groundstation.flight import Flight
@@ -151,7 +150,7 @@ def _with(work: Callable[[], object]) -> Estimator:
 
 @pytest.mark.parametrize("name", ARITHMETIC)
 def test_arithmetic_that_fails_in_any_method_is_one_sentence(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "find", lambda method: _with(ARITHMETIC[name]))
+    monkeypatch.setattr(runner, "find_estimator", lambda method: _with(ARITHMETIC[name]))
     easy, model = _sound()
     flights = [replace(easy, name="hard"), replace(easy, name="easy")]
     session = runner.estimate(model, flights, load_aircraft("cdfp"), ["own"], structure=StructureWish.OFF)
@@ -187,9 +186,9 @@ def test_mistakes_of_a_program_stay_what_they_are(work: Callable[[], object]) ->
 def test_estimates_that_are_no_numbers_have_not_converged() -> None:
     flight, model = _sound()
     sound = equation_error(model, flight)
-    assert believable(sound) is sound
+    assert mark_not_finite(sound) is sound
     lost = {**sound.parameters, "Cl_p": replace(sound.parameters["Cl_p"], estimate=math.nan, identifiable=True)}
-    found = believable(replace(sound, parameters=lost))
+    found = mark_not_finite(replace(sound, parameters=lost))
     assert found.status is Status.DIVERGED
     assert not found.converged
     assert "Cl_p" in found.text
@@ -200,7 +199,7 @@ def test_estimates_that_are_no_numbers_have_not_converged() -> None:
 
 def _filter_problem(law: GainLaw) -> ProcessNoiseProblem:
     flight, model = _sound()
-    data = prepared(model, flight)
+    data = prepare_all(model, flight)
     extended = model.with_starts(TRUE).plus(parameters=[Parameter("noise_beta", start=1.0, lower=0.0)])
     problem = ProcessNoiseProblem(extended, data, Simulator.build(extended), noise="full")
     problem.noises, problem.law = ["noise_beta"], law

@@ -3,7 +3,7 @@
 import pytest
 
 from estimation.models.base import Parameter, Signal
-from estimation.models.in_force import asked_for, names_in_force
+from estimation.models.dependence import asked_for, names_in_force
 from tests.estimation.gap.roll import ROLL
 
 

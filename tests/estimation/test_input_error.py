@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.engine.data import FlightData, prepare
-from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.estimators import input_error
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models import load_model
-from estimation.signals.preprocess import denoise_many
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.pipeline import prepare, prepare_all
+from estimation.signals.denoise import denoise_many
 from groundstation.flight import Flight
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
@@ -72,7 +72,7 @@ def test_response_is_the_derivative_of_the_simulation(noisy: list[Flight], compi
 def test_corrected_bounds_hold_where_inputs_are_noisy(noisy: list[Flight]) -> None:
     """Still air: the residuals hardly show it, and Cramer-Rao bounds are half as large as the errors."""
     plain, corrected, blind = [], [], []
-    for data in prepared(LATERAL, noisy):
+    for data in prepare_all(LATERAL, noisy):
         e = output_error(LATERAL, data).parameters
         plain.append([(e[n].estimate - TRUE[n]) / e[n].std for n in STRONG])
         corrected.append([(e[n].estimate - TRUE[n]) / e[n].std_coloured for n in STRONG])
@@ -100,9 +100,9 @@ def _sizes(monkeypatch: pytest.MonkeyPatch, flights: list[FlightData]) -> np.nda
 
 def test_a_late_aileron_is_noticed(monkeypatch: pytest.MonkeyPatch, noisy: list[Flight]) -> None:
     """Shifted by 3 ms, which is 1.7 times the size expected; the rudder is on time."""
-    on_time = _sizes(monkeypatch, prepared(LATERAL, noisy[:4]))
+    on_time = _sizes(monkeypatch, prepare_all(LATERAL, noisy[:4]))
     late = [f.with_columns(delta_a=np.interp(f.time + 0.003, f.time, f["delta_a"])) for f in noisy[:4]]
-    shown = _sizes(monkeypatch, prepared(LATERAL, late))
+    shown = _sizes(monkeypatch, prepare_all(LATERAL, late))
     assert on_time[0, 0] < 0.5
     assert 1.0 < shown[0, 0] < 5.0
     assert shown[2, 2] < 0.7

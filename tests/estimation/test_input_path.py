@@ -5,16 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from estimation.engine.data import Segment, prepare
-from estimation.engine.edges import clocked_controls
 from estimation.engine.simulate import Simulator
-from estimation.estimators.filter_error import filter_error
-from estimation.estimators.input_path import InputPath, with_paths
-from estimation.estimators.kalman_gain import gain_law
+from estimation.estimators.filter_error import filter_error, gain_law
+from estimation.estimators.input_path import InputPath, clocked_controls, with_paths
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import InputTransform, Parameter
+from estimation.prepare.flight_data import Segment
+from estimation.prepare.pipeline import prepare
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")

@@ -11,18 +11,17 @@ from click.testing import CliRunner
 
 from daq.identification.live import LiveEstimator
 from estimation.aircraft.library import load_aircraft
-from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.estimators.linear_terms import linear_terms
-from estimation.estimators.recursive import airframe_of, recursive, samples_of
+from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
 from estimation.models import load_model
-from estimation.models.base import Model, Parameter
-from estimation.session.runner import joint_model
+from estimation.models.base import Model, Parameter, joint_model
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.errors import MissingColumnError
+from sideslip.verbs.estimate import estimate
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 TRUE = {"Cl_beta": -0.0894, "Cl_p": -0.4951, "Cl_da": -0.0948, "Cn_beta": 0.0263, "Cn_r": -0.0472, "Cn_p": 0.0245}
@@ -71,7 +70,7 @@ def test_it_is_the_estimator_that_flies(flight: Flight, model: Model) -> None:
         for sample in samples_of(flight, part):
             estimator.add(sample)
     known = estimator.estimates().derivatives
-    result = recursive(model, [flight], craft)
+    result = estimate_recursively(model, [flight], craft)
     for name in ("CY_beta", "Cl_p", "Cn_beta"):
         assert result.parameters[name].estimate == known[name].estimate
         assert result.parameters[name].std_coloured == known[name].std
@@ -80,8 +79,8 @@ def test_it_is_the_estimator_that_flies(flight: Flight, model: Model) -> None:
 def test_several_flights_are_one_aircraft_with_constants_of_their_own(flight: Flight, model: Model) -> None:
     craft = load_aircraft("cdfp")
     offset = flight.with_columns(ay=flight["ay"] + 0.2)
-    alone = recursive(model, [flight], craft)
-    both = recursive(joint_model(model), [flight, replace(offset, name="offset")], craft)
+    alone = estimate_recursively(model, [flight], craft)
+    both = estimate_recursively(joint_model(model), [flight, replace(offset, name="offset")], craft)
     assert both.history is None
     assert both.parameters["Cl_p"].std_coloured < alone.parameters["Cl_p"].std_coloured
     first, second = (f.local["CY_0"].estimate for f in both.flights)
@@ -108,7 +107,7 @@ def test_what_it_cannot_do_is_said(flight: Flight, model: Model, change, words: 
 def test_a_missing_column_is_named(flight: Flight, model: Model) -> None:
     without = replace(flight, columns={k: v for k, v in flight.columns.items() if k != "alpha"})
     with pytest.raises(MissingColumnError, match="alpha"):
-        recursive(model, [without], load_aircraft("cdfp"))
+        estimate_recursively(model, [without], load_aircraft("cdfp"))
 
 
 def pitching_flight() -> tuple[Flight, Mapping[str, float]]:
@@ -122,14 +121,14 @@ def pitching_flight() -> tuple[Flight, Mapping[str, float]]:
 def test_the_pitching_plane_and_both_at_once() -> None:
     flight, truth = pitching_flight()
     craft = load_aircraft("cdfp")
-    alone = recursive(load_model("longitudinal", craft), [flight], craft)
+    alone = estimate_recursively(load_model("longitudinal", craft), [flight], craft)
     assert alone.history is not None
     assert set(alone.history.estimate) == set(alone.parameters)
     for name in ("CL_alpha", "CD_0", "CD_k", "Cm_alpha", "Cm_q", "Cm_de"):
         found = alone.parameters[name]
         assert found.identifiable
         assert abs(found.estimate - truth[name]) < 3.5 * found.std_coloured < 0.4 * abs(truth[name])
-    both = recursive(load_model("six-dof", craft), [flight], craft)
+    both = estimate_recursively(load_model("six-dof", craft), [flight], craft)
     assert both.parameters["Cm_de"].estimate == alone.parameters["Cm_de"].estimate
     assert not both.parameters["Cl_da"].identifiable  # neither aileron nor rudder was flown
 
@@ -139,8 +138,8 @@ def test_the_pitching_plane_does_without_the_lateral_motion() -> None:
     craft = load_aircraft("cdfp")
     lateral = ("beta", "p", "r", "phi", "ay", "delta_a", "delta_r")
     bare = replace(flight, columns={k: v for k, v in flight.columns.items() if k not in lateral})
-    found = recursive(load_model("longitudinal", craft), [bare], craft).parameters["Cm_de"]
-    there = recursive(load_model("longitudinal", craft), [flight], craft).parameters["Cm_de"]
+    found = estimate_recursively(load_model("longitudinal", craft), [bare], craft).parameters["Cm_de"]
+    there = estimate_recursively(load_model("longitudinal", craft), [flight], craft).parameters["Cm_de"]
     assert abs(found.estimate - there.estimate) < there.std_coloured
 
 
@@ -156,5 +155,5 @@ def test_a_term_of_ones_own_is_estimated_by_its_place(flight: Flight, model: Mod
     terms = linear_terms(own)
     assert terms.names["yaw_by_aileron"] == "Cn_da"
     craft = load_aircraft("cdfp")
-    found = recursive(own, [flight], craft).parameters["yaw_by_aileron"]
+    found = estimate_recursively(own, [flight], craft).parameters["yaw_by_aileron"]
     assert abs(found.estimate) < 3.5 * found.std_coloured < 0.01  # it flew without

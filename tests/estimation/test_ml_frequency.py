@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.estimate import estimate
-from estimation.engine.data import prepare
 from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
 from estimation.estimators.frequency_domain.estimate import FrequencyOptions, frequency_output_error
@@ -16,10 +14,11 @@ from estimation.estimators.frequency_domain.problem import FrequencyProblem
 from estimation.estimators.frequency_domain.transformed import Band, SpectralSegment
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
-from estimation.models.base import InputTransform, Model, Parameter, Signal
-from estimation.session.runner import joint_model
-from estimation.signals.fourier import finite_transform
+from estimation.models.base import InputTransform, Model, Parameter, Signal, joint_model
+from estimation.prepare.pipeline import prepare
+from estimation.signals.curves import finite_transform
 from groundstation.flight import Flight, read_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import STRONG, TRUE
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

@@ -10,13 +10,13 @@ import torch
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
+from estimation.answers.estimates import read_truth
 from estimation.errors import EstimationError
 from estimation.models import load_model
 from estimation.report.estimate_tables import mean_table
 from estimation.session import runner
-from estimation.session.truth import read_truth
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import TRUE
 
 

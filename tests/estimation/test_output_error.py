@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from estimation.engine.data import prepare
 from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.filter_error import filter_error
@@ -18,6 +17,7 @@ from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models import Parameter, load_model
 from estimation.models.base import Model, Signal
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight
 from tests.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 

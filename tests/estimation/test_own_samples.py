@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.engine.conditioned import conditioned, drawn_between
+from estimation.prepare.conditioned import condition_columns, drawn_between
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance
 from groundstation.flight.flight import CHANNELS
 
@@ -48,5 +48,5 @@ def test_a_flight_that_states_no_rates_is_compared_throughout_and_so_is_one_on_r
     flight = on_a_grid(10.0, 0.0)
     bare = replace(flight, provenance=Provenance())
     assert drawn_between(bare, ["p", "ay"]) == {}
-    assert np.isfinite(conditioned(flight, ["p"], keep_held=True).compared("p")[0]).all()
-    assert np.isfinite(conditioned(flight, ["p"]).compared("p")[0]).sum() == pytest.approx(200, abs=1)
+    assert np.isfinite(condition_columns(flight, ["p"], keep_held=True).as_output("p")[0]).all()
+    assert np.isfinite(condition_columns(flight, ["p"]).as_output("p")[0]).sum() == pytest.approx(200, abs=1)

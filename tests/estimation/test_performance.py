@@ -13,7 +13,7 @@ import sideslip as ss
 from estimation.aircraft import Aircraft, PriorDerivative, load_aircraft
 from estimation.errors import AircraftError, DataError
 from estimation.performance.polar import best_glide, fitted, least_sink
-from estimation.performance.samples import together, usable
+from estimation.performance.samples import all_stretches, usable
 from groundstation.flight import Flight, write_flight
 from groundstation.flight.flight import CHANNELS
 from sideslip.cli import cli
@@ -60,7 +60,7 @@ def run(*words: object) -> Result:
 
 def test_closed_forms_of_the_polar() -> None:
     """Best glide where drag is least, least sink where V CD / CL is, both by search; bounds by draws."""
-    polar = fitted(together([usable(glide(1), CRAFT, throttle_off=True)]))
+    polar = fitted(all_stretches([usable(glide(1), CRAFT, throttle_off=True)]))
     rng = np.random.default_rng(1)
 
     def searched(c0: float, k: float) -> tuple[float, float, float, float]:
@@ -87,7 +87,7 @@ def test_bounds_hold_the_truth(offset: float) -> None:
     inside = {"CD_0": 0, "CD_k": 0, "ratio": 0}
     ratio = 0.5 / math.sqrt(CD_0 * CD_K)
     for seed in range(60):
-        polar = fitted(together([usable(glide(seed, offset), CRAFT, throttle_off=True)]))
+        polar = fitted(all_stretches([usable(glide(seed, offset), CRAFT, throttle_off=True)]))
         for name, number, true in (("CD_0", polar["CD_0"], CD_0), ("CD_k", polar["CD_k"], CD_K),
                                    ("ratio", best_glide(polar, CRAFT)["ratio"], ratio)):  # fmt: skip
             low, high = number.ends
@@ -105,7 +105,7 @@ def test_bounds_hold_the_truth_of_the_second_simulator() -> None:
     inside = {"CD_0": 0, "CD_k": 0}
     for i in range(40):
         flights = [Flight.build(f"f{j}", c.pop("time"), c) for j, c in enumerate(flown[3 * i : 3 * i + 3])]
-        polar = fitted(together([usable(f, load_aircraft("cdfp"), throttle_off=False) for f in flights]))
+        polar = fitted(all_stretches([usable(f, load_aircraft("cdfp"), throttle_off=False) for f in flights]))
         for name in inside:
             low, high = polar[name].ends
             inside[name] += low <= truth.TRUE_DERIVATIVES[name] <= high
@@ -135,10 +135,10 @@ def test_thrust_that_somebody_assumed_is_not_known() -> None:
 def test_measured_thrust_is_taken_off() -> None:
     flight = glide(4, thrust=4.0)
     known = flight.with_columns(thrust=np.full(len(flight), 4.0))
-    right = fitted(together([usable(known, CRAFT, throttle_off=False)]))
+    right = fitted(all_stretches([usable(known, CRAFT, throttle_off=False)]))
     low, high = right["CD_0"].ends
     assert low < CD_0 < high
-    wrong = fitted(together([usable(flight, CRAFT, throttle_off=True)]))
+    wrong = fitted(all_stretches([usable(flight, CRAFT, throttle_off=True)]))
     assert not wrong["CD_0"].ends[0] < CD_0 < wrong["CD_0"].ends[1]
 
 

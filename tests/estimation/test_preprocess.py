@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimation.signals.preprocess import BLOCK, denoise, denoise_many, noise_level
+from estimation.signals.denoise import BLOCK, denoise, denoise_many, noise_level
 
 DEG = np.pi / 180
 

@@ -7,13 +7,12 @@ import pytest
 
 from estimation.engine.compiled import CompiledKernel
 from estimation.engine.kernel import SensitivityColumns
-from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Simulator
-from estimation.estimators.filter_error import filter_error, process_noise_error
-from estimation.estimators.kalman_gain import GainLaw, gain_law
+from estimation.estimators.filter_error import GainLaw, filter_error, gain_law, process_noise_error
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
+from estimation.prepare.pipeline import prepare_all
 from groundstation.flight import Flight
 from tests.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 
@@ -62,7 +61,7 @@ def test_slopes_of_the_gain_and_no_noise_no_gain() -> None:
 
 def test_a_gain_laid_out_by_columns_is_the_same_gain() -> None:
     flights, _ = fly(Case(noise=NOISE, seconds=6.0), np.random.default_rng(3))
-    data = prepared(LATERAL, flights[0])[0]
+    data = prepare_all(LATERAL, flights[0])[0]
     simulator = Simulator.build(LATERAL)
     if not isinstance(simulator.kernel, CompiledKernel):
         pytest.skip("no C compiler")

@@ -11,14 +11,13 @@ import pytest
 from click.testing import CliRunner
 from scipy.signal import lfilter
 
-from estimation.commands.estimate import estimate
-from estimation.engine.data import Preparation
 from estimation.errors import EstimationError, ModelError
-from estimation.estimators.bootstrap import parametric_bootstrap
 from estimation.estimators.output_error import OutputErrorOptions, output_error
-from estimation.estimators.profile import profile_likelihood
+from estimation.estimators.refits import parametric_bootstrap, profile_likelihood
 from estimation.models import Model, Parameter, Signal, write_model
+from estimation.prepare.flight_data import Preparation
 from groundstation.flight import Flight
+from sideslip.verbs.estimate import estimate
 
 SIGMA = 0.05
 GIVEN = OutputErrorOptions(sigma={"x": SIGMA}, substeps=4, preparation=Preparation(denoise=False))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from estimation.commands.progress import Progress
+from sideslip.verbs.delivery import Progress
 
 CODE = """
-from estimation.commands.progress import Progress
+from sideslip.verbs.delivery import Progress
 with Progress("flying") as tell:
     for i in range(101):
         tell(i / 100)

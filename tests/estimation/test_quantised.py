@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimation.commands.check import check
-from estimation.commands.estimate import estimate
-from estimation.engine.data import Preparation, prepare
 from estimation.errors import DataError
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
+from estimation.prepare.flight_data import Preparation
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, read_flight, write_flight
-from groundstation.flight.notes import NoteKind
+from groundstation.flight.findings import FindingKind
+from sideslip.verbs.check import check
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import NOISE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")
@@ -82,7 +83,7 @@ def test_an_attitude_that_repeats_for_seconds_is_compared(
     flight = rounded(wandering, bits, "phi")
     result = output_error(LATERAL, flight)
     assert moved(fitted["wandering"], result) < ALIKE
-    assert not [n for n in result.flights[0].notes if n.kind in (NoteKind.STUCK, NoteKind.HELD)]
+    assert not [n for n in result.flights[0].notes if n.kind in (FindingKind.STUCK, FindingKind.HELD)]
     dithered = flight.with_columns(phi=flight["phi"] + 1e-11 * np.random.default_rng(1).standard_normal(len(flight)))
     assert moved(result, output_error(LATERAL, dithered)) < 1e-3
 
@@ -94,11 +95,11 @@ def test_a_slow_channel_is_taken_between_its_new_values_and_said(
     flight = held(wandering, column, samples)
     result = output_error(LATERAL, flight)
     assert moved(fitted["wandering"], result) < ALIKE
-    (note,) = [n for n in result.flights[0].notes if n.kind is NoteKind.HELD]
-    assert note.columns == ((column, column),)
+    (note,) = [n for n in result.flights[0].notes if n.kind is FindingKind.HELD]
+    assert note.columns == (column,)
     assert "--keep-held" in note.text
     kept = prepare(LATERAL, flight, Preparation(keep_held=True))
-    assert not [n for n in kept.notes if n.kind is NoteKind.HELD]
+    assert not [n for n in kept.notes if n.kind is FindingKind.HELD]
 
 
 def test_repeats_of_a_slow_output_are_not_compared(wandering: Flight) -> None:
@@ -115,7 +116,7 @@ def test_a_wild_value_is_named_and_left_out(ordinary: Flight, fitted: dict[str, 
     r[200] = value
     result = output_error(LATERAL, ordinary.with_columns(r=r))
     assert moved(fitted["ordinary"], result) < ALIKE
-    (note,) = [n for n in result.flights[0].notes if n.kind is NoteKind.OUTLIER]
+    (note,) = [n for n in result.flights[0].notes if n.kind is FindingKind.OUTLIER]
     assert note.text.startswith("r: a wild value left out")
 
 

@@ -12,12 +12,12 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.estimators import registry
 from estimation.estimators.estimator import Estimator, Extra, Extras
-from estimation.estimators.registry import built_in, check_extras, find, listed, names
+from estimation.estimators.registry import built_in, check_extras, estimator_names, find_estimator, listed_words
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "estimators.md").read_text()
@@ -66,12 +66,12 @@ def sideslip(*arguments: object, path: Path | None = None, cwd: Path | None = No
 def test_names_and_titles() -> None:
     assert tuple(built_in()) == ("ml", "fem", "fem-noise", "ml-frequency", "ngn", "ngn-improved", "ls", "live")
     assert all(e.title and e.look is not None for e in built_in().values())
-    assert names(Extra.STEPWISE) == ("ls",)
+    assert estimator_names(Extra.STEPWISE) == ("ls",)
     with pytest.raises(
         EstimationError,
         match=r"method 'guess' is unknown; known are ml, fem, fem-noise, ml-frequency, ngn, ngn-improved, ls",
     ):
-        find("guess")
+        find_estimator("guess")
 
 
 def test_every_estimator_has_its_section_in_the_docs() -> None:
@@ -79,14 +79,14 @@ def test_every_estimator_has_its_section_in_the_docs() -> None:
 
 
 def test_extras_that_nobody_chosen_heeds_are_refused() -> None:
-    check_extras(Extras(stepwise=True).asked, [find("ml"), find("ls")])
+    check_extras(Extras(stepwise=True).asked, [find_estimator("ml"), find_estimator("ls")])
     with pytest.raises(EstimationError, match="--stepwise is for method ls: add ls to --method"):
-        check_extras(Extras(stepwise=True).asked, [find("ml")])
+        check_extras(Extras(stepwise=True).asked, [find_estimator("ml")])
     with pytest.raises(
         EstimationError, match="--raw-inputs is for methods ml, fem, fem-noise, ml-frequency and ls: add ml to --method"
     ):
-        check_extras(Extras(raw_inputs=True).asked, [find("ngn")])
-    assert [listed(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+        check_extras(Extras(raw_inputs=True).asked, [find_estimator("ngn")])
+    assert [listed_words(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
 
 
 @pytest.mark.usefixtures("installed")
@@ -146,7 +146,7 @@ def test_an_estimator_that_is_not_installed(made_flights: list[Flight], tmp_path
 def test_names_of_modules_that_do_not_fit(installed: Path, name: str, why: str) -> None:
     (installed / "twice.py").write_text(OWN.replace('"own", "half', '"ml", "half'))
     with pytest.raises(EstimationError, match=why):
-        find(name)
+        find_estimator(name)
 
 
 @pytest.mark.parametrize(
@@ -162,11 +162,11 @@ def test_packages_that_do_not_fit(installed: Path, point: str, why: str) -> None
     (installed / "half_fit-1.0.dist-info" / "entry_points.txt").write_text(f"[sideslip.estimators]\n{point}\n")
     registry._installed.cache_clear()
     with pytest.raises(EstimationError, match=why):
-        find(point.split(maxsplit=1)[0])
-    assert find("fem").name == "fem"  # the others go on working
+        find_estimator(point.split(maxsplit=1)[0])
+    assert find_estimator("fem").name == "fem"  # the others go on working
 
 
 def test_an_estimator_is_a_plain_record() -> None:
-    assert find("ml").fit_each is None
-    assert find("ngn").fit_each is not None
-    assert isinstance(find("ls"), Estimator)
+    assert find_estimator("ml").fit_each is None
+    assert find_estimator("ngn").fit_each is not None
+    assert isinstance(find_estimator("ls"), Estimator)

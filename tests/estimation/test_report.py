@@ -17,9 +17,9 @@ from estimation.engine.simulate import simulate
 from estimation.models import load_model
 from estimation.report import names, published
 from estimation.report.check_page import write_check_report
+from estimation.report.estimate_page import write_estimate_report
 from estimation.report.front import write_front_page
 from estimation.report.modes import modes, modes_with_spread, state_matrix, trim
-from estimation.report.page import write_estimate_report
 from estimation.report.tables import ReportTable, number, rounded
 from estimation.session import runner
 from estimation.session.session import EstimationSession

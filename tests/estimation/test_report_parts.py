@@ -6,14 +6,22 @@ import numpy as np
 import pytest
 
 from estimation.report.advice import Untold, grouped
-from estimation.report.drawing.ellipses import ellipse
+from estimation.report.drawing.estimate_figures import ellipse
 from estimation.report.drawing.figures import LARGE, picture
 from estimation.report.drawing.residual_figures import binned, spectrum
-from estimation.report.flight_card import flight_card, mean_wind
-from estimation.report.markup.fold import SHEET, label, needs_width, pieces, width, words
-from estimation.report.markup.html import render
-from estimation.report.notes import notes_table
-from estimation.report.tables import ReportTable, pair, rounded
+from estimation.report.flight_tables import flight_card, mean_wind, notes_table
+from estimation.report.page import Page, Section
+from estimation.report.tables import (
+    SHEET,
+    ReportTable,
+    cell_label,
+    needs_width,
+    rounded,
+    table_slices,
+    table_width,
+    value_and_bound,
+    word_columns,
+)
 from groundstation.flight import Flight, Provenance
 
 
@@ -25,7 +33,7 @@ def table(groups: int, span: int = 3) -> ReportTable:
 
 
 def test_a_narrow_table_is_one_piece() -> None:
-    (whole,) = pieces(table(3))
+    (whole,) = table_slices(table(3))
     assert whole.columns == tuple(range(10))
     assert not whole.wide
 
@@ -33,39 +41,25 @@ def test_a_narrow_table_is_one_piece() -> None:
 @pytest.mark.parametrize("groups", [5, 9, 14])
 def test_a_wide_table_is_cut_between_groups_and_each_piece_fits_and_begins_with_the_names(groups: int) -> None:
     wide = table(groups)
-    found = pieces(wide)
-    assert all(p.columns[0] == 0 and width(wide, p.columns, small=p.wide) <= SHEET for p in found)
+    found = table_slices(wide)
+    assert all(p.columns[0] == 0 and table_width(wide, p.columns, small=p.wide) <= SHEET for p in found)
     assert [c for p in found for c in p.columns[1:]] == list(range(1, 1 + 3 * groups))
     assert all(sum(span for _, span in p.groups) == len(p.columns) for p in found)
-    assert needs_width({"tables": [wide]})
-    assert not needs_width({"tables": {"a": table(1), "b": None}})
+    assert needs_width([table(1), wide])
+    assert not needs_width([table(1)])
 
 
 def test_every_cell_of_the_page_has_its_head_and_failed_ones_are_marked() -> None:
     shown = replace(table(1), failed=frozenset({(1, 2)}))
-    page = render(
-        "front.html.j2",
-        title="t",
-        lead="l",
-        links=[],
-        keys=[],
-        derivatives=shown,
-        match=None,
-        hidden=None,
-        gap_table=None,
-        match_figure=None,
-        gap=None,
-        verdict="",
-        files=[],
-    )
+    page = Page("t", "l", [Section("derivatives", "Derivatives", [shown])]).html()
     assert page.count('data-label="g0 h1"') == 2
     assert page.count('class="fail"') == 1
-    assert label(shown, 0) == ""
+    assert cell_label(shown, 0) == ""
 
 
 def test_columns_without_numbers_are_words() -> None:
     mixed = ReportTable("t", "", ("a", "b", "c", "d"), (("x", "-1.2", "pass", ""), ("y", "cannot tell", "FAIL", "")))
-    assert words(mixed) == {0, 2}
+    assert word_columns(mixed) == {0, 2}
 
 
 @pytest.mark.parametrize(
@@ -84,7 +78,7 @@ def test_numbers_stand_to_the_second_figure_of_their_bound(
 
 
 def test_pair_of_nothing_is_empty() -> None:
-    assert pair(None, 1.0) == pair(float("nan"), 1.0) == ["", ""]
+    assert value_and_bound(None, 1.0) == value_and_bound(float("nan"), 1.0) == ["", ""]
 
 
 def test_what_one_manoeuvre_would_tell_is_one_row() -> None:

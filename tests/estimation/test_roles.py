@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from estimation.aircraft import load_aircraft
-from estimation.engine.data import prepare
 from estimation.engine.simulate import simulate
 from estimation.errors import ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import Model, Parameter, ParameterRole, load_model, read_model, write_model
+from estimation.models.base import joint_model
 from estimation.models.kinematic import FACTORS, compatibility_model
+from estimation.prepare.pipeline import prepare
 from estimation.report.drawing.estimate_figures import scatter_figure
 from estimation.session import runner
 from groundstation.flight import Flight
@@ -53,14 +54,14 @@ def test_a_persons_bias_x_is_estimated_reported_and_judged_like_any_other(
         assert mine.std_coloured == pytest.approx(usual.std_coloured, rel=1e-6)
         assert session.mean["ml"][name].mean == pytest.approx(plain.mean["ml"][other].mean, rel=1e-6)
         assert not session.mean["ml"][name].trim
-    assert not {p.name for p in runner.joint_model(own).parameters if p.local} & set(OWN_NAMES)
+    assert not {p.name for p in joint_model(own).parameters if p.local} & set(OWN_NAMES)
     assert scatter_figure(session).height == scatter_figure(plain).height  # as many panels
 
 
 def test_constants_are_each_flights_own_by_their_role(made_flights: list[Flight]) -> None:
     assert LATERAL.free_of(ParameterRole.CONSTANT) == ("CY_0", "Cl_0", "Cn_0")
     shared = LATERAL.with_role(ParameterRole.DERIVATIVE, "CY_0").with_role(ParameterRole.CONSTANT, "CY_dr")
-    assert [p.name for p in runner.joint_model(shared).parameters if p.local] == ["CY_dr", "Cl_0", "Cn_0"]
+    assert [p.name for p in joint_model(shared).parameters if p.local] == ["CY_dr", "Cl_0", "Cn_0"]
     assert load_model("longitudinal", "cdfp").free_of(ParameterRole.CONSTANT) == (
         "CL_0",
         "Cm_0",

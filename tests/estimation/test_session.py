@@ -10,17 +10,17 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.answers.estimate_lines import session_lines
-from estimation.commands.estimate import estimate
-from estimation.commands.match import match
+from estimation.answers.estimates import session_lines
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
+from estimation.prepare.stretches import select_segments
 from estimation.session import runner
-from estimation.session.flights import select_segments
-from estimation.session.proof_of_match import predict
-from estimation.session.scatter import scatter
+from estimation.session.evidence import parameter_scatter
+from estimation.session.proof_of_match import predict_flight
 from estimation.signals.goodness_of_fit import autocorrelation, channel_fit
 from groundstation.flight import Flight, write_flight
+from sideslip.verbs.estimate import estimate
+from sideslip.verbs.match import match
 from tests.estimation.truth import STRONG, TRUE
 
 LATERAL = load_model("lateral", "cdfp")
@@ -51,7 +51,7 @@ def test_whiteness_knows_white_from_coloured() -> None:
 def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> None:
     session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ml"])
     results = [f.results["ml"] for f in session.flights]
-    honest = scatter(results)["Cl_p"]
+    honest = parameter_scatter(results)["Cl_p"]
     assert honest.text == ""
     from dataclasses import replace
 
@@ -59,7 +59,7 @@ def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> N
         replace(r, parameters={n: replace(e, std_coloured=e.std_coloured / 500) for n, e in r.parameters.items()})
         for r in results
     ]
-    assert "too small" in scatter(small)["Cl_p"].text
+    assert "too small" in parameter_scatter(small)["Cl_p"].text
 
 
 def test_a_joint_estimate_of_one_record_given_twice_is_refused(made_flights: list[Flight]) -> None:
@@ -83,14 +83,14 @@ def test_session_json_has_the_promised_names(made_flights: list[Flight]) -> None
 
 
 def test_proof_of_match_of_the_right_and_a_wrong_model(made_flights: list[Flight]) -> None:
-    right = predict(LATERAL.with_starts(TRUE), made_flights[0])
-    wrong = predict(LATERAL.with_starts({**TRUE, "Cn_beta": 0.013, "Cl_da": -0.06}), made_flights[0])
+    right = predict_flight(LATERAL.with_starts(TRUE), made_flights[0])
+    wrong = predict_flight(LATERAL.with_starts({**TRUE, "Cn_beta": 0.013, "Cl_da": -0.06}), made_flights[0])
     assert right.converged
     assert all(f.r2 > 0.85 for f in right.fit.values())
     assert all(f.theil < 0.2 for f in right.fit.values())
     assert wrong.fit["beta"].theil > 2 * right.fit["beta"].theil
     biased = made_flights[0].with_columns(p=made_flights[0]["p"] + 0.05)
-    freed = predict(LATERAL.with_starts(TRUE).with_biases("p"), biased, free=["bias_p"])
+    freed = predict_flight(LATERAL.with_starts(TRUE).with_biases("p"), biased, free=["bias_p"])
     assert freed.result.parameters["bias_p"].estimate == pytest.approx(0.05, abs=0.005)
 
 

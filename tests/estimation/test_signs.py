@@ -8,7 +8,12 @@ import pytest
 from estimation.estimators.result import Estimate
 from estimation.gap.workflow import Options, run_gap
 from estimation.models import load_model
-from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
+from estimation.session.sanity_checks import (
+    controls_of_another_unit,
+    turned_controls,
+    turned_outputs,
+    turned_side_force,
+)
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.engine.data import prepare
 from estimation.errors import DataError
 from estimation.models import load_model
 from estimation.models.base import Model
+from estimation.prepare.pipeline import prepare
 from tests.estimation.truth import NOISE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")

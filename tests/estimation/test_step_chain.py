@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from estimation.engine.chain import CHUNK, Chain
-from estimation.engine.compiled import compiler
+from estimation.engine.compiled import CHUNK, Chain, compiler
 
 
 def filter_step() -> ca.Function:

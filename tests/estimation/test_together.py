@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.engine.data import prepare
 from estimation.estimators.output_error import output_error
 from estimation.estimators.together import moving_together
 from estimation.models import load_model
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight
 from tests.estimation.truth import NOISE, Case, fly
 

@@ -11,17 +11,18 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
 from estimation.estimators import output_error as output_error_module
 from estimation.estimators.estimator import Estimator, Task
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model, read_model, write_model
+from estimation.models.base import joint_model
 from estimation.session import runner
-from estimation.session.evidence import driven, gain_of_filter
+from estimation.session.evidence import driven_outputs, gain_of_filter
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.verdict import NOBODY, verdict
 from groundstation.flight import Flight, MissingColumnError, write_flight
+from sideslip.verbs.estimate import estimate
 from tests.estimation.truth import NOISE, TRUE, Case, fly
 from tests.studies.verdict_study import JET_AIRCRAFT, JET_TRUE, jet_flights
 
@@ -86,7 +87,7 @@ def test_a_flight_says_which_of_its_angles_were_reconstructed() -> None:
 
 
 def test_process_noise_is_looked_for_where_forces_act() -> None:
-    assert driven(LATERAL) == {"beta", "p", "r", "ay"}
+    assert driven_outputs(LATERAL) == {"beta", "p", "r", "ay"}
 
 
 def test_the_gain_of_a_filter_over_itself_is_nothing(calm: Mapping[str, Result]) -> None:
@@ -100,7 +101,7 @@ def test_the_gain_of_a_filter_over_itself_is_nothing(calm: Mapping[str, Result])
 def test_two_manoeuvres_of_a_jet_in_turbulence() -> None:
     """Recommended CY_p and CY_dr within three bounds of truth; output error alone warns."""
     model = load_model("lateral", JET_AIRCRAFT)
-    flights, joint = jet_flights(1.0, 1), runner.joint_model(model)
+    flights, joint = jet_flights(1.0, 1), joint_model(model)
     results = {m: runner.run_method(m, joint, flights, JET_AIRCRAFT) for m in METHODS}
     best = results[verdict(results).recommended.method]
     for name in ("CY_p", "CY_dr"):
@@ -166,8 +167,8 @@ def test_a_failing_method_is_a_sentence_and_loses_no_other_result(
     made_flights: list[Flight], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = Estimator("broken", "one that breaks", _broken)
-    usual = runner.find
-    monkeypatch.setattr(runner, "find", lambda name: own if name == "broken" else usual(name))
+    usual = runner.find_estimator
+    monkeypatch.setattr(runner, "find_estimator", lambda name: own if name == "broken" else usual(name))
     session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ls", "broken"], joint=True)
     first, second = session.flights
     assert set(first.results) == {"ls", "broken"}

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from firmware_sim.hardware.bus import BusModel, Chip, SimulatedBus
+from firmware_sim.hardware.bus import BusModel, SimulatedBus
+from firmware_sim.hardware.registers.chip import PoweredChip
 
 
 class CountingClock:
@@ -27,7 +28,7 @@ class CountingClock:
         self.now_ns += round(duration * 1e6)
 
 
-def on_bus(address: int, chip: Chip, clock: CountingClock | None = None, **model: float) -> SimulatedBus:
+def on_bus(address: int, chip: PoweredChip, clock: CountingClock | None = None, **model: float) -> SimulatedBus:
     """A bus with one chip."""
     return SimulatedBus(clock or CountingClock(), {address: chip}, BusModel(**model))
 

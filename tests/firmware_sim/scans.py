@@ -6,11 +6,12 @@ from types import SimpleNamespace
 from daq.acquisition.sampler import Sampler
 from daq.clock import SimulatedClock
 from daq.contract.scan import Scan, SensorState
-from daq.sensors.config import SensorsConfig, cdfp_sensors
+from daq.sensors.config import SensorsConfig
 from firmware_sim.hardware.faults import FaultSet, parse_faults
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import SimulatedSerial
 from firmware_sim.runs.flight import START_UTC_NS, SimulatedHardware, build_aircraft
+from tests.daq.cdfp_fit import cdfp_sensors
 from tests.firmware_sim.hardware import Still
 
 ON_BUS = ("imu", "mag", "analog_a", "analog_b", "analog_c", "pitot", "static", "thrust", "capture")

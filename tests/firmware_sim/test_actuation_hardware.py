@@ -4,12 +4,19 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, parse_cockpit, switch_for
-from firmware_sim.hardware.multiplexer import MONOSTABLE_NS, SEL_LOST_NS, Monostable, Multiplexer
+from firmware_sim.hardware.cockpit import (
+    MONOSTABLE_NS,
+    SEL_LOST_NS,
+    Cockpit,
+    CockpitTable,
+    Monostable,
+    Multiplexer,
+    switch_for,
+)
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
 from firmware_sim.physics.plant import Commands
 from firmware_sim.runs.flight import prepare_flight
+from firmware_sim.tables import ScenarioError, checked
 from firmware_sim.world.scenario import load_scenario
 
 MS = 1_000_000
@@ -212,7 +219,7 @@ class TestCockpit:
 
     def test_mistakes_in_a_scenario_are_named(self) -> None:
         with pytest.raises(ScenarioError, match=r"sequencer\.switch"):
-            parse_cockpit({"switch": [[0.0, "on"]]}, "mine")
+            checked(CockpitTable, {"switch": [[0.0, "on"]]}, "mine", "sequencer")
         with pytest.raises(ScenarioError, match=r"raise flight\.duration_s"):
             switch_for(load_scenario("quiet"), 60.0)
 

@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from firmware_sim.hardware.autopilots.arduplane import ArduPlane
-from firmware_sim.hardware.autopilots.line import LossyLine
-from firmware_sim.hardware.autopilots.px4 import MAVLINK, RECEIVER, Px4
+from firmware_sim.hardware.autopilots.looped import LossyLine
+from tests.firmware_sim.px4 import MAVLINK, RECEIVER, Px4
 
 MS = 1_000_000
 STICKS = (1520, 1480, 1600, 1510, 2000, 1500, 1500, 1500)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from daq.contract.recordings.reading import read_recording
-from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.units import calibration_truth
 from firmware_sim.runs.bench_recordings import BenchRig, Pose, SimulatedBench, bench_titles, bench_truth, record_bench
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.ground import direction_cosines
-from groundstation.calibration.bench_work.plan import load_plan
+from groundstation.calibration.bench_plan import load_plan
 
 
 def test_the_rig_moves_between_poses_and_stands_on_them() -> None:
@@ -63,7 +63,7 @@ def test_load_bench_recording_and_plan_agree(tmp_path: Path) -> None:
 
 def test_every_bench_has_a_plan_that_the_fitting_reads() -> None:
     from firmware_sim.runs.bench_recordings import _BENCHES, _plan_text
-    from groundstation.calibration.bench_work.plan import BenchPlan
+    from groundstation.calibration.bench_plan import BenchPlan
 
     assert len(bench_titles()) == 7
     for make in _BENCHES.values():

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.runs.campaign import CampaignFlights, fly_campaigns, write_campaign
+from firmware_sim.runs.campaign import CampaignFlights
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import read_flight
+from tests.firmware_sim.campaigns import fly_campaigns, write_campaign
 
 
 def test_flights_of_a_campaign_share_the_aircraft_but_not_the_day() -> None:

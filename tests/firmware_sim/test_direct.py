@@ -8,7 +8,7 @@ import pytest
 
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation import load_model, output_error, simulate
-from estimation.engine.data import Preparation
+from estimation.prepare.flight_data import Preparation
 from firmware_sim.runs.direct import DIRECT_COLUMNS, DirectNoise, direct_flights, measured, write_csv
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
 from firmware_sim.world.simulation import derivatives_of

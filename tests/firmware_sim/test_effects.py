@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.effects.actuator import DelayedHistory
 from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.effects.registry import EFFECTS, make_effects
@@ -16,6 +15,7 @@ from firmware_sim.physics.maths import FLOATS, array_maths
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.plant import ARMS, RATES, Commands, Plant
 from firmware_sim.physics.plant import EFFECTS as EFFECT_STATES
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import scenario_from
 from firmware_sim.world.world import simulate_many, simulate_truth
 from tests.firmware_sim.plants import QUIET, fly, level_state, motion_of, plain_plant

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.errors import ScenarioError
+from firmware_sim.hardware.board import ADDRESSES
 from firmware_sim.hardware.card import SimulatedCard
-from firmware_sim.hardware.faults import ADDRESSES, Events, FaultSet, parse_faults
+from firmware_sim.hardware.faults import FaultEvents, FaultSet, parse_faults
+from firmware_sim.tables import ScenarioError
 from tests.firmware_sim.hardware import CountingClock, steady
 
 SECOND = 1_000_000_000
@@ -104,7 +105,7 @@ def test_a_dip_shorter_than_a_step_of_the_clock_still_happens() -> None:
     set_ = faults(
         {"kind": "power_dip", "start_s": 1.0, "stop_s": 1.001}, {"kind": "clock_step", "start_s": 2.0, "size": -3.5}
     )
-    events = Events(set_, {"lamp": lamp}, steps.append)
+    events = FaultEvents(set_, {"lamp": lamp}, steps.append)
     events.at(round(0.9 * SECOND))
     assert lamp.switched == []
     events.at(round(1.5 * SECOND))
@@ -116,7 +117,7 @@ def test_a_dip_shorter_than_a_step_of_the_clock_still_happens() -> None:
 
 def test_an_unplugged_imu_takes_its_magnetometer_along() -> None:
     imu, mag, pitot = Lamp(), Lamp(), Lamp()
-    events = Events(
+    events = FaultEvents(
         faults({"kind": "absent", "device": "imu", "start_s": 1.0, "stop_s": 2.0}),
         {"imu": imu, "mag": mag, "pitot": pitot},
         lambda by_ns: None,

@@ -157,7 +157,8 @@ def test_scans_do_not_depend_on_luck() -> None:
 
 def test_chip_turned_on_its_board_is_turned_back_by_the_configured_mounting() -> None:
     """The same mounting said twice, as a matrix to the simulator and as axes to the driver."""
-    from daq.sensors.config import ImuConfig, cdfp_sensors
+    from daq.sensors.icm20948 import ImuConfig
+    from tests.daq.cdfp_fit import cdfp_sensors
 
     # body x lies along chip y, body y along chip z, body z along chip x
     matrix = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))

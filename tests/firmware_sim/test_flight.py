@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import Recording, read_recording
 from daq.contract.scan import SensorState
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
-from firmware_sim.hardware.sensing.truth_log import TruthFile, TruthLog
+from firmware_sim.hardware.sensing.truth_log import TruthFile
 from firmware_sim.runs.bench_recordings import BenchRig, Pose, SimulatedBench, bench_truth
 from firmware_sim.runs.flight import START_UTC_NS, FlightFiles, prepare_flight
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
+from tests.firmware_sim.truth_log import TruthLog
 
 CALIBRATION = NOMINAL_DIRECTORY / "cdfp"
 

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.hardware.faults import Kind, parse_faults
-from firmware_sim.hardware.radio import parse_radio
+from firmware_sim.hardware.radio import RadioModel
 from firmware_sim.hardware.sensing.sensor_models import parse_sensors
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import checked, toml_text
 from firmware_sim.world.scenario import built_in_scenarios, load_scenario
 
 _KEYS = st.text(min_size=1, max_size=8)
@@ -43,7 +43,7 @@ def test_what_has_no_equal_in_itself() -> None:
 def test_hardware_tables_of_the_built_in_scenarios(name: str) -> None:
     scenario = load_scenario(name)
     parse_sensors(scenario.sensors, name)
-    parse_radio(scenario.radio, name)
+    checked(RadioModel, scenario.radio, name, "radio")
     for fault in parse_faults(scenario.faults, name):
         assert fault.start_s < scenario.total_s
 

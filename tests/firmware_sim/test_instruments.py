@@ -6,12 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.instruments import GRID_S, HISTORY_S, Instruments, _VaneDynamics
-from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
-from firmware_sim.hardware.sensing.signals import AT
-from firmware_sim.hardware.sensing.units import individual
+from firmware_sim.hardware.sensing.sensor_models import AT, SensorModels, parse_sensors
+from firmware_sim.hardware.sensing.units import calibration_truth, individual
+from firmware_sim.tables import ScenarioError
 from tests.firmware_sim.hardware import Still, truth_at_rest
 
 NO_TURN_ON = {"imu": {"accel": {"turn_on": 0.0}, "gyro": {"turn_on": 0.0}}}

@@ -7,16 +7,16 @@ import pytest
 
 from estimation.aircraft import Aircraft, load_aircraft
 from estimation.errors import AircraftError
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.physics.atmosphere import Site
 from firmware_sim.physics.maths import FLOATS
 from firmware_sim.physics.plant import ARMS, THRUST, Plant
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import scenario_from
 from firmware_sim.world.world import World
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
 from tests.docs.blocks import files_of
 from tests.firmware_sim.plants import QUIET, level_state
 

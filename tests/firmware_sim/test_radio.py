@@ -6,9 +6,9 @@ import pytest
 import serial
 from pymavlink.dialects.v20 import common
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.bridge import PtyBridge, UdpBridge
-from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink, expected_loss, parse_radio, radio_status, x25
+from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink, radio_status, x25
+from firmware_sim.tables import ScenarioError, checked
 from tests.firmware_sim.hardware import CountingClock
 
 PERFECT = {"latency_ms": 0.0, "jitter_ms": 0.0, "status_period_s": 0.0}
@@ -73,6 +73,12 @@ def test_bit_errors_damage_the_expected_share() -> None:
     expected = 1.0 - (1.0 - rate) ** (8 * len(packets[0]))
     assert link.down.damaged / 1500 == pytest.approx(expected, abs=0.02)
     assert sum(packet in received for packet in packets) == 1500 - link.down.damaged
+
+
+def expected_loss(model: RadioModel, packet_bytes: int) -> float:
+    """Share of packets of this size that do not arrive whole, bursts apart."""
+    whole = (1.0 - model.bit_error_rate) ** (8 * packet_bytes) * (1.0 - model.byte_drop_rate) ** packet_bytes
+    return 1.0 - (1.0 - model.drop) * whole
 
 
 def test_expected_loss_of_all_kinds_together() -> None:
@@ -221,4 +227,4 @@ def test_over_udp() -> None:
 
 def test_mistakes_are_named() -> None:
     with pytest.raises(ScenarioError, match=r"radio\.drop"):
-        parse_radio({"drop": 2.0}, "test")
+        checked(RadioModel, {"drop": 2.0}, "test", "radio")

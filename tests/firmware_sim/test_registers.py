@@ -229,7 +229,7 @@ class TestAds1115:
         clock = CountingClock()
         bus = on_bus(0x48, Ads1115Chip(lambda channel, time_ns: 0.0), clock)
         self.convert(bus, 0x42E3)
-        bus.write_byte(0x00, 0x06)
+        bus.i2c_rdwr(i2c_msg.write(0x00, [0x06]))
         assert bus.read_i2c_block_data(0x48, 0x01, 2) == [0x85, 0x83]
 
 
@@ -417,7 +417,7 @@ class TestCapture:
 
 
 class TestUblox:
-    FIX = ublox.Fix(
+    FIX = ublox.ReceiverFix(
         utc_ns=1_790_000_000_300_000_000, fix_type=3, satellites=12, latitude_deg=26.5, longitude_deg=80.25,
         height_msl_m=61.0, velocity_ned=(10.0, -2.0, 0.5), time_accuracy_s=25e-9, horizontal_accuracy_m=1.0,
         vertical_accuracy_m=2.0, speed_accuracy_m_s=0.1,
@@ -444,7 +444,7 @@ class TestUblox:
         assert message[98:] == bytes([a, b])
 
     def test_fraction_beyond_half_a_second_is_negative(self) -> None:
-        fix = ublox.Fix(
+        fix = ublox.ReceiverFix(
             **{**{f: getattr(self.FIX, f) for f in self.FIX.__dataclass_fields__}, "utc_ns": 1_790_000_000_900_000_000}
         )
         body = ublox.nav_pvt(fix)[6:98]
@@ -452,7 +452,7 @@ class TestUblox:
 
     def test_time_of_week(self) -> None:
         """2023-11-14 22:13:20 UTC is GPS Tuesday 22:13:38."""
-        fix = ublox.Fix(
+        fix = ublox.ReceiverFix(
             **{**{f: getattr(self.FIX, f) for f in self.FIX.__dataclass_fields__}, "utc_ns": 1_700_000_000_000_000_000}
         )
         assert struct.unpack_from("<I", ublox.nav_pvt(fix), 6)[0] == ((2 * 24 + 22) * 3600 + 13 * 60 + 38) * 1000

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.physics.effects.registry import EFFECTS
 from firmware_sim.pilot.manoeuvres import MANOEUVRE_SETS, SHAPES, StickInput
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import Scenario, built_in_scenarios, load_scenario, scenario_from
 from firmware_sim.world.simulation import derivatives_of, manoeuvres_of
 

@@ -1,17 +1,15 @@
 """One flight from power-up to stillness, alone or in a crowd."""
 
-import csv
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from firmware_sim.errors import ScenarioError
+from firmware_sim.tables import ScenarioError
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
 from firmware_sim.world.simulation import WorldSimulation
 from firmware_sim.world.truth import TRUTH_COLUMNS
-from firmware_sim.world.world import World, simulate_many, simulate_truth, write_truth_csv
+from firmware_sim.world.world import World, simulate_many, simulate_truth
 
 SHORT = {
     "flight": {"duration_s": 6.0, "manoeuvres": "rich"},
@@ -182,16 +180,6 @@ def test_servo_pulses_carry_the_commands() -> None:
     assert spare == [1500.0, 1500.0]
     columns = truth.columns()
     assert columns["cmd_a"] == pytest.approx(0.5 * (truth.cmd_right - truth.cmd_left))
-
-
-def test_truth_file_has_the_columns_and_the_numbers(tmp_path: Path) -> None:
-    t = simulate_truth(short(), 3)
-    write_truth_csv(tmp_path / "truth.csv", t)
-    with (tmp_path / "truth.csv").open(encoding="utf-8") as file:
-        header, *rows = list(csv.reader(file))
-    assert tuple(header) == TRUTH_COLUMNS
-    read = np.array(rows, float)
-    np.testing.assert_allclose(read[:, header.index("beta")], t["beta"], rtol=1e-9, atol=1e-12)
 
 
 def test_columns_come_in_the_order_of_the_file() -> None:

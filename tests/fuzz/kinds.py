@@ -171,8 +171,8 @@ def _scenario(path: Path, scratch: Path) -> object:
 
 
 def _calibration(path: Path, scratch: Path) -> object:
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
 
     nominal = load_calibration(NOMINAL_DIRECTORY / "cdfp")
     folder = path.with_suffix("")
@@ -186,9 +186,9 @@ def _calibration(path: Path, scratch: Path) -> object:
 
 
 def _bench_plan(path: Path, scratch: Path) -> object:
-    from groundstation.calibration.bench_work.bench import fit_bench
-    from groundstation.calibration.bench_work.plan import load_plan
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
+    from groundstation.calibration.bench import fit_bench
+    from groundstation.calibration.bench_plan import load_plan
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
 
     return fit_bench(_raw(), load_plan(path), load_calibration(NOMINAL_DIRECTORY / "cdfp"))
 
@@ -201,8 +201,8 @@ def _simulation(prefix: str) -> Reader:
     """A simulation asked at some states."""
 
     def read(path: Path, scratch: Path) -> object:
+        from estimation.simulation.attach import simulation_of
         from estimation.simulation.oracle import VARIABLES, States
-        from estimation.simulation.spec import simulation_of
 
         simulation = simulation_of(f"{prefix}{path}")
         rng = np.random.default_rng(1)

@@ -281,7 +281,7 @@ def recording_inputs() -> list[bytes]:
 
 def sitl_inputs() -> list[bytes]:
     """As this program writes it, and the few keys of a person."""
-    from estimation.simulation.autopilot.ardupilot_equations import BUILT_IN
+    from estimation.simulation.autopilot.equations import BUILT_IN
 
     keys = ",\n".join(f'  "{k}": {v!r}' for k, v in BUILT_IN.items())
     own = f'# real mass = 3.5 kg\n# by hand\n{{\n{keys},\n  "CGOffset": [-0.15, 0.0, -0.05]\n}}\n'

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from groundstation.live.alarms import Alarms, AlarmState, Limit
+from groundstation.live.watches import Alarms, AlarmState, Limit
 
 SPEED = Limit(channel="V", low=11.0, high=25.0, hysteresis=0.5, level="ERROR", text="airspeed")
 

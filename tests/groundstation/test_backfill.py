@@ -11,9 +11,9 @@ from daq.contract.recordings.segments import read_segments
 from daq.contract.scan import GroupStatus, Scan, SensorState, encode_scan
 from daq.telemetry.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
 from daq.telemetry.config import DownlinkConfig
-from groundstation.receiver.kept.session_log import RecordKind, SessionLog
-from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.sending.backfill import group_numbers, unpack_scans
+from groundstation.receiver.backfill import group_numbers, unpack_scans
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.storage.session_log import RecordKind, SessionLog
 from tests.link_rig import Rig, quiet_scan, random_scan
 
 

@@ -12,7 +12,7 @@ from daq.transport.mavlink_codec import FrameEncoder
 from groundstation.live.config import GroundConfig
 from groundstation.live.console import Console, Lines
 from groundstation.live.station import Station
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from daq.contract.recordings.reading import read_recording
 from daq.contract.rotating_log import RotatingLog
-from groundstation.live.free_space import FREE, LEFT, FreeSpace
-from groundstation.receiver.kept.lasting_log import LastingLog
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.live.watches import FREE, LEFT, FreeSpace
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.storage.lasting_log import LastingLog
 from tests.groundstation.test_receive import LISTEN, fly
 from tests.link_rig import Rig
 
@@ -74,7 +74,7 @@ def test_scans_that_come_while_the_disk_is_full_are_in_the_recording_when_it_has
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 40)
     (recorder,) = rig.ground.session_recorders().values()
-    full = recorder.journal._file._file = Full(recorder.journal._file._file, 100)  # type: ignore[assignment]
+    full = recorder.journal.file._file = Full(recorder.journal.file._file, 100)  # type: ignore[assignment]
     fly(rig, 60, seed=2)
     here = rig.ground.summary()
     assert here["scans_not_on_disk"] > 10
@@ -92,7 +92,7 @@ def test_sums_of_a_disk_that_stays_full_say_what_is_on_it(tmp_path: Path) -> Non
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 40)
     (recorder,) = rig.ground.session_recorders().values()
-    recorder.journal._file._file = Full(recorder.journal._file._file, 0)  # type: ignore[assignment]
+    recorder.journal.file._file = Full(recorder.journal.file._file, 0)  # type: ignore[assignment]
     fly(rig, 60, seed=2)
     rig.close()
     summary = rig.ground.summary()
@@ -108,7 +108,7 @@ def test_a_folder_that_is_lost_is_filled_again_from_the_aircraft(tmp_path: Path)
     blank = os.open(
         tmp_path / "blank", os.O_RDWR | os.O_CREAT
     )  # as an old disk that is gone: nothing can be read of it
-    os.dup2(blank, recorder.journal.descriptor())
+    os.dup2(blank, recorder.journal.file.descriptor())
     os.close(blank)
     shutil.rmtree(folder)
     gone = len(rig.ground.accounting()[0].session.name) and rig.ground.summary()["scans_received"]

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from groundstation.export.foxglove import quaternion_flu_to_enu
 from groundstation.export.run import ExportError, export_file
-from groundstation.export.timescale import UTC_KEY, utc_offset
+from groundstation.export.tracks import utc_offset
 from groundstation.flight import Flight, FlightError, read_flight, write_flight
+from groundstation.flight.writing import UTC_KEY
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 RAW = RECORDINGS / "cdfp_ld4_raw.mcap"

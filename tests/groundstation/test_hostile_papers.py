@@ -21,9 +21,9 @@ from groundstation.live.config import GroundConfig
 from groundstation.live.handover import hand_over
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
-from groundstation.receiver.kept.recording import SessionRecorder
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
+from groundstation.receiver.storage.recording import SessionRecorder
 from groundstation.receiver.timeline import NS
 from tests.link_rig import Rig, quiet_scan, random_scan
 

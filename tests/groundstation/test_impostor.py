@@ -18,7 +18,7 @@ from groundstation.live.config import GroundConfig
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
 from groundstation.receiver.link_accounting import SessionAccounting
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import MAX_OF_ONE_SENDER
 from groundstation.receiver.timeline import NS
 from tests.link_rig import Rig, quiet_scan
@@ -55,7 +55,7 @@ def test_one_forged_number_costs_nothing_and_the_aircraft_goes_on(tmp_path: Path
     assert books.lost == []
     assert books.unknown == []
     assert summary["scans_doubted"] == 1
-    assert [e.count for e in rig.events if isinstance(e, ev.Doubted)] == [1]
+    assert [e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)] == [1]
     rig.close()
 
 
@@ -81,7 +81,7 @@ def test_gaps_between_numbers_cost_by_what_came_not_by_how_wide_they_are() -> No
     for number in (5, 2**31, LAST):
         books.see(number)
         books.received.add(number)
-    found = books.accounting()
+    found = books.totals()
     first_open = next(iter(books.open_blocks()))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -107,7 +107,7 @@ def test_accounting_by_ranges_is_what_counting_one_by_one_gives(rng: np.random.G
                 books.take_map(block * 512, settled[block], word, 0)
         numbers = range(min(got), max(got) + 1)
         told = {n for n in numbers if n <= settled.get(n // 512, -1)}
-        found = books.accounting()
+        found = books.totals()
         assert {n for a, b in found.lost for n in range(a, b + 1)} == (sent & told) - got
         assert {n for a, b in found.unknown for n in range(a, b + 1)} == set(numbers) - told - got
         assert all(b + 1 < c for (_, b), (c, _) in zip(found.unknown, found.unknown[1:], strict=False))
@@ -138,7 +138,7 @@ def test_runs_of_scans_that_nobody_contradicts_are_bounded_too(tmp_path: Path) -
             rig.events += rig.look()
     made = list(tmp_path.glob("*.journal"))
     assert 8 <= len(made) <= 8 + 1 + 240 // 60
-    assert any(e.what.startswith("restarts") for e in rig.events if isinstance(e, ev.Doubted))
+    assert any(e.subject.startswith("restarts") for e in rig.findings(ev.ReceptionFindingKind.DOUBTED))
     rig.close()
 
 
@@ -155,7 +155,7 @@ def test_reports_and_maps_of_numbers_out_of_reach_are_not_believed(tmp_path: Pat
     rig.rest(12)
     (books,) = rig.ground.accounting()
     assert (books.last, books.lost, books.unknown) == (199, [], [])
-    assert sum(e.count for e in rig.events if isinstance(e, ev.Doubted)) >= 3000
+    assert sum(e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)) >= 3000
     rig.close()
 
 
@@ -170,7 +170,7 @@ def test_floods_of_events_and_texts_are_cut_and_counted(tmp_path: Path) -> None:
     kept = [e for e in rig.events if isinstance(e, ev.EventMarked | ev.StatusText)]
     assert len(kept) <= 120
     fly(rig, 200)
-    assert sum(e.count for e in rig.events if isinstance(e, ev.Doubted)) == 10_000 - len(kept)
+    assert sum(e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)) == 10_000 - len(kept)
     rig.close()
 
 
@@ -182,7 +182,7 @@ def test_systems_beyond_what_can_be_served_are_refused_and_told(tmp_path: Path) 
     fly(rig, 20)
     assert len(rig.ground.systems) == MAX_OF_ONE_SENDER
     assert 1 in rig.ground.systems
-    assert sum(e.count for e in rig.events if isinstance(e, ev.Doubted)) == 249 - MAX_OF_ONE_SENDER
+    assert sum(e.count for e in rig.findings(ev.ReceptionFindingKind.DOUBTED)) == 249 - MAX_OF_ONE_SENDER
     rig.close()
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from groundstation.live.flight_phase import LandingLimits, LandingWatch, Phase
+from groundstation.live.watches import LandingLimits, LandingWatch, Phase
 
 
 def run(watch: LandingWatch, start: float, seconds: float, speed: float, rate: float = 0.0) -> int:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, FlightError
-from groundstation.flight.manoeuvres import cut, find_manoeuvres
+from groundstation.flight.manoeuvres import cut_to_manoeuvres, find_manoeuvres
 
 T = np.arange(1200) * 0.05
 
@@ -55,14 +55,14 @@ def test_quiet_flight_has_none(rng: np.random.Generator) -> None:
     quiet = flight(rng)
     assert find_manoeuvres(quiet) == ()
     with pytest.raises(FlightError, match="no manoeuvre"):
-        cut(quiet, ())
+        cut_to_manoeuvres(quiet, ())
 
 
 def test_cut_keeps_the_windows_as_segments(rng: np.random.Generator) -> None:
     whole = flight(rng, delta_a=pulses(10, 0.1, KINDS["doublet"]), delta_r=pulses(14, 0.1, KINDS["doublet"]))
     found = find_manoeuvres(whole)
     assert len(found) == 2  # their windows overlap: the first keeps the shared samples
-    part = cut(whole, found)
+    part = cut_to_manoeuvres(whole, found)
     assert len(part.segments) == 2
     assert part.time[0] == pytest.approx(found[0].start)
     assert np.all(np.isin(part.time, whole.time))

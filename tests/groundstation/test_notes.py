@@ -6,22 +6,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.engine.data import prepare
 from estimation.models import Signal, load_model
+from estimation.prepare.pipeline import prepare
 from groundstation.flight import Flight, read_flight, write_flight
-from groundstation.flight.notes import Note, NoteKind, from_meta, once, texts, to_meta, unknown_columns
+from groundstation.flight.findings import (
+    Finding,
+    FindingKind,
+    finding_texts,
+    from_meta,
+    to_meta,
+    unknown_columns,
+    without_repeats,
+)
 from groundstation.flight.quality.report import time_order
 
 
-def flight(*notes: Note | str, **columns: np.ndarray) -> Flight:
+def flight(*notes: Finding | str, **columns: np.ndarray) -> Flight:
     time = np.arange(40) / 20
     return Flight.build("f", time, {"p": np.sin(time), **columns}, notes=notes)
 
 
 def test_the_check_of_time_order_goes_by_kind_and_not_by_words() -> None:
-    assert time_order(flight("the pilot said that time runs backwards up there")).verdict == "ok"
-    told = time_order(flight(Note(NoteKind.TIME_ORDER, "3 rows put where they belong")))
-    assert (told.verdict, told.text) == ("warn", "3 rows put where they belong")
+    assert time_order(flight("the pilot said that time runs backwards up there")).severity == "ok"
+    told = time_order(flight(Finding(FindingKind.TIME_ORDER, "3 rows put where they belong")))
+    assert (told.severity, told.text) == ("warn", "3 rows put where they belong")
 
 
 @pytest.mark.parametrize("suffix", [".mcap"])
@@ -30,7 +38,7 @@ def test_kinds_go_through_a_file(tmp_path: Path, suffix: str) -> None:
     before = Flight.build("f", shuffled, {"p": np.ones(60), "odd": np.ones(60)}, notes=["plain"])
     write_flight(before, tmp_path / f"f{suffix}")
     after = read_flight(tmp_path / f"f{suffix}")
-    assert [n.kind for n in before.notes] == [NoteKind.OTHER, NoteKind.TIME_ORDER, NoteKind.GAP]
+    assert [n.kind for n in before.notes] == [FindingKind.OTHER, FindingKind.TIME_ORDER, FindingKind.GAP]
     assert after.notes[:3] == before.notes[:1] + before.notes[1:]  # the gap is found again, and said once
     assert after.notes[3] == unknown_columns({"odd": "odd"})
     assert time_order(after) == time_order(before)
@@ -38,11 +46,14 @@ def test_kinds_go_through_a_file(tmp_path: Path, suffix: str) -> None:
 
 def test_a_file_without_kinds_is_read_and_a_gap_in_it_said_once(tmp_path: Path) -> None:
     old = from_meta({"notes": ["gap of 9 s", "7"]})
-    assert old == [Note(NoteKind.OTHER, "gap of 9 s"), Note(NoteKind.OTHER, "7")]
-    assert once([*old, Note(NoteKind.GAP, "gap of 9 s")]) == (Note(NoteKind.GAP, "gap of 9 s"), old[1])
+    assert old == [Finding(FindingKind.OTHER, "gap of 9 s"), Finding(FindingKind.OTHER, "7")]
+    assert without_repeats([*old, Finding(FindingKind.GAP, "gap of 9 s")]) == (
+        Finding(FindingKind.GAP, "gap of 9 s"),
+        old[1],
+    )
     newer = {"notes": ["x"], "facts": [{"note": 0, "kind": "from the future", "columns": []}]}
-    assert from_meta(newer) == [Note(NoteKind.OTHER, "x")]
-    notes = [Note(NoteKind.OTHER, "a"), unknown_columns({"hohe": "Höhe", "odd": "odd"})]
+    assert from_meta(newer) == [Finding(FindingKind.OTHER, "x")]
+    notes = [Finding(FindingKind.OTHER, "a"), unknown_columns({"hohe": "Höhe", "odd": "odd"})]
     assert from_meta(to_meta(notes)) == notes
     assert "facts" not in to_meta(notes[:1])
 
@@ -52,10 +63,13 @@ def test_columns_that_the_model_knows_are_not_called_unknown(clean: Flight) -> N
     model = replace(lateral, inputs=(*lateral.inputs, Signal("weight", "kg")))
     added = clean.with_columns(weight=np.full(len(clean), 8.5), odd=np.ones(len(clean)))
     both = added.with_notes(unknown_columns({"weight": "Gewicht, kg: as is", "odd": "odd, too"}))
-    assert texts(prepare(lateral, both).notes)[0].endswith("Gewicht, kg: as is as weight, odd, too as odd")
-    assert texts(prepare(model, both).notes)[0] == "columns not known to Sideslip, kept as they are: odd, too as odd"
+    assert finding_texts(prepare(lateral, both).notes)[0].endswith("Gewicht, kg: as is as weight, odd, too as odd")
+    assert (
+        finding_texts(prepare(model, both).notes)[0]
+        == "columns not known to Sideslip, kept as they are: odd, too as odd"
+    )
     none_left = added.with_notes(unknown_columns({"weight": "weight"}))
-    assert all(n.kind is not NoteKind.UNKNOWN_COLUMNS for n in prepare(model, none_left).notes)
+    assert all(n.kind is not FindingKind.UNKNOWN_COLUMNS for n in prepare(model, none_left).notes)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from groundstation.flight import FlightError
 from groundstation.flight.files import csv_columns
-from groundstation.flight.files.plain_csv import plain_columns
+from groundstation.flight.files.csv_columns import plain_columns
 from groundstation.importers.formats import tables
 from groundstation.importers.mapping import FileFormat
 
@@ -94,7 +94,7 @@ def test_the_fast_road_is_taken_for_plain_numbers_and_for_nothing_else() -> None
 
 def test_reading_numbers_loads_no_pandas() -> None:
     code = (
-        "import sys; from groundstation.flight.files.plain_csv import plain_columns as p;"
+        "import sys; from groundstation.flight.files.csv_columns import plain_columns as p;"
         "print([c.tolist() for c in p(b'1,2\\n,\\n3,\\n', ['a', 'b'])], 'pandas' in sys.modules)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

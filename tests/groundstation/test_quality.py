@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, Provenance
+from groundstation.flight.findings import Finding, worst
 from groundstation.flight.quality.plausibility import suspicions
-from groundstation.flight.quality.report import Finding, quality_report, worst
+from groundstation.flight.quality.report import quality_report
 
 Columns = dict[str, np.ndarray]
 
@@ -51,27 +52,27 @@ def build(columns: Columns, **detail: object) -> Flight:
 
 
 def finding(flight: Flight, check: str) -> Finding:
-    return next(f for f in quality_report(flight) if f.check == check)
+    return next(f for f in quality_report(flight) if f.kind == check)
 
 
 def test_a_sound_flight_passes_every_check(sound: Columns) -> None:
     report = quality_report(build(sound))
-    assert [f.check for f in report if f.verdict != "ok"] == []
+    assert [f.kind for f in report if f.severity != "ok"] == []
     assert worst(report) == "ok"
-    assert len({f.check for f in report}) == len(report) == 12
+    assert len({f.kind for f in report}) == len(report) == 12
     assert all(f.text and not f.text.endswith(".") for f in report)
 
 
 def test_a_jump_in_time_is_reported_and_splits(sound: Columns) -> None:
     sound["time"] = sound["time"] + np.where(sound["time"] > 20, 30.0, 0.0)
     found = finding(build(sound), "time gaps")
-    assert found.verdict == "fail"  # 30 of 70 s are missing
+    assert found.severity == "fail"  # 30 of 70 s are missing
     assert "30" in found.text
     short = build(
         {k: np.delete(v, slice(400, 420)) for k, v in sound.items()}
         | {"time": np.delete(np.arange(800) * 0.05, slice(400, 420))}
     )
-    assert finding(short, "time gaps").verdict == "warn"
+    assert finding(short, "time gaps").severity == "warn"
     assert len(short.segments) == 2
 
 
@@ -80,7 +81,7 @@ def test_single_missing_samples_and_jitter(sound: Columns, rng: np.random.Genera
     keep[rng.choice(np.arange(10, 790, 3), 60, replace=False)] = False
     assert "missing" in finding(build({k: v[keep] for k, v in sound.items()}), "sample interval").text
     sound["time"] = sound["time"] + 0.01 * rng.uniform(-1, 1, 800)
-    assert finding(build(sound), "sample interval").verdict == "warn"
+    assert finding(build(sound), "sample interval").severity == "warn"
 
 
 def test_unsorted_and_repeated_rows(sound: Columns) -> None:
@@ -93,32 +94,32 @@ def test_unsorted_and_repeated_rows(sound: Columns) -> None:
 
 def test_dropout_inside_is_reported_and_a_late_start_is_not(sound: Columns) -> None:
     sound["beta"][:40] = np.nan
-    assert finding(build(sound), "dropouts").verdict == "ok"
+    assert finding(build(sound), "dropouts").severity == "ok"
     assert "2.00 s at the start" in finding(build(sound), "dropouts").text
     sound["beta"][200:230] = np.nan
     found = finding(build(sound), "dropouts")
-    assert (found.verdict, "30 in a row" in found.text) == ("warn", True)
+    assert (found.severity, "30 in a row" in found.text) == ("warn", True)
     sound["beta"][100:500] = np.nan
-    assert finding(build(sound), "dropouts").verdict == "fail"
+    assert finding(build(sound), "dropouts").severity == "fail"
 
 
 def test_a_channel_that_never_moves_fails(sound: Columns) -> None:
     sound["ay"] = np.zeros(800)
     found = finding(build(sound), "stale samples")
-    assert (found.verdict, "ay is 0 throughout" in found.text) == ("fail", True)
+    assert (found.severity, "ay is 0 throughout" in found.text) == ("fail", True)
 
 
 def test_a_channel_in_another_unit_fails_with_a_hint(sound: Columns) -> None:
     sound["p"] = np.degrees(sound["p"])
     found = finding(build(sound), "plausible values")
-    assert found.verdict == "fail"
+    assert found.severity == "fail"
     assert "is p in deg/s?" in found.text
 
 
 def test_stale_channel(sound: Columns) -> None:
     sound["beta"] = np.repeat(sound["beta"][::4], 4)
     found = finding(build(sound), "stale samples")
-    assert found.verdict == "warn"
+    assert found.severity == "warn"
     assert "beta repeats 75%" in found.text
     assert "about 4.98 Hz" in found.text
 
@@ -148,7 +149,7 @@ def test_spikes_are_found_and_edges_are_not(sound: Columns) -> None:
 def test_implausible_values(sound: Columns) -> None:
     for axis in ("ax", "ay", "az"):
         sound[axis] = sound[axis] / 9.80665
-    assert finding(build(sound), "plausible values").verdict == "fail"
+    assert finding(build(sound), "plausible values").severity == "fail"
 
 
 def circling(columns: Columns, rate: float) -> Columns:
@@ -171,7 +172,7 @@ def test_a_heading_that_runs_on_is_taken_as_it_is(sound: Columns, rate: float) -
 def test_a_heading_in_degrees_does_not_pass_for_one_that_runs_on(sound: Columns) -> None:
     turned = circling(sound, -0.12)
     degrees = {**turned, "psi": np.degrees(turned["psi"])}
-    assert any("psi" in s.columns and "deg" in s.what for s in suspicions(turned["time"], degrees))
+    assert any("psi" in s.columns and "deg" in s.text for s in suspicions(turned["time"], degrees))
     gyroless = {n: v for n, v in turned.items() if n not in ("p", "q", "r")}
     assert any("psi" in s.columns for s in suspicions(turned["time"], gyroless))
 
@@ -198,7 +199,7 @@ def test_a_jet_at_cruise_is_plausible() -> None:
     }
     columns = {name: np.full(n, value) for name, value in {**level, **height}.items()}
     assert suspicions(np.arange(n) / 20, columns) == []
-    assert finding(build({"time": np.arange(n) / 20, **columns}), "plausible values").verdict == "ok"
+    assert finding(build({"time": np.arange(n) / 20, **columns}), "plausible values").severity == "ok"
     for name, factor in (("p_static", 1e-2), ("altitude", 1 / 0.3048), ("rho", 1e3), ("az", -1.0)):
         (found,) = suspicions(np.arange(n) / 20, {**columns, name: factor * columns[name]})
         assert found.columns == (name,)
@@ -206,7 +207,7 @@ def test_a_jet_at_cruise_is_plausible() -> None:
 
 
 def test_extrapolated_calibration(sound: Columns) -> None:
-    assert finding(build(sound, extrapolated={"alpha_vane": 3}), "calibrated range").verdict == "ok"
+    assert finding(build(sound, extrapolated={"alpha_vane": 3}), "calibrated range").severity == "ok"
     assert "alpha_vane: 90" in finding(build(sound, extrapolated={"alpha_vane": 90}), "calibrated range").text
 
 
@@ -215,7 +216,7 @@ def test_time_skew_of_the_attitude(sound: Columns, late: float) -> None:
     t = sound["time"]
     sound["phi"] = np.interp(t - late, t, sound["phi"])
     found = finding(build(sound), "time skew")
-    assert found.verdict == "warn"
+    assert found.severity == "warn"
     assert f"phi {'lags' if late > 0 else 'leads'} p by" in found.text
     assert abs(int(found.text.split(" by ", 1)[1].split(" ms", 1)[0]) - abs(late) * 1e3) <= 4
 
@@ -229,9 +230,9 @@ def test_surface_before_its_command(sound: Columns) -> None:
 def test_noise_against_the_sensor(sound: Columns, rng: np.random.Generator) -> None:
     sound["ay"] = sound["ay"] + 0.5 * rng.standard_normal(800)
     found = finding(build(sound), "noise")
-    assert found.verdict == "warn"
+    assert found.severity == "warn"
     assert "10 times" in found.text
-    assert finding(build(sound, sensor_noise={"ay": 0.4}), "noise").verdict == "ok"
+    assert finding(build(sound, sensor_noise={"ay": 0.4}), "noise").severity == "ok"
 
 
 def test_excitation(sound: Columns, rng: np.random.Generator) -> None:
@@ -239,7 +240,7 @@ def test_excitation(sound: Columns, rng: np.random.Generator) -> None:
     still = {**sound, "delta_r": 0.002 * np.sin(sound["time"])}
     assert "delta_r is hardly moved" in finding(build(still), "excitation").text
     small = 0.008 * np.sign(np.sin(2.0 * sound["time"])) + 2e-4 * rng.standard_normal(800)
-    assert finding(build({**sound, "delta_e": small}), "excitation").verdict == "ok", (
+    assert finding(build({**sound, "delta_e": small}), "excitation").severity == "ok", (
         "half a degree moves a large aeroplane"
     )
     coarse = small + 2e-3 * rng.standard_normal(800)

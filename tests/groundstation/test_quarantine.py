@@ -20,7 +20,7 @@ from groundstation.live.config import GroundConfig
 from groundstation.live.handover import hand_over
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import NS
 from sideslip.live_aircraft import live_aircraft

@@ -10,14 +10,12 @@ import pytest
 import sideslip
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight import Flight
-from groundstation.live.alarms import Alarms, Limit
-from groundstation.live.config import configured
+from groundstation.live.config import LISTENER, configured, usual_ports
 from groundstation.live.readouts import FRESH_S, READOUTS, FreshValues, banner, readout_line
-from groundstation.live.usual_ports import LISTENER, usual_ports
-from groundstation.viewer.blueprint import blueprint
-from groundstation.viewer.panes import fitted
-from groundstation.viewer.replay import filled_entities
-from groundstation.viewer.scene import LinkSample
+from groundstation.live.watches import Alarms, Limit
+from groundstation.viewer.blueprint import blueprint, fitted
+from groundstation.viewer.entities import LinkSample
+from groundstation.viewer.recorded import filled_entities
 
 
 def test_numbers_are_in_the_units_a_person_reads() -> None:

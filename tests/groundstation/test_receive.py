@@ -14,7 +14,7 @@ from daq.contract.recordings.reading import read_recording
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.ports import memory_pair
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.tlog import TlogError, info_tlog, read_tlog
 from tests.link_rig import START_UTC_NS, Rig, random_scan
@@ -345,7 +345,7 @@ def test_scan_map_ranges_match_a_set() -> None:
 
 
 def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from groundstation.receiver.kept.session_log import SessionLog
+    from groundstation.receiver.storage.session_log import SessionLog
     from groundstation.receiver.tlog import TlogWriter
 
     rig = Rig(tmp_path, ground=LISTEN)
@@ -357,7 +357,7 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
 
     with monkeypatch.context() as patch:
         patch.setattr(TlogWriter, "_put", full)
-        patch.setattr(SessionLog, "_append", full)
+        patch.setattr(SessionLog, "add", full)
         fly(rig, 40, seed=2)
         assert rig.ground.port_faults == {
             "telemetry log": "No space left on device",
@@ -372,8 +372,8 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
 def test_a_disk_that_is_full_at_the_end_is_told_and_the_scans_stay_in_the_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from groundstation.receiver.kept.recording import ReceivedWriter
-    from groundstation.receiver.kept.session_log import SessionLog
+    from groundstation.receiver.storage.recording import ReceivedWriter
+    from groundstation.receiver.storage.session_log import SessionLog
 
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 60)
@@ -425,7 +425,7 @@ def test_trouble_is_told_once_and_its_end_too(tmp_path: Path) -> None:
 
 
 def test_link_quality_of_a_received_recording_is_shown(tmp_path: Path) -> None:
-    from groundstation.receiver.kept.recording import read_link
+    from groundstation.receiver.storage.recording import read_link
 
     rig = Rig(tmp_path, down=damager("lost", 0.1), ground=LISTEN)
     fly(rig, 300)

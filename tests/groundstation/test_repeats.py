@@ -51,7 +51,7 @@ def test_a_coarse_channel_in_steady_flight_is_neither_stuck_nor_slow(step: float
     found = repeats(flight, "theta")
     assert not found.stuck.any()
     assert not found.slow
-    stale = next(f for f in quality_report(flight) if f.check == "stale samples")
+    stale = next(f for f in quality_report(flight) if f.kind == "stale samples")
     assert "theta" not in stale.text or "coarse" in stale.text
 
 
@@ -62,7 +62,7 @@ def test_the_same_attitude_stuck_while_the_gyro_turns_is_caught() -> None:
     found = repeats(stuck, "theta").stuck
     assert found[at][1:].all()
     assert found.sum() <= at.sum() + 2
-    stale = next(f for f in quality_report(stuck) if f.check == "stale samples")
+    stale = next(f for f in quality_report(stuck) if f.kind == "stale samples")
     assert "theta stands still" in stale.text
 
 
@@ -131,19 +131,19 @@ def test_dither_far_below_the_quantum_changes_nothing(change: str) -> None:
 def test_a_resting_control_is_not_clipped_and_a_stopped_one_is() -> None:
     rest = np.where((TIME > 10) & (TIME < 11), 0.1, 0.0)
     flight = steady_then_moving().with_columns(delta_e=rest, delta_a=np.minimum(0.2 * np.sin(TIME), 0.15))
-    clipping = next(f for f in quality_report(flight) if f.check == "clipping")
-    assert clipping.verdict == "ok", clipping.text
+    clipping = next(f for f in quality_report(flight) if f.kind == "clipping")
+    assert clipping.severity == "ok", clipping.text
     asked = flight.with_columns(cmd_a=0.2 * np.sin(TIME), cmd_e=rest)
-    clipping = next(f for f in quality_report(asked) if f.check == "clipping")
+    clipping = next(f for f in quality_report(asked) if f.kind == "clipping")
     assert "delta_a stays at its largest value" in clipping.text
     assert "delta_e" not in clipping.text
 
 
 def test_the_flat_top_of_a_coarse_channel_is_not_clipped() -> None:
     swing = rounded(steady_then_moving().with_columns(beta=0.02 * np.sin(0.5 * TIME)), "beta", 2e-3)
-    assert next(f for f in quality_report(swing) if f.check == "clipping").verdict == "ok"
+    assert next(f for f in quality_report(swing) if f.kind == "clipping").severity == "ok"
     cut = swing.with_columns(beta=np.clip(0.2 * np.sin(2.0 * TIME), -0.1, 0.1))
-    assert "beta stays at its largest value" in next(f for f in quality_report(cut) if f.check == "clipping").text
+    assert "beta stays at its largest value" in next(f for f in quality_report(cut) if f.kind == "clipping").text
 
 
 @pytest.mark.parametrize("share", [0.58, 0.62, 0.66])

@@ -16,9 +16,14 @@ from daq.transport.ports import PortError, memory_pair
 from groundstation.live.config import GroundConfig
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.ports.link import open_port
-from groundstation.receiver.ports.udp_listener import OWN_SOCKETS, STRANGER_AT_ONCE, STRANGER_PER_S, UdpListener
+from groundstation.receiver.ports import (
+    OWN_SOCKETS,
+    STRANGER_AT_ONCE,
+    STRANGER_PER_S,
+    LinkConfig,
+    UdpListener,
+    open_port,
+)
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.senders import SILENCE_NS
 from groundstation.receiver.timeline import NS
@@ -106,12 +111,12 @@ def test_a_second_sender_is_not_used_and_is_shown_everywhere(tmp_path: Path) -> 
                 impostor.send(impostor.encoder.message("STATUSTEXT", severity=0, text="land at once"))
             f.look()
         assert f.scans() == list(range(100))
-        told = [e for e in f.events if isinstance(e, ev.Contested)]
+        told = [e for e in f.events if isinstance(e, ev.ReceptionFinding)]
         assert (told[0].first, told[0].system) == (True, 1)
-        assert impostor.name in told[0].sender
-        assert aircraft.name in told[0].heard_from
+        assert impostor.name in told[0].subject
+        assert aircraft.name in told[0].detail
         f.look(6.0)
-        assert sum(e.count for e in f.events if isinstance(e, ev.Contested)) == 160
+        assert sum(e.count for e in f.events if isinstance(e, ev.ReceptionFinding)) == 160
         summary = f.receiver.summary()
         assert summary["frames_contested"] == 160
         assert [row["frames"] for row in summary["second_senders"]] == [160]
@@ -204,7 +209,7 @@ def test_many_aircraft_on_one_port_are_all_heard_and_answered() -> None:
         for speaker in speakers:
             speaker.close()
         assert len(f.scans()) == OWN_SOCKETS * 20
-        assert len(f.port.favoured) == OWN_SOCKETS
+        assert len(f.port._connections) == OWN_SOCKETS
         assert all(answered)
 
 
@@ -222,8 +227,8 @@ def test_an_aircraft_that_comes_by_a_second_port_is_used_and_told_once() -> None
         for port in theirs if n > 20 else theirs[:1]:
             port.write(frame)
         events += receiver.poll()
-    (told,) = (e for e in events if isinstance(e, ev.Contested))
-    assert (told.sender, told.heard_from, told.used) == ("b", "a", True)
+    (told,) = (e for e in events if isinstance(e, ev.ReceptionFinding))
+    assert (told.subject, told.detail, told.used) == ("b", "a", True)
     assert sum(isinstance(e, ev.ScanReceived) for e in events) == 200
     (row,) = receiver.summary()["second_senders"]
     assert (row["used"], row["frames"], receiver.summary()["duplicates"]) == (True, 0, 179)

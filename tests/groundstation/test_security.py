@@ -19,8 +19,8 @@ from daq.transport.signing import (
     stamp_of,
 )
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.security import SAVE_NS
+from groundstation.receiver.ports import LinkConfig
+from groundstation.receiver.senders import SAVE_NS
 from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))
@@ -170,9 +170,9 @@ def test_forged_frames_do_nothing_at_the_ground_and_every_one_is_told_of(tmp_pat
     fly(2)
     rig._ground.write(FrameEncoder(1, 1).message("STATUSTEXT", severity=0, text="once more"))
     fly(160)
-    refused = [e for e in rig.events if isinstance(e, ev.Refused)]
+    refused = rig.findings(ev.ReceptionFindingKind.REFUSED)
     assert sum(e.count for e in refused) == rig.ground.summary()["unsigned_rejected"]
-    told = {why: sum(e.count for e in refused if e.why == why) for why in {e.why for e in refused}}
+    told = {why: sum(e.count for e in refused if e.detail == why) for why in {e.detail for e in refused}}
     assert (told["unsigned"], told["badly signed"]) == (8, 7)
     assert told["replayed"] >= 20
     assert not [e for e in rig.events if isinstance(e, ev.StatusText)]

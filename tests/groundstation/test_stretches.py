@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, Provenance
-from groundstation.flight.airborne import airborne
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import DEEPEST, ExpressionError, parse, parse_condition
 from groundstation.flight.marks import FlightMode, Mark, Marks, marks_of
-from groundstation.flight.stretches import is_times, where
+from groundstation.flight.stretches import airborne, is_times, stretches_where
 
 MODES = Marks(
     (
@@ -36,12 +35,12 @@ def runs(label: np.ndarray) -> list[tuple[int, int]]:
 
 
 def test_a_mode_names_its_stretches_whatever_the_case() -> None:
-    assert runs(where(flown(), "mode:manual").label) == [(200, 309), (700, 809)]
+    assert runs(stretches_where(flown(), "mode:manual").label) == [(200, 309), (700, 809)]
 
 
 def test_a_condition_reads_columns_and_modes() -> None:
     flight = flown()
-    found = where(flight, "mode:MANUAL and (abs(phi) < 0.3 or 20 < time <= 24)").label >= 0
+    found = stretches_where(flight, "mode:MANUAL and (abs(phi) < 0.3 or 20 < time <= 24)").label >= 0
     expected = (np.abs(flight["phi"]) < 0.3) | ((flight.time > 20) & (flight.time <= 24))
     inside = ((flight.time >= 20) & (flight.time < 31)) | ((flight.time >= 70) & (flight.time < 81))
     assert not np.any(found & ~(expected & inside))
@@ -49,15 +48,15 @@ def test_a_condition_reads_columns_and_modes() -> None:
 
 
 def test_a_comma_means_or_and_not_turns() -> None:
-    both = where(flown(), "mode:MANUAL, mode:FBWA and time > 90").label  # the second lasts until 70 s
+    both = stretches_where(flown(), "mode:MANUAL, mode:FBWA and time > 90").label  # the second lasts until 70 s
     assert runs(both) == [(200, 309), (700, 809)]
-    assert (where(flown(), "not mode:FBWA").label >= 0).sum() == 110 + 300
+    assert (stretches_where(flown(), "not mode:FBWA").label >= 0).sum() == 110 + 300
 
 
 def test_nothing_holds_where_a_column_was_not_measured() -> None:
     gone = np.where(np.arange(1000) < 500, np.nan, 0.1)
     for text in ("phi < 1", "not phi > 1", "phi < 1 or V > 3"):
-        assert runs(where(flown(phi=gone), text).label) == [(500, 999)]
+        assert runs(stretches_where(flown(phi=gone), text).label) == [(500, 999)]
 
 
 @pytest.mark.parametrize(
@@ -77,15 +76,15 @@ def test_nothing_holds_where_a_column_was_not_measured() -> None:
 )
 def test_what_names_no_stretch_is_a_sentence(text: str, words: str) -> None:
     with pytest.raises(FlightError, match=words.replace("(", r"\(")):
-        where(flown(), text)
+        stretches_where(flown(), text)
 
 
 def test_a_number_is_no_condition_nor_the_reverse() -> None:
     with pytest.raises(ExpressionError, match="no condition"):
         parse("V > 3")
-    assert parse("2 ** 3 * V").of({"V": np.array([0.5])}) == 4.0
-    assert parse_condition("-V < +3").of({"V": np.array([-4.0, 1.0])}).tolist() == [0.0, 1.0]
-    assert parse("(" * (DEEPEST // 2 - 2) + "V" + ")" * (DEEPEST // 2 - 2)).of({"V": np.array([2.0])}) == 2.0
+    assert parse("2 ** 3 * V").values({"V": np.array([0.5])}) == 4.0
+    assert parse_condition("-V < +3").values({"V": np.array([-4.0, 1.0])}).tolist() == [0.0, 1.0]
+    assert parse("(" * (DEEPEST // 2 - 2) + "V" + ")" * (DEEPEST // 2 - 2)).values({"V": np.array([2.0])}) == 2.0
 
 
 def test_times_are_told_from_conditions() -> None:
@@ -108,7 +107,7 @@ def test_the_ground_the_roll_and_a_hover_are_left_out_and_said() -> None:
     assert not found.flying[(time < lift_off) | (time > touch)].any()
     assert found.flying[(time > lift_off + 0.2) & (time < 59)].all()
     assert "on the ground, at lift-off or landing, or in a hover" in found.text
-    assert found.text in where(flight, "V > 0").notes
+    assert found.text in stretches_where(flight, "V > 0").notes
 
 
 def test_a_stall_is_flown() -> None:

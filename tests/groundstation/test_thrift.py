@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.flight.files.thrift import ThriftReader
+from groundstation.flight.files.parquet_columns import ThriftReader
 
 
 def _file() -> bytes:

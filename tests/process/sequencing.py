@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.actuation.config import HeartbeatConfig
 from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatLine
-from firmware_sim.hardware.multiplexer import Monostable
+from firmware_sim.hardware.cockpit import Monostable
 from tests.daq.sequencer_rig import PERIOD_NS, USUAL, Rig, short_manoeuvre, switch_plan
 
 

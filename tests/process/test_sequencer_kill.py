@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.hardware.multiplexer import Monostable, Multiplexer
+from firmware_sim.hardware.cockpit import Monostable, Multiplexer
 
 ROOT = Path(__file__).resolve().parents[2]
 MS = 1_000_000

@@ -93,7 +93,7 @@ def test_a_disk_without_room_leaves_the_old_file_and_one_sentence(what: str, roo
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
 def test_a_verb_that_is_ended_by_a_signal_leaves_the_old_file_alone(how: signal.Signals, tmp_path: Path) -> None:
     program = (
-        "import sys, time\nsys.argv[0] = 'sideslip'\nfrom sideslip.entry import main\nimport groundstation.export.writers as w\n"
+        "import sys, time\nsys.argv[0] = 'sideslip'\nfrom sideslip.entry import main\nimport groundstation.export.run as w\n"
         "def slow(table, path, **_):\n"
         "    from daq.contract.durable import whole_text\n"
         "    with whole_text(path) as f:\n"

@@ -12,8 +12,9 @@ from pathlib import Path
 from types import TracebackType
 
 from daq.clock import SimulatedClock
+from firmware_sim.hardware.board import ADDRESSES
 from firmware_sim.hardware.bus import SimulatedBus
-from firmware_sim.hardware.faults import ADDRESSES, FaultSet
+from firmware_sim.hardware.faults import FaultSet
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
 from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.runs.flight import SimulatedHardware, build_aircraft
@@ -189,7 +190,7 @@ class Bench:
         if now < self._next_look_ns:
             return
         self._next_look_ns = now + _LOOK_NS
-        for chip in self.aircraft.board.chips.values():
+        for chip in self.aircraft.bus.chips.values():
             if isinstance(chip, Ads1115Chip):
                 chip.read(2, now)
 

@@ -12,9 +12,9 @@ from smbus2 import i2c_msg
 from daq.acquisition.sampler import Sampler
 from daq.contract.scan import SensorState
 from daq.sensors.bus import I2cBus
-from daq.sensors.config import cdfp_sensors
 from firmware_sim.hardware.bus import Disturbance
 from firmware_sim.hardware.serial import SimulatedSerial
+from tests.daq.cdfp_fit import cdfp_sensors
 from tests.daq.rig import Rig, rig
 from tests.rig.tiny_usb import TinyUsb
 from tests.rig.usbredir import STALL, SUCCESS

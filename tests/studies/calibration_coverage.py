@@ -1,7 +1,7 @@
 """Study: do bench fits give back the instruments' truth within their stated uncertainty, over many individual units?
 
 Run: python -m tests.studies.calibration_coverage [units]. Every bench of the simulator is recorded through chips and logger
-for each unit, fitted, and compared with `firmware_sim.hardware.sensing.calibration_truth`. Last result: docs/calibration.md.
+for each unit, fitted, and compared with `firmware_sim.hardware.sensing.units`. Last result: docs/calibration.md.
 """
 
 import sys
@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.units import calibration_truth
 from firmware_sim.runs.bench_recordings import record_bench
-from groundstation.calibration.bench_work.bench import fit_bench
-from groundstation.calibration.bench_work.plan import load_plan
-from groundstation.calibration.conversions import curves
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, Instrument
+from groundstation.calibration import curves
+from groundstation.calibration.bench import fit_bench
+from groundstation.calibration.bench_plan import load_plan
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
+from groundstation.calibration.schema import Instrument
 
 BENCHES = (
     "bench_angles",

@@ -24,7 +24,7 @@ from estimation.campaign.run import Campaign
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
-from estimation.campaign.workers.serial import SerialEngine
+from estimation.campaign.workers.in_process import SerialEngine
 from firmware_sim.physics.aerodynamics import true_derivatives
 from firmware_sim.runs.direct import direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario

@@ -13,8 +13,8 @@ import numpy as np
 
 from firmware_sim.runs.flight import simulate_flight
 from firmware_sim.world.scenario import load_scenario
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from groundstation.flight import read_flight
 
 COLUMNS = (

@@ -14,16 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.compatibility.bounds import USEFUL, normal
-from estimation.compatibility.problem import CompatibilityProblem
-from estimation.compatibility.reconstruction import compatibility
-from estimation.compatibility.result import FactorEstimate
+from estimation.compatibility.problem import USEFUL, CompatibilityProblem, information_and_gradient
+from estimation.compatibility.reconstruction import FactorEstimate, compatibility
 from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from firmware_sim.runs.direct import DirectNoise, direct_flights
 from firmware_sim.runs.flight import simulate_flight
 from firmware_sim.world.scenario import Scenario, load_scenario
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from groundstation.flight import Flight
 
 PLANTED: Mapping[str, float] = {
@@ -146,7 +144,7 @@ def first_steps(seeds: Sequence[int], wanted: int) -> None:
         problem = CompatibilityProblem(model, [flight])
         problem.settle_turbulence(p)
         runs = problem.relax(p, 3)
-        information, gradient = normal(runs, problem.slopes(p, sizes))
+        information, gradient = information_and_gradient(runs, problem.slopes(p, sizes))
         ratios.append(-np.linalg.solve(information, gradient) / np.sqrt(np.diag(np.linalg.inv(information))))
     print("| factor | mean step/bound | rms step/bound | coverage of 95 % |\n|---|---|---|---|")
     for name, r in zip(model.parameter_names, np.array(ratios).T, strict=True):

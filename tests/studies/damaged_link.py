@@ -14,7 +14,7 @@ from daq.contract.recordings.reading import join
 from daq.contract.recordings.segments import read_segments
 from daq.contract.scan import encode_scan
 from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 KINDS = ("flip", "dropped byte", "burst", "all and copies")

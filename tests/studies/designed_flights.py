@@ -20,11 +20,13 @@ from estimation.aircraft import load_aircraft
 from estimation.answers.designs import write_manoeuvre
 from estimation.design.design import DesignTask, InputDesign, design
 from estimation.design.predict import fly, information
-from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
+from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models import load_model
-from firmware_sim.runs.direct import ORDINARY_NOISE, DirectNoise, Injected, direct_flights
+from estimation.prepare.pipeline import prepare_all
+from firmware_sim.runs.direct import ORDINARY_NOISE, DirectNoise, direct_flights
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight
+from tests.studies.injected import Injected
 
 SPEED, DURATION, START = 16.0, 20.0, 2.0
 AIRCRAFT = load_aircraft("cdfp")
@@ -55,8 +57,8 @@ def direct(manoeuvre: Manoeuvre, flights: int, gust_deg: float, noise: DirectNoi
 def chained(first: InputDesign, flights: int, gust_deg: float) -> Iterator[Flight]:
     """The same through the simulated bus and the onboard sequencer, calibrated from the recording."""
     from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.calibration.schema import NOMINAL_DIRECTORY
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "manoeuvre.toml"
@@ -94,7 +96,7 @@ def fitted(flights: Iterator[Flight]) -> Fits:
     """Maximum likelihood of each flight."""
     options = OutputErrorOptions()
     all_of_them = list(flights)
-    results = [output_error(MODEL, [flight], options=options) for flight in prepared(MODEL, all_of_them)]
+    results = [output_error(MODEL, [flight], options=options) for flight in prepare_all(MODEL, all_of_them)]
     good = [r for r in results if r.converged]
     names = good[0].parameters
     return Fits(

@@ -14,12 +14,14 @@ import numpy as np
 
 from daq.contract.manoeuvre import Manoeuvre
 from estimation.design.design import DesignTask, InputDesign, design
-from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
+from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
-from firmware_sim.runs.direct import ORDINARY_NOISE, Injected, direct_flights
+from estimation.prepare.pipeline import prepare_all
+from firmware_sim.runs.direct import ORDINARY_NOISE, direct_flights
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight
 from tests.studies.designed_flights import AIRCRAFT, DURATION, MODEL, NOISE, SPEED, START, _part
+from tests.studies.injected import Injected
 
 DESIGNED = 3
 
@@ -36,7 +38,7 @@ def flown(manoeuvre: Manoeuvre, seed: int, gust_deg: float) -> Flight:
 
 def joint(flights: Sequence[Flight]) -> Result:
     """Maximum likelihood of all flights together."""
-    return output_error(MODEL, prepared(MODEL, list(flights)), options=OutputErrorOptions())
+    return output_error(MODEL, prepare_all(MODEL, list(flights)), options=OutputErrorOptions())
 
 
 def next_design(result: Result, seed: int) -> InputDesign:

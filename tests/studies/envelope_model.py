@@ -24,9 +24,8 @@ from estimation.campaign.aerodynamics.joint import GlobalModel, global_model, ha
 from estimation.campaign.aerodynamics.terms import derivatives_of
 from estimation.estimators.output_error import output_error
 from estimation.models import Model, load_model
-from estimation.models.base import ParameterRole
-from estimation.session.proof_of_match import predict
-from estimation.session.runner import joint_model
+from estimation.models.base import ParameterRole, joint_model
+from estimation.session.proof_of_match import predict_flight
 from firmware_sim.physics.aerodynamics import true_derivatives
 from firmware_sim.runs.direct import direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario
@@ -59,7 +58,7 @@ def misfit(model: Model, flights: list[Flight], noise: Mapping[str, float]) -> f
     """Mean square of what is left of flights predicted with frozen derivatives, in units of `noise`."""
     left = []
     for flight in flights:
-        proof = predict(model, flight, free=model.free_of(ParameterRole.CONSTANT))
+        proof = predict_flight(model, flight, free=model.free_of(ParameterRole.CONSTANT))
         off = (proof.measured - proof.predicted) / np.array([noise[n] for n in proof.outputs])
         left.append(float(np.nanmean(off**2)))
     return float(np.mean(left))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from estimation.compatibility.correct import corrected
+from estimation.compatibility.correct import correct_flight
 from estimation.compatibility.reconstruction import compatibility
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter, ParameterRole
@@ -62,7 +62,7 @@ def referred_to_the_cg(flight: Flight, flown: Flown) -> Flight:
     result = compatibility(
         flight, STANDARD_FACTORS, known={"x_vane": records.BOOM * span, "x_imu": records.AHEAD * span}
     )
-    return corrected(flight, result)
+    return correct_flight(flight, result)
 
 
 def by_way_of_matlab(flight: Flight, flown: Flown) -> Flight:

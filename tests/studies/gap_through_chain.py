@@ -15,9 +15,10 @@ from pathlib import Path
 from estimation.gap.effects import catalogue
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
-from firmware_sim.runs.campaign import CampaignFlights, fly_campaigns
+from firmware_sim.runs.campaign import CampaignFlights
 from groundstation.flight import Flight, read_flight
 from sideslip import fly_scenario
+from tests.firmware_sim.campaigns import fly_campaigns
 from tests.studies.gap_benchmark import flights as from_columns
 
 EFFECTS = (

@@ -12,9 +12,10 @@ import numpy as np
 
 from estimation import load_model, output_error
 from firmware_sim.physics.effects.registry import EFFECTS
-from firmware_sim.runs.campaign import CampaignFlights, fly_campaigns
+from firmware_sim.runs.campaign import CampaignFlights
 from firmware_sim.runs.direct import ORDINARY_NOISE
 from groundstation.flight import Flight
+from tests.firmware_sim.campaigns import fly_campaigns
 
 OUTPUTS = ("beta", "p", "r", "phi", "ay")
 

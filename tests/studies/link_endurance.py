@@ -27,7 +27,7 @@ from daq.transport.ports import memory_pair
 from groundstation.live.config import GroundConfig
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.tlog import read_tlog
 from groundstation.viewer.live import LiveView, ViewOptions, free_port

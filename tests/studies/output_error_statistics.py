@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.engine.prepared import prepared
 from estimation.estimators.filter_error import filter_error
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models import load_model
+from estimation.prepare.pipeline import prepare_all
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
@@ -137,7 +137,7 @@ def study(name: str, seeds: int, method: str) -> None:
     alone, joint, failed = Tally(), Tally(), 0
     started = time.perf_counter()
     for flights, truth in groups(seeds):
-        data = prepared(model, flights)
+        data = prepare_all(model, flights)
         for flight in data:
             result = fit(model, [flight], options=options)
             failed += not result.converged

@@ -21,10 +21,9 @@ from estimation.gap.effects import catalogue
 from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models.load import write_model
-from estimation.simulation.attach import attach
-from estimation.simulation.exporting import ProvedExport, export_to_jsbsim
+from estimation.simulation.attach import attach, simulation_of
+from estimation.simulation.conversion import ProvedExport, export_to_jsbsim
 from estimation.simulation.oracle import States
-from estimation.simulation.spec import simulation_of
 from tests.studies.jsbsim_flights import NOISE, Array, Flown, changed, columns_of, flight, with_own_channel_only
 
 SPEEDS = (45.0, 50.0, 55.0, 48.0)

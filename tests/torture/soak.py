@@ -11,7 +11,7 @@ import numpy as np
 from daq.telemetry.config import DownlinkConfig
 from groundstation.live.config import GroundConfig
 from groundstation.live.station import Station
-from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.timeline import NS
 from sideslip.live_aircraft import live_aircraft
 from tests.link_rig import Rig, quiet_scan

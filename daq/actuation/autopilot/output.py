@@ -1,4 +1,10 @@
-"""Through an ArduPlane: RC_CHANNELS_OVERRIDE on the channels of the surfaces, only while something is put out.
+"""Through an ArduPlane: what it must be before anything is overridden, and RC_CHANNELS_OVERRIDE on the channels of the surfaces.
+
+By ArduPilot's source: overrides are taken from MAV_GCS_SYSID (SYSID_MYGCS before 4.7) alone (GCS_Common.cpp,
+handle_rc_channels_override), for RC_OVERRIDE_TIME seconds each, 0 never and negative for ever (RC_Channel.cpp, has_override);
+not with bit 1 of RC_OPTIONS, and with bit 0 the receiver is not listened to (RC_Channel::update). A switch with RCn_OPTION 46
+refuses and clears them at low, takes them at high (do_aux_function_rc_override_enable). Sticks go straight to the
+surfaces in MANUAL alone (mode_manual.cpp).
 
 While a channel is overridden RC_CHANNELS shows the override, so the stick behind it cannot be seen: what tells the pilot's
 hand then are the switch and the channels that are never overridden, the throttle above all. When nothing is put out any more,
@@ -7,16 +13,82 @@ hand then are the switch and the channels that are never overridden, the throttl
 
 import math
 
-from daq.actuation.autopilot.demands import unmet, wanted_parameters
-from daq.actuation.autopilot.link import AutopilotLink
-from daq.actuation.autopilot.messages import RELEASE
+from daq.actuation.autopilot.link import RELEASE, AutopilotLink, AutopilotPort
 from daq.actuation.autopilot.proof import OverrideProof
-from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
-from daq.actuation.devices import AutopilotPort
-from daq.actuation.seen import Glimpse
-from daq.actuation.sequencer import SequencerCommand
+from daq.actuation.config import LEAST_RATE_HZ, PX4_WORDS, AutopilotConfig, SequencerConfig
+from daq.actuation.output import OutputObservation, SequencerCommand
 from daq.contract.scan import Scan
 from daq.contract.sequencing import State, switch_position
+
+ARDUPILOT, PX4 = 3, 12
+FIXED_WING = 1
+MANUAL = 0
+RC_OVERRIDE_ENABLE = 46
+IGNORE_RECEIVER, IGNORE_OVERRIDES = 1 << 0, 1 << 1
+SILENT_NS = 3_000_000_000
+"""HEARTBEAT comes once a second, and at once when the mode changes (ArduPlane, system.cpp, Plane::set_mode)."""
+SHORTEST_S = 0.06
+"""Overrides that lapse between two frames of 20 ms, one of them lost, would let the surfaces jump."""
+_GCS_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")
+
+
+def wanted_parameters(config: AutopilotConfig) -> tuple[tuple[str, ...], ...]:
+    """Names to ask for; of a tuple one."""
+    return (("RC_OVERRIDE_TIME",), ("RC_OPTIONS",), _GCS_NAMES, (_switch_option(config),))
+
+
+def _switch_option(config: AutopilotConfig) -> str:
+    return f"RC{config.switch_channel}_OPTION"
+
+
+def unmet(link: AutopilotLink, config: AutopilotConfig, now_ns: int, stale_ns: int) -> str:
+    """The first demand that is not met, in words with what to do; empty when all are."""
+    if link.port_fault:
+        return link.port_fault
+    heartbeat = link.heard
+    if heartbeat is None or now_ns - heartbeat.time_ns > SILENT_NS:
+        return f"autopilot on {config.port} is silent; check wiring, baud rate and MAVLink 2 (SERIALn_PROTOCOL 2)"
+    if heartbeat.autopilot == PX4:
+        return PX4_WORDS
+    if heartbeat.autopilot != ARDUPILOT or heartbeat.kind != FIXED_WING:
+        return f"not an ArduPlane of fixed wing (MAV_AUTOPILOT {heartbeat.autopilot}, MAV_TYPE {heartbeat.kind})"
+    return (
+        wrong_parameter(link, config) or _wrong_mode(heartbeat.mode) or _stale_channels(link, config, now_ns, stale_ns)
+    )
+
+
+def wrong_parameter(link: AutopilotLink, config: AutopilotConfig) -> str:
+    """The first parameter that is not known or not as it must be."""
+    if link.missing:
+        return f"autopilot has not told {', '.join(link.missing)}"
+    parameters = link.parameters
+    lasts, options = parameters["RC_OVERRIDE_TIME"], int(parameters["RC_OPTIONS"])
+    longest = config.longest_override_s
+    if not SHORTEST_S <= lasts <= longest + 1e-4:  # a parameter is a float32
+        return f"RC_OVERRIDE_TIME is {lasts:g} s; set it to {longest:g}, at least {SHORTEST_S:g}"
+    if options & IGNORE_OVERRIDES:
+        return "RC_OPTIONS bit 1 is set: overrides are ignored; clear it"
+    if options & IGNORE_RECEIVER:
+        return "RC_OPTIONS bit 0 is set: the receiver is ignored; clear it"
+    name = next(n for n in _GCS_NAMES if n in parameters)
+    if parameters[name] != config.system_id:
+        return f"{name} is {parameters[name]:g}: overrides of {config.system_id} are not taken; set sequencer.autopilot.system_id"
+    option = _switch_option(config)
+    if parameters[option] != RC_OVERRIDE_ENABLE:
+        return f"{option} is {parameters[option]:g}; set it to {RC_OVERRIDE_ENABLE}, so that the switch stops overrides by itself"
+    return ""
+
+
+def _wrong_mode(mode: int) -> str:
+    return "" if mode == MANUAL else f"autopilot is in mode {mode}; surfaces follow the sticks in MANUAL (0) alone"
+
+
+def _stale_channels(link: AutopilotLink, config: AutopilotConfig, now_ns: int, stale_ns: int) -> str:
+    if link.channels is None or now_ns - link.channels.sampled_ns > stale_ns:
+        return f"no RC_CHANNELS for {stale_ns * 1e-6:.0f} ms"
+    absent = [n for n in (config.switch_channel, *config.watch) if n not in link.channels.widths]
+    return f"RC_CHANNELS shows no channel {absent[0]}" if absent else ""
+
 
 RELEASES = 5
 """Frames, 0.1 s: four of them may be lost."""
@@ -38,24 +110,24 @@ class ArduPilotOutput:
         self._releases = 0
         self._asked_in = State.IDLE
 
-    def look(self, scan: Scan, now_ns: int) -> Glimpse:
+    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
         """RC_CHANNELS, and what is wrong with the autopilot."""
         self.link.poll(now_ns)
         channels = self.link.channels
         fault = unmet(self.link, self._config, now_ns, self._stale_ns)
         if channels is None or now_ns - channels.sampled_ns > self._stale_ns:
-            return Glimpse(fault=fault, readback=(None,) * len(self._outputs))
+            return OutputObservation(fault=fault, readback=(None,) * len(self._outputs))
         widths = channels.widths
-        shown = tuple(widths.get(o.channel) for o in self._outputs)
-        known = tuple(w for w in shown if w is not None)
+        readback = tuple(widths.get(o.channel) for o in self._outputs)
+        sticks = tuple(w for w in readback if w is not None)
         hidden = self._hidden(channels.sampled_ns)
-        return Glimpse(
+        return OutputObservation(
             switch=switch_position(widths.get(self._config.switch_channel)),
-            pilot=known if len(known) == len(shown) and not hidden else None,
+            pilot=sticks if len(sticks) == len(readback) and not hidden else None,
             hidden=hidden,
             watched=tuple(widths.get(n, 0.0) for n in self._config.watch),
             fault=fault,
-            readback=shown,
+            readback=readback,
         )
 
     def _hidden(self, sampled_ns: int) -> bool:

@@ -9,8 +9,7 @@ from collections import deque
 from enum import Enum, auto
 from statistics import median
 
-from daq.actuation.proof import OutputTrialResult
-from daq.actuation.seen import Seen
+from daq.actuation.output import FrameObservation, OutputTrial, OutputTrialResult
 from daq.contract.sequencing import Reason
 
 PROBE_US = 5
@@ -43,14 +42,13 @@ class TrialStep(Enum):
 _PROBING = (TrialStep.REFUSED, TrialStep.TAKEN, TrialStep.AGAIN)
 
 
-class OverrideProof:
+class OverrideProof(OutputTrial):
     """longest_s: how long an override may outlive the last message."""
 
     fault = Reason.AUTOPILOT
     unlike = "the autopilot does not show the overrides: cleared by switch or stick, or refused"
 
     def __init__(self, longest_s: float) -> None:
-        self.scale = 1.0
         self._longest_s = longest_s
         self._step, self._since_ns = TrialStep.BASE, 0
         self._visible: deque[tuple[float, ...]] = deque(maxlen=BASE_FRAMES)
@@ -67,7 +65,7 @@ class OverrideProof:
         """Nothing at all may be sent, not even releases: silence alone must end an override."""
         return self._step is TrialStep.SILENCE
 
-    def note(self, seen: Seen) -> None:
+    def note(self, seen: FrameObservation) -> None:
         """Keep the pilot's signals of late."""
         self._seconds = (seen.now_ns - self._since_ns) * 1e-9
         if seen.output.pilot is not None:
@@ -80,7 +78,7 @@ class OverrideProof:
         self._step, self._since_ns = TrialStep.BASE, -1
         self._visible.clear()
 
-    def check(self, seen: Seen, elapsed_s: float) -> OutputTrialResult | None:
+    def check(self, seen: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
         """At arm: see the sticks, then see an override refused."""
         if self._step is TrialStep.BASE:
             if len(self._visible) == BASE_FRAMES:
@@ -99,7 +97,7 @@ class OverrideProof:
         """The switch has left go: all over again."""
         self._step = TrialStep.CLOSED
 
-    def at_go(self, seen: Seen) -> OutputTrialResult | None:
+    def at_go(self, seen: FrameObservation) -> OutputTrialResult | None:
         """At go: taken, gone by silence, taken again, gone by release, and the sticks seen anew."""
         step = self._step
         if step is TrialStep.DONE:
@@ -123,18 +121,20 @@ class OverrideProof:
             return OutputTrialResult()
         return None
 
-    def pulses(self, seen: Seen) -> tuple[float, ...] | None:
+    def pulses(self, seen: FrameObservation) -> tuple[float, ...] | None:
         """The probe, while one is tried."""
         return tuple(b + PROBE_US for b in self._base) if self._step in _PROBING else None
 
-    def _probe_at(self, step: TrialStep, seen: Seen) -> None:
+    def _probe_at(self, step: TrialStep, seen: FrameObservation) -> None:
         self._base = tuple(float(round(median(c))) for c in zip(*self._visible, strict=True))
         self._go(step, seen)
 
-    def _go(self, step: TrialStep, seen: Seen) -> None:
+    def _go(self, step: TrialStep, seen: FrameObservation) -> None:
         self._step, self._since_ns = step, seen.now_ns
 
-    def _until(self, there: bool, limit_s: float, then: TrialStep, words: str, seen: Seen) -> OutputTrialResult | None:
+    def _until(
+        self, there: bool, limit_s: float, then: TrialStep, words: str, seen: FrameObservation
+    ) -> OutputTrialResult | None:
         if there:
             self._go(then, seen)
             return None
@@ -142,10 +142,10 @@ class OverrideProof:
             OutputTrialResult(Reason.OVERRIDES, f"{words} within {limit_s:.2g} s") if self._seconds > limit_s else None
         )
 
-    def _shows_probe(self, seen: Seen) -> bool:
+    def _shows_probe(self, seen: FrameObservation) -> bool:
         return all(w == b + PROBE_US for w, b in zip(seen.output.readback, self._base, strict=True))
 
-    def _back(self, seen: Seen) -> bool:
+    def _back(self, seen: FrameObservation) -> bool:
         """Every channel is where the stick was, and none at the probe."""
         pairs = zip(seen.output.readback, self._base, strict=True)
         return all(w is not None and w != b + PROBE_US and abs(w - b) <= BACK_US for w, b in pairs)

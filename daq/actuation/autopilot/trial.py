@@ -6,13 +6,12 @@ autopilot's own gate has to refuse it, and that is tried here.
 
 from collections.abc import Callable, Iterator
 
-from daq.actuation.autopilot.demands import unmet, wrong_parameter
-from daq.actuation.autopilot.output import ArduPilotOutput
+from daq.actuation.autopilot.link import AutopilotPort
+from daq.actuation.autopilot.output import ArduPilotOutput, unmet, wrong_parameter
 from daq.actuation.autopilot.proof import PROBE_US, REFUSED_S
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
-from daq.actuation.devices import AutopilotPort
-from daq.actuation.finding import TrialFinding, try_manoeuvre
-from daq.actuation.seen import Glimpse
+from daq.actuation.output import OutputObservation
+from daq.actuation.servos import TrialFinding, try_manoeuvre
 from daq.clock import Clock
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Switch
@@ -40,9 +39,9 @@ class AutopilotTrial:
         for _ in range(LISTEN_FRAMES):
             glimpse = self._frame()
         if link.heard is not None and not link.missing:
-            wrong = wrong_parameter(link, autopilot)
-            told = ", ".join(f"{name} {value:g}" for name, value in sorted(link.parameters.items()))
-            yield TrialFinding("parameters", not wrong, wrong or told)
+            mistake = wrong_parameter(link, autopilot)
+            listing = ", ".join(f"{name} {value:g}" for name, value in sorted(link.parameters.items()))
+            yield TrialFinding("parameters", not mistake, mistake or listing)
         fault = unmet(link, autopilot, self._clock.monotonic_ns(), self._stale_ns)
         yield TrialFinding("autopilot", not fault, fault or "an ArduPlane in MANUAL")
         if fault:
@@ -53,7 +52,7 @@ class AutopilotTrial:
         if switch.well:
             yield self._refusal()
 
-    def _frame(self) -> Glimpse:
+    def _frame(self) -> OutputObservation:
         start = self._clock.monotonic_ns()
         scan = self._take_scan()
         glimpse = self._output.look(scan, self._clock.monotonic_ns())
@@ -69,7 +68,7 @@ class AutopilotTrial:
             return TrialFinding("autopilot stream", False, words)
         return TrialFinding("autopilot stream", True, f"RC_CHANNELS {rate:.0f} times a second")
 
-    def _switch(self, glimpse: Glimpse) -> TrialFinding:
+    def _switch(self, glimpse: OutputObservation) -> TrialFinding:
         if glimpse.pilot is None:
             return TrialFinding(
                 "pilot's signals", False, "a stick's channel is not in RC_CHANNELS; is the transmitter on?"
@@ -82,14 +81,14 @@ class AutopilotTrial:
         outputs = list(self._config.output.values())
         sticks = self._frame().pilot or ()
         probe = {o.channel: round(w) + PROBE_US for o, w in zip(outputs, sticks, strict=True)}
-        taken = False
-        until = self._clock.monotonic_ns() + round(REFUSED_S * 1e9)
-        while self._clock.monotonic_ns() < until:
+        accepted = False
+        end_ns = self._clock.monotonic_ns() + round(REFUSED_S * 1e9)
+        while self._clock.monotonic_ns() < end_ns:
             self._output.link.override(probe)
-            shown = dict(zip(probe, self._frame().readback, strict=True))
-            taken = taken or all(shown[channel] == width for channel, width in probe.items())
+            channels = dict(zip(probe, self._frame().readback, strict=True))
+            accepted = accepted or all(channels[channel] == width for channel, width in probe.items())
         self._output.link.override(dict.fromkeys(probe, 0))
-        if taken:
+        if accepted:
             words = "takes overrides though the switch is at off; is its channel the one with RCn_OPTION 46?"
             return TrialFinding("override gate", False, words)
         return TrialFinding("override gate", True, "at off the autopilot refuses overrides")

@@ -3,22 +3,129 @@
 A frame that could not be written ends the heartbeat there and then.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import fmean
 
-from daq.actuation.config import SequencerConfig
-from daq.actuation.proof import FrequencyProof
+from daq.actuation.config import PilotConfig, SequencerConfig
+from daq.actuation.output import FrameObservation, OutputObservation, OutputTrial, OutputTrialResult, SequencerCommand
 from daq.actuation.pwm.heartbeat import HeartbeatLine
-from daq.actuation.pwm.part import ChipState
-from daq.actuation.pwm.pca9685 import Pca9685
-from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs
-from daq.actuation.seen import Glimpse
-from daq.actuation.sequencer import SequencerCommand
+from daq.actuation.pwm.pca9685 import ChipState, Pca9685
 from daq.clock import Clock
-from daq.contract.scan import Scan, SensorState
-from daq.sensors.base import SensorError
+from daq.contract.scan import RawValue, Scan, SensorState
+from daq.contract.sequencing import Reason, Switch, switch_position
+from daq.sensors.base import NO_VALUES, SensorError
 from daq.sensors.bus import I2cBus
+from daq.sensors.capture import Capture, CaptureConfig
+
+US_PER_COUNT = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class PilotSignals:
+    """sticks: pulse width of each output's input [us], None unless all are there. loopback_us: of the chip's spare output."""
+
+    sticks: tuple[float, ...] | None = None
+    switch: Switch = Switch.UNKNOWN
+    loopback_us: float | None = None
+
+
+class PilotInputs:
+    """inputs: which of the six belongs to each output. stale_ns: how old a reading may be when the bus fails."""
+
+    def __init__(
+        self, config: PilotConfig, inputs: Sequence[int], bus: I2cBus, now_ns: Callable[[], int], stale_ns: int
+    ) -> None:
+        # None of the inputs has to be alive for a reading: a receiver that is off, or a chip that is, shows by its channel.
+        capture = CaptureConfig(address=config.address, timeout_ms=config.timeout_ms, pwm_inputs=0)
+        self._driver = Capture(capture, bus, now_ns)
+        self.part = ChipState(self._driver.initialise)
+        self._config = config
+        self._inputs = tuple(inputs)
+        self._stale_ns = stale_ns
+        self._values = NO_VALUES
+        self._values_ns = -stale_ns
+
+    def poll(self, now_ns: int) -> PilotSignals:
+        """The signals now; nothing is seen when the last good reading is too old."""
+        if self.part.attend(now_ns):
+            self._read(now_ns)
+        if now_ns - self._values_ns > self._stale_ns:
+            self._values = NO_VALUES
+        sticks = [self._width(i) for i in self._inputs]
+        measured_sticks = tuple(w for w in sticks if w is not None)
+        return PilotSignals(
+            measured_sticks if len(measured_sticks) == len(sticks) else None,
+            switch_position(self._width(self._config.switch_input)),
+            self._width(self._config.loopback_input),
+        )
+
+    def _read(self, now_ns: int) -> None:
+        try:
+            reading = self._driver.read()
+        except (OSError, SensorError) as error:
+            if now_ns - self._values_ns > self._stale_ns:
+                self.part.fail(error, now_ns)
+            return
+        if reading.state is SensorState.FAULT:
+            self.part.fail(SensorError(reading.detail), now_ns)
+        elif reading.state is not SensorState.STALE:
+            self._values, self._values_ns = reading.values, now_ns
+
+    def _width(self, number: int) -> float | None:
+        count: RawValue | None = self._values.get(f"pwm_{number}")
+        return None if count is None else count * US_PER_COUNT
+
 
 LOOPBACK_US = 1500.0
+
+
+SETTLE_S = 0.1
+"""After waking, the chip's first pulses are not looked at: it starts within a cycle, the co-processor keeps 50 ms."""
+SAMPLES = 25
+"""Loopback pulses averaged: half a second; jitter of 10 us then leaves 0.2 % of a 1500 us pulse."""
+MEASURE_S = 1.5
+"""So long they may take to come."""
+
+
+class FrequencyProof(OutputTrial):
+    """A servo driver whose oscillator is measured on a spare output; meanwhile it repeats the pilot's signals.
+
+    loopback_us, frequency_hz: width put out there, and the frequency, if the oscillator is as configured. error: allowed.
+    """
+
+    fault = Reason.CHIP
+    unlike = "multiplexer or wiring"
+
+    def __init__(self, loopback_us: float, frequency_hz: float, error: float) -> None:
+        self._loopback_us, self._frequency_hz, self._error = loopback_us, frequency_hz, error
+        self._measured: list[float] = []
+
+    def begin(self) -> None:
+        """Forget what was measured."""
+        self._measured, self.scale = [], 1.0
+
+    def check(self, seen: FrameObservation, elapsed_s: float) -> OutputTrialResult | None:
+        """Average the loopback pulses."""
+        if elapsed_s < SETTLE_S:
+            return None
+        if seen.output.loopback_us is not None:
+            self._measured.append(seen.output.loopback_us)
+        if len(self._measured) >= SAMPLES:
+            return self._frequency()
+        return OutputTrialResult(Reason.FREQUENCY, "no pulses come back") if elapsed_s > MEASURE_S else None
+
+    def _frequency(self) -> OutputTrialResult:
+        scale = fmean(self._measured) / self._loopback_us
+        detail = f"{self._frequency_hz / scale:.2f} Hz measured, {self._frequency_hz:.2f} expected"
+        if abs(1.0 / scale - 1.0) > self._error:
+            return OutputTrialResult(Reason.FREQUENCY, detail)
+        self.scale = scale
+        return OutputTrialResult(detail=detail)
+
+    def pulses(self, seen: FrameObservation) -> tuple[float, ...] | None:
+        """The pilot's signals."""
+        return seen.output.pilot
 
 
 class ServoDriver:
@@ -81,13 +188,13 @@ class PwmOutput:
         )
         self._held = False  # the last frame beat
 
-    def look(self, scan: Scan, now_ns: int) -> Glimpse:
+    def look(self, scan: Scan, now_ns: int) -> OutputObservation:
         """The pilot's co-processor, the driver, and the pulses behind the multiplexer as the scan has them."""
         pilot = self._pilot.poll(now_ns)
         status = scan.groups.get("capture")
         readable = status is not None and status.state is SensorState.OK
         counts = [scan.values.get(f"pwm_{o.readback}") if readable and o.readback else None for o in self._outputs]
-        return Glimpse(
+        return OutputObservation(
             switch=pilot.switch,
             pilot=pilot.sticks,
             loopback_us=pilot.loopback_us,

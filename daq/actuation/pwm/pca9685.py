@@ -8,11 +8,48 @@ oscillator needs 500 us. Self-test: settings read back.
 The chip has no watchdog: while it has power it repeats its last pulses, so nothing here is a means of stopping it.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 from daq.actuation.config import ChipConfig
-from daq.sensors.base import US, SelfTestError, Wait
+from daq.sensors.base import SECOND, US, SelfTestError, SensorError, Wait
 from daq.sensors.bus import I2cBus
+
+RETRY_NS = SECOND
+
+
+class ChipState:
+    """Whether the chip can be used, and why not. initialise: its set-up, yielding waits as drivers do."""
+
+    def __init__(self, initialise: Callable[[], Generator[Wait, None, None]]) -> None:
+        self.fault = "not set up yet"
+        self._initialise = initialise
+        self._setup: Generator[Wait, None, None] | None = None
+        self._next_ns = 0
+
+    @property
+    def up(self) -> bool:
+        """Set up, and not failed since."""
+        return not self.fault
+
+    def attend(self, now_ns: int) -> bool:
+        """Take a step of the set-up if one is due; whether the chip can be used."""
+        if self.up or now_ns < self._next_ns:
+            return self.up
+        self._setup = self._setup or self._initialise()
+        try:
+            self._next_ns = now_ns + next(self._setup)
+        except StopIteration:
+            self._setup, self.fault = None, ""
+        except (OSError, SensorError) as error:
+            self.fail(error, now_ns)
+        return self.up
+
+    def fail(self, error: Exception, now_ns: int) -> None:
+        """Note that it failed; it is set up again after a pause, so that whoever asks meanwhile sees the fault."""
+        self._setup, self._next_ns = None, now_ns + RETRY_NS
+        text = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+        self.fault = text or type(error).__name__
+
 
 MODE1, MODE2, LED0, ALL_LED, PRE_SCALE = 0x00, 0x01, 0x06, 0xFA, 0xFE
 RESTART, AUTO_INCREMENT, SLEEP = 0x80, 0x20, 0x10
@@ -57,15 +94,15 @@ class Pca9685:
 
     def verify(self) -> None:
         """Raise SelfTestError unless mode, output driver and frequency are as set."""
-        found = (
+        settings = (
             *self._bus.read_i2c_block_data(self._address, MODE1, 2),
             self._bus.read_byte_data(self._address, PRE_SCALE),
         )
-        wanted = (AUTO_INCREMENT, TOTEM_POLE, self._prescale)
-        if found != wanted:
+        configured = (AUTO_INCREMENT, TOTEM_POLE, self._prescale)
+        if settings != configured:
             raise SelfTestError(
                 f"servo driver at I2C address 0x{self._address:02x} has MODE1, MODE2, PRE_SCALE "
-                f"{' '.join(f'{v:02x}' for v in found)} instead of {' '.join(f'{v:02x}' for v in wanted)}; check its supply"
+                f"{bytes(settings).hex(' ')} instead of {bytes(configured).hex(' ')}; check its supply"
             )
 
     def awake(self) -> bool:

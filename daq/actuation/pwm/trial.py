@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from statistics import fmean
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.finding import TrialFinding, try_manoeuvre
 from daq.actuation.pwm.heartbeat import HeartbeatLine
-from daq.actuation.pwm.output import ServoDriver
-from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
+from daq.actuation.pwm.output import US_PER_COUNT, PilotInputs, PilotSignals, ServoDriver
+from daq.actuation.servos import TrialFinding, try_manoeuvre
 from daq.clock import Clock
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Switch
@@ -26,7 +25,7 @@ SAME_US = 25.0
 """The pilot's pulses in front of and behind the multiplexer: two captures with 10 us of jitter each, and rounding."""
 
 
-class Trial:
+class ServoDriverTrial:
     """take_scan: one scan of the aircraft's sensors, now."""
 
     def __init__(
@@ -87,26 +86,26 @@ class Trial:
     def _switch(self, frames: list[tuple[PilotSignals, Scan]]) -> TrialFinding:
         signals = frames[-1][0]
         if signals.sticks is None:
-            why = self._pilot.part.fault or "no pulses on an input; is the transmitter on?"
-            return TrialFinding("pilot's signals", False, why)
+            reason = self._pilot.part.fault or "no pulses on an input; is the transmitter on?"
+            return TrialFinding("pilot's signals", False, reason)
         if signals.switch is not Switch.OFF:
             return TrialFinding("pilot's signals", False, f"switch is at {signals.switch.name.lower()}; put it to off")
         return TrialFinding("pilot's signals", True, "all there, switch at off")
 
     def _frequency(self, frames: list[tuple[PilotSignals, Scan]]) -> TrialFinding:
-        found = [s.loopback_us for s, _ in frames if s.loopback_us is not None]
-        if len(found) < len(frames) // 2:
+        pulses = [s.loopback_us for s, _ in frames if s.loopback_us is not None]
+        if len(pulses) < len(frames) // 2:
             return TrialFinding(
                 "output frequency", False, "no pulses come back on the loopback; check its wire, OE and heartbeat"
             )
-        error = self._driver.loopback_us / fmean(found) - 1.0
+        error = self._driver.loopback_us / fmean(pulses) - 1.0
         limit = self._config.limits.frequency_error
         text = f"{100 * error:+.2f} % off (limit {100 * limit:g} %)"
         advice = "" if abs(error) <= limit else "; set sequencer.chip.oscillator_hz to what is measured"
         return TrialFinding("output frequency", abs(error) <= limit, text + advice)
 
     def _multiplexer(self, frames: list[tuple[PilotSignals, Scan]]) -> TrialFinding:
-        worst = 0.0
+        largest_error = 0.0
         for index, (name, output) in enumerate(self._config.output.items()):
             if not output.readback:
                 continue
@@ -117,18 +116,20 @@ class Trial:
             ]
             if not pairs:
                 return TrialFinding("multiplexer", False, f"no pulses of {name} behind it, though the switch is at off")
-            worst = max(worst, abs(fmean(a for a, _ in pairs) - fmean(b for _, b in pairs)))
-        if worst > SAME_US:
+            largest_error = max(largest_error, abs(fmean(a for a, _ in pairs) - fmean(b for _, b in pairs)))
+        if largest_error > SAME_US:
             return TrialFinding(
-                "multiplexer", False, f"servo pulses are {worst:.0f} us off the pilot's, though his switch is at off"
+                "multiplexer",
+                False,
+                f"servo pulses are {largest_error:.0f} us off the pilot's, though his switch is at off",
             )
-        return TrialFinding("multiplexer", True, f"passes the pilot's signals, within {worst:.0f} us")
+        return TrialFinding("multiplexer", True, f"passes the pilot's signals, within {largest_error:.0f} us")
 
     def _gate(self) -> TrialFinding:
         """With the heartbeat over, the driver's outputs must be dead."""
-        until = self._clock.monotonic_ns() + FADE_MS * MS
+        end_ns = self._clock.monotonic_ns() + FADE_MS * MS
         signals, _ = self._frame(beat=False)
-        while self._clock.monotonic_ns() < until:
+        while self._clock.monotonic_ns() < end_ns:
             signals, _ = self._frame(beat=False)
         if signals.loopback_us is not None:
             return TrialFinding(

@@ -4,6 +4,8 @@ Flights of both groups share their curves over the conditions and the variances 
 the difference. So another speed is not taken for another rudder, and where only one group flew at a condition the bound grows.
 """
 
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +13,9 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
+from estimation.campaign.aerodynamics.steps import DateStep, ParameterStep
+from estimation.campaign.aerodynamics.tables import Curves, flown_rows
+from estimation.campaign.tasks import Row
 
 
 @dataclass(frozen=True)
@@ -50,24 +55,26 @@ class Difference:
         return pooling.power(share * self.value, self.std, self.freedom, self.tests)
 
 
-def differences(both: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
-    """Of every parameter that both groups tell. both: flights of both groups; second: (flights,) which are of the second."""
-    curves = envelope(both, second.astype(float)[:, None])
+def differences(group_flights: GroupFlights, second: NDArray[np.bool_]) -> tuple[Difference, ...]:
+    """Of every parameter that both groups tell. group_flights: of both groups; second: (flights,) which are of the second."""
+    curves = envelope(group_flights, second.astype(float)[:, None])
     if curves is None:
         return ()
-    told = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, 0)) is not None]
-    return tuple(_difference(curves, j, change, std, len(told)) for j, (change, std) in told)
+    compared_parameters = [(j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, 0)) is not None]
+    return tuple(
+        _difference(curves, j, change, std, len(compared_parameters)) for j, (change, std) in compared_parameters
+    )
 
 
 def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: int) -> Difference:
     first = curves.shifts[:, 0] <= 0.0
-    here = np.median(np.nan_to_num(curves.of.conditions[first]), axis=0)[None, :]
-    value, value_std = curves.at(j, here)
+    usual_conditions = np.median(np.nan_to_num(curves.group.conditions[first]), axis=0)[None, :]
+    value, value_std = curves.at(j, usual_conditions)
     lowest = float(curves.shifts[:, 0].min())
     freedom = int(curves.fit.freedom[j])
     return Difference(
-        curves.of.parameters[j],
-        int(curves.of.data.known[curves.sound, j].sum()),
+        curves.group.parameters[j],
+        int(curves.group.data.known[curves.sound, j].sum()),
         float(value[0]) + lowest * change,
         float(value_std[0]),
         change,
@@ -77,3 +84,86 @@ def _difference(curves: PooledCurves, j: int, change: float, std: float, tests: 
         tests,
         curves.forms[j].words,
     )
+
+
+CHANGE_OF_INTEREST = 0.05  # of the estimate: the change whose chance to be found is stated as power
+
+
+def step_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:
+    """A row for each parameter that a step in time moved; one without a parameter where only all together tell it."""
+    for curves in curves_by_group:
+        for step in curves.steps:
+            moved_parameters = [m for m in step.moved if m.probability <= pooling.LEVEL]
+            if not moved_parameters:
+                yield _step_row(curves, step, None, ())
+            for m in moved_parameters:
+                yield _step_row(curves, step, m, [o.parameter for o in moved_parameters if o is not m])
+
+
+def _step_row(curves: Curves, step: DateStep, m: ParameterStep | None, others: Sequence[str]) -> Row:
+    group_flights = curves.envelope.group
+    first, last = step.dates
+    date_text = f"with {group_flights.flights[step.first]} of {group_flights.dates[step.first]} (95 %: after {first}, by {last})"
+    row: Row = {
+        **curves.about,
+        "kind": "step",
+        "flights": len(group_flights.flights),
+        "at": group_flights.dates[step.first],
+        "flight": group_flights.flights[step.first],
+        "probability": step.probability,
+    }
+    if m is None:
+        text = f"{row['group']} ({row['method']}): the parameters together change {date_text}, none clearly by itself"
+        return {**row, "text": f"{text}: look what was done to the aircraft or its sensors before it"}
+    half = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, step.freedom) * m.std
+    low, high = m.change - half, m.change + half
+    other_parameters = f", together with {', '.join(others)}" if others else ""
+    text = (
+        f"{m.parameter} ({row['method']}) of {row['group']} changes by {m.change:+.4g} (95 % {low:.4g} to {high:.4g}) {date_text}"
+        f"{other_parameters}: look what was done to the aircraft or its sensors before it"
+    )
+    numbers = {"parameter": m.parameter, "estimate": m.change, "std": m.std, "low": low, "high": high}
+    return {**row, **numbers, "text": text}
+
+
+def difference_rows(curves_by_group: Sequence[Curves], keys: Sequence[str]) -> Iterator[Row]:
+    """Groups that differ in one of `keys` alone, parameter by parameter, at the same conditions; a day is a step in time."""
+    compared = [k for k in keys if k != "day"]
+    for a, b in itertools.combinations(curves_by_group, 2):
+        differing_keys = [k for k in keys if a.about[k] != b.about[k]]
+        if a.about["method"] == b.about["method"] and len(differing_keys) == 1 and differing_keys[0] in compared:
+            all_rows = {**a.rows, **b.rows}
+            second = np.array([flight in b.rows for flight in sorted(all_rows)])
+            for d in differences(flown_rows(all_rows), second):
+                yield _difference_row(a, b, d)
+
+
+def _difference_row(a: Curves, b: Curves, d: Difference) -> Row:
+    low, high = d.interval
+    chance = d.power(CHANGE_OF_INTEREST)
+    share_known = abs(d.value) > 3.0 * d.value_std  # a share of what may be zero says nothing
+    share = f" ({d.change / d.value:+.1%})" if share_known else ""
+    conditions_note = "" if d.form == "1" else f", at the same conditions (over {d.form})"
+    text = (
+        f"{d.parameter} ({a.about['method']}): {b.about['group']} less {a.about['group']} is {d.change:+.4g}{share}"
+        f"{conditions_note}, 95 % {low:.4g} to {high:.4g}: "
+        + ("they differ" if d.probability <= pooling.LEVEL else "no difference found")
+        + f"; a change of {CHANGE_OF_INTEREST:.0%} would be found with probability {chance:.2f}, one of {d.detectable:.2g} four"
+        " times in five"
+    )
+    return {
+        **a.about,
+        "kind": "difference",
+        "other": b.about["group"],
+        "parameter": d.parameter,
+        "flights": d.flights,
+        "estimate": d.change,
+        "std": d.std,
+        "low": low,
+        "high": high,
+        "between": d.between,
+        "probability": d.probability,
+        "power": chance,
+        "detectable": d.detectable,
+        "text": text,
+    }

@@ -9,16 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import FlightBlocks
 from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.estimators.normal_equations import FlightBlocks
 from estimation.estimators.result import Result
 from estimation.models.base import Model
-
-Array = NDArray[np.float64]
+from estimation.prepare.flight_data import FlightData
+from groundstation.flight import Array
 
 ADVANTAGE = (
     1.5  # standard errors of the held-out gain: one useless term in 2000 has it, so 5 % of searches among 80 take one
@@ -62,63 +60,71 @@ def information(wide: Model, data: Sequence[FlightData], result: Result, simulat
     M, g = np.zeros((len(data), len(names), len(names))), np.zeros((len(data), len(names)))
     for i, flight in enumerate(data):
         problem = OutputErrorProblem(wide, [flight], simulator, sigma=sigma)
-        own = {n: e.estimate for n, e in result.flights[i].local.items()}
-        unknowns = problem.pack({**values, **own}, [list(result.flights[i].initial_states)])
+        local_values = {n: e.estimate for n, e in result.flights[i].local.items()}
+        unknowns = problem.pack({**values, **local_values}, [list(result.flights[i].initial_states)])
         blocks = problem.flight_blocks(unknowns, problem.evaluate(unknowns, True), 0)
         split = FlightBlocks.split(blocks.ss, blocks.gs, of_names, of_local)
         M[i], g[i] = split.reduced()
     return PooledInformation(names, M, g)
 
 
-def grown(found: PooledInformation, active: Sequence[str], tried: Sequence[str], most: int) -> list[TermGain]:
+def terms_that_gain(
+    pooled_information: PooledInformation, active: Sequence[str], candidates: Sequence[str], most: int
+) -> list[TermGain]:
     """Terms taken one after the other, the one with the largest held-out gain first, while it is clear of chance.
 
-    active: parameters that stand; tried: candidates, of several that do as well the first is taken; most: terms at most.
+    active: parameters that stand; candidates: candidates, of several that do as well the first is taken; most: terms at most.
     """
-    M, g = _folds(found)
-    place = {n: k for k, n in enumerate(found.names)}
-    inside = [place[n] for n in active]
-    left = [place[n] for n in tried]
-    now = _gains(M, g, inside)
-    taken: list[TermGain] = []
-    while len(taken) < most:
-        gains = {k: _gains(M, g, [*inside, k]) - now for k in left if _tells(M.sum(axis=0), inside, k)}
+    M, g = _folds(pooled_information)
+    place = {n: k for k, n in enumerate(pooled_information.names)}
+    active_columns = [place[n] for n in active]
+    open_columns = [place[n] for n in candidates]
+    current_gains = _gains(M, g, active_columns)
+    gains_in_order: list[TermGain] = []
+    while len(gains_in_order) < most:
+        gains = {
+            k: _gains(M, g, [*active_columns, k]) - current_gains
+            for k in open_columns
+            if _tells(M.sum(axis=0), active_columns, k)
+        }
         if not gains:
             break
         largest = gains[max(gains, key=lambda k: float(gains[k].sum()))]
-        best = next(k for k in left if k in gains and not _clear(largest - gains[k], EVEN))
-        total, std = float(gains[best].sum()), float(gains[best].std(ddof=1) * np.sqrt(len(M)))
-        if not _clear(gains[best], ADVANTAGE):
+        chosen_column = next(k for k in open_columns if k in gains and not _clear(largest - gains[k], EVEN))
+        total, std = float(gains[chosen_column].sum()), float(gains[chosen_column].std(ddof=1) * np.sqrt(len(M)))
+        if not _clear(gains[chosen_column], ADVANTAGE):
             break
-        taken.append(TermGain(found.names[best], total, std))
-        now = now + gains[best]
-        inside.append(best)
-        left.remove(best)
-    return taken
+        gains_in_order.append(TermGain(pooled_information.names[chosen_column], total, std))
+        current_gains = current_gains + gains[chosen_column]
+        active_columns.append(chosen_column)
+        open_columns.remove(chosen_column)
+    return gains_in_order
 
 
-def superfluous(found: PooledInformation, active: Sequence[str], taken: Mapping[str, float]) -> list[str]:
-    """Terms among `taken` (with their estimates) without which flights held out are not clearly worse predicted, by what stands
-    beside them now."""
-    M, g = _folds(found)
-    place = {n: k for k, n in enumerate(found.names)}
-    inside, out = [place[n] for n in active], []
-    left, away = list(taken), np.zeros(len(found.names))
-    while left:
-        now = _gains(M, g, inside, away)
-        worth = {}
-        for n in left:
-            without = away.copy()
-            without[place[n]] = -taken[n]
-            worth[n] = now - _gains(M, g, [k for k in inside if k != place[n]], without)
-        least = min(left, key=lambda n: float(worth[n].sum()))
-        if _clear(worth[least], ADVANTAGE):
+def superfluous_terms(
+    pooled_information: PooledInformation, active: Sequence[str], estimates: Mapping[str, float]
+) -> list[str]:
+    """Terms among `estimates` (with their estimates) without which flights held out are not clearly worse predicted, by what
+    stands beside them now."""
+    M, g = _folds(pooled_information)
+    place = {n: k for k, n in enumerate(pooled_information.names)}
+    active_columns, removed = [place[n] for n in active], []
+    candidates, fixed_changes = list(estimates), np.zeros(len(pooled_information.names))
+    while candidates:
+        current_gains = _gains(M, g, active_columns, fixed_changes)
+        losses = {}
+        for n in candidates:
+            changes_without = fixed_changes.copy()
+            changes_without[place[n]] = -estimates[n]
+            losses[n] = current_gains - _gains(M, g, [k for k in active_columns if k != place[n]], changes_without)
+        weakest = min(candidates, key=lambda n: float(losses[n].sum()))
+        if _clear(losses[weakest], ADVANTAGE):
             break
-        out.append(least)
-        left.remove(least)
-        away[place[least]] = -taken[least]
-        inside.remove(place[least])
-    return out
+        removed.append(weakest)
+        candidates.remove(weakest)
+        fixed_changes[place[weakest]] = -estimates[weakest]
+        active_columns.remove(place[weakest])
+    return removed
 
 
 def _clear(gains: Array, errors: float) -> bool:
@@ -126,35 +132,35 @@ def _clear(gains: Array, errors: float) -> bool:
     return float(gains.sum()) > errors * float(gains.std(ddof=1)) * float(np.sqrt(len(gains)))
 
 
-def _folds(found: PooledInformation) -> tuple[Array, Array]:
+def _folds(pooled_information: PooledInformation) -> tuple[Array, Array]:
     """Sums over flights held out together, in turn: neighbours in the list go to different folds."""
-    count = min(len(found.M), MOST_FOLDS)
-    M = np.stack([found.M[k::count].sum(axis=0) for k in range(count)])
-    g = np.stack([found.g[k::count].sum(axis=0) for k in range(count)])
+    count = min(len(pooled_information.M), MOST_FOLDS)
+    M = np.stack([pooled_information.M[k::count].sum(axis=0) for k in range(count)])
+    g = np.stack([pooled_information.g[k::count].sum(axis=0) for k in range(count)])
     return M, g
 
 
-def _gains(M: Array, g: Array, inside: Sequence[int], away: Array | None = None) -> Array:
-    """(folds,) change of each fold's log likelihood with the parameters `inside` as the other folds would have them.
+def _gains(M: Array, g: Array, columns: Sequence[int], fixed_changes: Array | None = None) -> Array:
+    """(folds,) change of each fold's log likelihood with the parameters `columns` as the other folds would have them.
 
-    away: (n,) given changes of the parameters outside, zero by default.
+    fixed_changes: (n,) given changes of the parameters outside, zero by default.
     """
-    away = np.zeros(g.shape[1]) if away is None else away
-    fixed = g @ away - 0.5 * np.einsum("i,kij,j->k", away, M, away)
-    slope = (g - M @ away)[:, inside]
-    own = M[np.ix_(range(len(M)), inside, inside)]
-    scale = np.sqrt(np.maximum(np.einsum("kii->ki", own).sum(axis=0), 1e-300))
-    others = (own.sum(axis=0) - own) / np.outer(scale, scale)
-    ridge = 1e-12 * np.eye(len(inside))  # of a diagonal of one: what no flight sees stays where it is
-    d = np.linalg.solve(others + ridge, ((slope.sum(axis=0) - slope) / scale)[:, :, None])[:, :, 0] / scale
-    gains: Array = fixed + np.einsum("ki,ki->k", slope, d) - 0.5 * np.einsum("ki,kij,kj->k", d, own, d)
+    fixed_changes = np.zeros(g.shape[1]) if fixed_changes is None else fixed_changes
+    fixed = g @ fixed_changes - 0.5 * np.einsum("i,kij,j->k", fixed_changes, M, fixed_changes)
+    slope = (g - M @ fixed_changes)[:, columns]
+    fold_information = M[np.ix_(range(len(M)), columns, columns)]
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", fold_information).sum(axis=0), 1e-300))
+    rest_information = (fold_information.sum(axis=0) - fold_information) / np.outer(scale, scale)
+    ridge = 1e-12 * np.eye(len(columns))  # of a diagonal of one: what no flight sees stays where it is
+    d = np.linalg.solve(rest_information + ridge, ((slope.sum(axis=0) - slope) / scale)[:, :, None])[:, :, 0] / scale
+    gains: Array = fixed + np.einsum("ki,ki->k", slope, d) - 0.5 * np.einsum("ki,kij,kj->k", d, fold_information, d)
     return gains
 
 
-def _tells(M: Array, inside: Sequence[int], k: int) -> bool:
+def _tells(M: Array, columns: Sequence[int], k: int) -> bool:
     """Whether something of a candidate is left beside the parameters that stand."""
     if M[k, k] <= 0.0:
         return False
-    cross = M[np.ix_(inside, [k])][:, 0]
-    rest = M[k, k] - cross @ np.linalg.lstsq(M[np.ix_(inside, inside)], cross, rcond=None)[0]
+    cross = M[np.ix_(columns, [k])][:, 0]
+    rest = M[k, k] - cross @ np.linalg.lstsq(M[np.ix_(columns, columns)], cross, rcond=None)[0]
     return bool(rest > LEAST_INFORMATION * M[k, k])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 CONDITIONS = ("alpha", "V", "beta_max", "delta_e")
 LEAST_SPREAD = 1e-3  # of a condition, relative to its size: below, it was the same on all flights
@@ -29,13 +29,13 @@ class ConditionScale:
     changed: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, conditions: Array) -> "ConditionScale":
+    def from_conditions(cls, conditions: Array) -> "ConditionScale":
         """From the conditions of the flights, (flights, 4), NaN where not measured; such a condition counts as unchanged."""
-        known = np.isfinite(conditions).all(axis=0)
-        low = np.where(known, np.nan_to_num(conditions).min(axis=0), 0.0)
-        high = np.where(known, np.nan_to_num(conditions).max(axis=0), 0.0)
+        measured = np.isfinite(conditions).all(axis=0)
+        low = np.where(measured, np.nan_to_num(conditions).min(axis=0), 0.0)
+        high = np.where(measured, np.nan_to_num(conditions).max(axis=0), 0.0)
         centre, half = 0.5 * (low + high), 0.5 * (high - low)
-        changed = known & (half > LEAST_SPREAD * np.maximum(np.abs(centre), LEAST_SPREAD))
+        changed = measured & (half > LEAST_SPREAD * np.maximum(np.abs(centre), LEAST_SPREAD))
         return cls(centre, np.where(changed, half, 1.0), changed)
 
     def scaled(self, conditions: Array) -> Array:
@@ -53,15 +53,15 @@ class PolynomialForm:
 
     def columns(self, x: Array) -> Array:
         """(points, terms) at scaled conditions (points, 4), the penalised columns last."""
-        plain = [np.prod(x ** np.array(p), axis=1) for p in self.powers]
+        polynomial_columns = [np.prod(x ** np.array(p), axis=1) for p in self.powers]
         bent = [spline_columns(x[:, c]) for c in self.splines]
-        return np.column_stack([*plain, *bent])
+        return np.column_stack([*polynomial_columns, *bent])
 
     @property
     def penalty(self) -> tuple[int, ...]:
         """For each column: -1 where it is free, else the number of the spline whose variance it shares."""
-        each = PIECES + 1
-        return (-1,) * len(self.powers) + tuple(k for k in range(len(self.splines)) for _ in range(each))
+        spline_size = PIECES + 1
+        return (-1,) * len(self.powers) + tuple(k for k in range(len(self.splines)) for _ in range(spline_size))
 
     @property
     def size(self) -> int:
@@ -71,22 +71,22 @@ class PolynomialForm:
     @property
     def words(self) -> str:
         """`1 + alpha + alpha V + spline(delta_e)`."""
-        said = [
+        terms = [
             " ".join(n if p == 1 else f"{n}^{p}" for n, p in zip(CONDITIONS, powers, strict=True) if p) or "1"
             for powers in self.powers
         ]
-        return " + ".join([*said, *(f"spline({CONDITIONS[c]})" for c in self.splines)])
+        return " + ".join([*terms, *(f"spline({CONDITIONS[c]})" for c in self.splines)])
 
     def formula(self, scale: ConditionScale, b: Array) -> str | None:
         """An expression of alpha, V and delta_e that a model file takes; None where the form holds anything else."""
         if self.splines or any(powers[CONDITIONS.index("beta_max")] for powers in self.powers):
             return None
         names = [f"(({n} - {c:.6g})/{h:.6g})" for n, c, h in zip(CONDITIONS, scale.centre, scale.half, strict=True)]
-        said = []
+        terms = []
         for value, powers in zip(b, self.powers, strict=True):
             factors = [x if n == 1 else f"{x}^{n}" for x, n in zip(names, powers, strict=True) if n]
-            said.append("*".join([f"({value:.8g})", *factors]))
-        return " + ".join(said)
+            terms.append("*".join([f"({value:.8g})", *factors]))
+        return " + ".join(terms)
 
 
 CONSTANT = PolynomialForm(((0,) * len(CONDITIONS),))
@@ -104,29 +104,29 @@ def spline_columns(x: Array) -> Array:
     return columns
 
 
-def larger(form: PolynomialForm, changed: NDArray[np.bool_]) -> Iterator[PolynomialForm]:
+def larger_forms(form: PolynomialForm, changed: NDArray[np.bool_]) -> Iterator[PolynomialForm]:
     """Forms with one thing more: a next power, a product of two conditions that stand already, a spline on a line."""
     have = set(form.powers)
     for c in np.flatnonzero(changed).tolist():
         highest = max(p[c] for p in form.powers if sum(p) == p[c])
         if highest < MOST_POWER and c not in form.splines:
-            yield replace(form, powers=(*form.powers, _alone(c, highest + 1)))
+            yield replace(form, powers=(*form.powers, _single_power(c, highest + 1)))
         if highest == 1 and c not in form.splines:
             yield replace(form, splines=(*form.splines, c))
-        for other in np.flatnonzero(changed[:c]).tolist():
-            product = tuple(int(i in (c, other)) for i in range(len(CONDITIONS)))
-            if highest and _alone(other, 1) in have and product not in have:
+        for second_condition in np.flatnonzero(changed[:c]).tolist():
+            product = tuple(int(i in (c, second_condition)) for i in range(len(CONDITIONS)))
+            if highest and _single_power(second_condition, 1) in have and product not in have:
                 yield replace(form, powers=(*form.powers, product))
 
 
-def _alone(condition: int, power: int) -> tuple[int, ...]:
+def _single_power(condition: int, power: int) -> tuple[int, ...]:
     return tuple(power if i == condition else 0 for i in range(len(CONDITIONS)))
 
 
-def flown(points: Array, flights: Array, axes: NDArray[np.intp]) -> NDArray[np.bool_]:
+def near_flights(points: Array, flights: Array, axes: NDArray[np.intp]) -> NDArray[np.bool_]:
     """(points,) whether a flight was near in each of the conditions `axes`; both scaled, (points, 4) and (flights, 4)."""
     if not axes.size:
         return np.ones(len(points), bool)
-    away = np.abs(points[:, None, axes] - flights[None, :, axes]).max(axis=2)
-    near: NDArray[np.bool_] = away.min(axis=1) <= 2.0 * NEAR  # of a range that is 2 wide here
-    return near
+    distance = np.abs(points[:, None, axes] - flights[None, :, axes]).max(axis=2)
+    within_reach: NDArray[np.bool_] = distance.min(axis=1) <= 2.0 * NEAR  # of a range that is 2 wide here
+    return within_reach

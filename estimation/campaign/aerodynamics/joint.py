@@ -9,9 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.campaign.aerodynamics.evidence import TermGain, grown, information, superfluous
+from estimation.campaign.aerodynamics.evidence import TermGain, information, superfluous_terms, terms_that_gain
 from estimation.campaign.aerodynamics.terms import (
     CENTRED,
     POWERS,
@@ -21,20 +20,17 @@ from estimation.campaign.aerodynamics.terms import (
     row_of,
     with_terms,
 )
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.pooling import LEVEL, t_quantile
-from estimation.engine.data import AS_USUAL, FlightData, Preparation
-from estimation.engine.prepared import compared, prepared
+from estimation.campaign.tasks import CampaignError
 from estimation.engine.simulate import Simulator
 from estimation.estimators.output_error import STANDARD, OutputErrorOptions, output_error
 from estimation.estimators.result import Result
-from estimation.models.base import Model
-from estimation.session.flights import unique_names
-from estimation.session.flown import flown
-from estimation.session.runner import joint_model
-from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
+from estimation.models.base import Model, joint_model
+from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from estimation.prepare.stretches import unique_names
+from estimation.session.proof_of_match import flown_ranges
+from groundstation.flight import Array, Flight
 
 FEWEST = 4  # flights: fewer cannot be held out and leave a choice
 FLIGHTS_A_TERM = 2  # at least: more terms than that follow flights, not the aircraft
@@ -68,8 +64,8 @@ class GlobalModel:
             return self.why
         if not self.gains:
             return "no term over the envelope is asked for: the derivatives are constants on these flights"
-        said = ", ".join(f"{g.name} ({g.gain:.0f} +- {g.std:.0f})" for g in self.gains)
-        return f"terms by what they gain in log likelihood on flights held out: {said}"
+        gain_list = ", ".join(f"{g.name} ({g.gain:.0f} +- {g.std:.0f})" for g in self.gains)
+        return f"terms by what they gain in log likelihood on flights held out: {gain_list}"
 
     def at(self, derivative: str, conditions: Sequence[Mapping[str, float]]) -> tuple[Array, Array]:
         """(points,) a derivative and its corrected bound at values of alpha [rad], V [m/s], beta [rad], delta_e [rad] ..."""
@@ -99,7 +95,7 @@ def curve(
     conditions: Sequence[Mapping[str, float]],
 ) -> tuple[Array, Array]:
     """(points,) a derivative and its bound at conditions. names: in the order of covariance."""
-    rows = np.array([row_of(model, derivative, names, at) for at in conditions])
+    rows = np.array([row_of(model, derivative, names, point) for point in conditions])
     std: Array = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", rows, covariance, rows), 0.0))
     return rows @ np.array([values[n] for n in names]), std
 
@@ -114,27 +110,27 @@ def global_model(
     base = joint_model(model)
     flights = unique_names(flights)
     reference = references(flights)
-    tried = candidates(base, [v for v in POWERS if _in_all(flights, v)])
-    wide = with_terms(base, tried, reference)
-    tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
-    slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
-    fit = _Fit(base, flights, data, slim, Simulator.build(slim), tried, reference)
+    term_candidates = candidates(base, [v for v in POWERS if _in_all(flights, v)])
+    wide = with_terms(base, term_candidates, reference)
+    tell(f"{len(flights)} flights together, {len(term_candidates)} terms to choose from")
+    slim, data = without_absent_outputs(wide, prepare_all(wide, flights, AS_USUAL))
+    fit = _Fit(base, flights, data, slim, Simulator.build(slim), term_candidates, reference)
     result, gains = output_error(base, flights), tuple[TermGain, ...]()
-    for wave in ([t for t in tried if t.first], tried):
+    for wave in ([t for t in term_candidates if t.first], term_candidates):
         for _ in range(ROUNDS):
-            if why := fit.unusable(result):
-                return GlobalModel(result, gains, flown(result.model, flights), why)
-            more = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
-            if not more:
+            if problem := fit.unusable(result):
+                return GlobalModel(result, gains, flown_ranges(result.model, flights), problem)
+            new_gains = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
+            if not new_gains:
                 break
-            gains = (*gains, *more)
+            gains = (*gains, *new_gains)
             tell(f"{len(gains)} terms over the envelope; fitting again")
             result = fit.again(result, gains)
     if not fit.unusable(result):
         gains = fit.needed(result, gains) if gains else gains
         tell(f"{len(gains)} terms are enough; fitting again with inputs as measured")
         result = fit.again(result, gains, AS_MEASURED)
-    return GlobalModel(result, gains, flown(result.model, flights), fit.unusable(result))
+    return GlobalModel(result, gains, flown_ranges(result.model, flights), fit.unusable(result))
 
 
 @dataclass(frozen=True)
@@ -151,28 +147,28 @@ class _Fit:
 
     def asked_for(self, result: Result, wave: Sequence[ConditionTerm], most: int) -> list[TermGain]:
         """Terms of `wave` that flights held out want beside those of the result."""
-        known = information(self.wide, self.data, result, self.simulator)
-        active = [n for n in known.names if n in result.parameters]
-        return grown(known, active, [t.name for t in wave if t.name not in active], most)
+        pooled_information = information(self.wide, self.data, result, self.simulator)
+        active = [n for n in pooled_information.names if n in result.parameters]
+        return terms_that_gain(pooled_information, active, [t.name for t in wave if t.name not in active], most)
 
     def needed(self, result: Result, gains: tuple[TermGain, ...]) -> tuple[TermGain, ...]:
         """Those that are still wanted beside all the others."""
-        known = information(self.wide, self.data, result, self.simulator)
-        active = [n for n in known.names if n in result.parameters]
-        out = superfluous(known, active, {g.name: result.values[g.name] for g in gains})
-        return tuple(g for g in gains if g.name not in out)
+        pooled_information = information(self.wide, self.data, result, self.simulator)
+        active = [n for n in pooled_information.names if n in result.parameters]
+        removed = superfluous_terms(pooled_information, active, {g.name: result.values[g.name] for g in gains})
+        return tuple(g for g in gains if g.name not in removed)
 
-    def again(self, before: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
+    def again(self, earlier: Result, gains: Sequence[TermGain], options: OutputErrorOptions = STANDARD) -> Result:
         """The joint fit with the terms that were taken, from where the last one ended."""
         names = {g.name for g in gains}
-        chosen = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
-        start = {n: before.values[n] for n in derivatives_of(self.base)}
-        return output_error(chosen, self.flights, start, options)
+        extended_model = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
+        start = {n: earlier.values[n] for n in derivatives_of(self.base)}
+        return output_error(extended_model, self.flights, start, options)
 
     def unusable(self, result: Result) -> str:
         """Why no terms can be looked for from a result, empty where they can."""
-        whole = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
-        return "" if result.converged and whole else f"no further terms were looked for: {result.text}"
+        complete = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
+        return "" if result.converged and complete else f"no further terms were looked for: {result.text}"
 
 
 def references(flights: Sequence[Flight]) -> dict[str, float]:

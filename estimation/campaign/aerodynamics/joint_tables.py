@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.plain_words import file_name
 from estimation.campaign.aerodynamics.forms import CONDITIONS
@@ -18,11 +17,10 @@ from estimation.campaign.aerodynamics.terms import derivatives_of, terms_of
 from estimation.campaign.groups import Starts
 from estimation.campaign.tasks import Row
 from estimation.models import Model
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -41,22 +39,26 @@ def joint_model_rows(results: "pa.Table", starts: Starts = MappingProxyType({}))
     """A row for each group whose model over the envelope was asked for: what came of it, and what of it mixes the sides of a
     step in time (constants do not: each flight has its own). starts: of what steps moved."""
     for run in _runs(results):
-        found = "model over the envelope" if run["model_text"] else "no model over the envelope"
-        text = f"{run['group']}: {found} ({run['method']}): {run['why']}"
+        outcome = "model over the envelope" if run["model_text"] else "no model over the envelope"
+        text = f"{run['group']}: {outcome} ({run['method']}): {run['why']}"
         if run["model_text"]:
-            text += _mixed(Model.from_dict(tomllib.loads(run["model_text"])), run["group"], starts)
+            text += _mixed_sides_note(Model.from_dict(tomllib.loads(run["model_text"])), run["group"], starts)
         yield {"kind": "envelope", "group": run["group"], "method": run["method"], "text": text}
 
 
-def _mixed(model: Model, group: str, starts: Starts) -> str:
+def _mixed_sides_note(model: Model, group: str, starts: Starts) -> str:
     """A sentence on derivatives that a step moved, by whatever method it was seen; the model has one value for both sides."""
-    own = set(derivatives_of(model))
-    moved = {name: at[0][0] for (label, _, name), at in sorted(starts.items()) if label == group and name in own}
-    if not moved:
+    derivative_names = set(derivatives_of(model))
+    step_dates = {
+        name: flights_after[0][0]
+        for (label, _, name), flights_after in sorted(starts.items())
+        if label == group and name in derivative_names
+    }
+    if not step_dates:
         return ""
-    said = ", ".join(f"{name} ({date})" for name, date in moved.items())
+    date_list = ", ".join(f"{name} ({date})" for name, date in step_dates.items())
     return (
-        f"; its flights lie on both sides of a step in time that moved {said}, and it mixes them: give the sides"
+        f"; its flights lie on both sides of a step in time that moved {date_list}, and it mixes them: give the sides"
         " configurations of their own"
     )
 
@@ -72,48 +74,50 @@ def model_texts(results: "pa.Table") -> dict[str, str]:
 
 def joint_rows(results: "pa.Table", curves: Sequence[Curves]) -> list[Row]:
     """Surfaces and curves of each derivative by the joint models, at the points of the pooled curves of the same group."""
-    points = {each.about["group"]: (each.about, each.envelope) for each in curves}
+    points = {group_curves.about["group"]: (group_curves.about, group_curves.envelope) for group_curves in curves}
     rows: list[Row] = []
-    for found in _found(results):
-        if found.about["group"] in points:
-            about, envelope = points[found.about["group"]]
-            rows += _rows(found, {**about, "method": found.about["method"]}, envelope)
+    for joint_model in _joint_models(results):
+        if joint_model.about["group"] in points:
+            group_columns, envelope = points[joint_model.about["group"]]
+            rows += _rows(joint_model, {**group_columns, "method": joint_model.about["method"]}, envelope)
     return rows
 
 
-def _rows(found: JointModel, about: Row, envelope: PooledCurves) -> Iterator[Row]:
-    terms = terms_of(found.model)
-    for name in derivatives_of(found.model):
-        own = [t for t in terms if t.derivative == name]
+def _rows(joint_model: JointModel, group_columns: Row, envelope: PooledCurves) -> Iterator[Row]:
+    terms = terms_of(joint_model.model)
+    for name in derivatives_of(joint_model.model):
+        own_terms = [t for t in terms if t.derivative == name]
         common: Row = {
-            **about,
+            **group_columns,
             "kind": "joint",
             "parameter": name,
-            "flights": found.flights,
-            "form": " + ".join(["1", *(f"{t.variable}^{t.power}" if t.power > 1 else t.variable for t in own)]),
+            "flights": joint_model.flights,
+            "form": " + ".join(["1", *(f"{t.variable}^{t.power}" if t.power > 1 else t.variable for t in own_terms)]),
         }
-        for along, at in points_of(envelope):
-            where = _where(at, along)
-            value, std = curve(found.model, found.names, found.values, found.covariance, name, where)
-            half = half_band(std, found.flights)
-            for i, near in enumerate(envelope.flown(at)):
-                here = {"alpha": "alpha", "V": "V", "delta_e": "delta_e", "beta_max": "beta"}
-                row: Row = {**common, "along": along, "flown": bool(near)}
-                row |= {column: where[i].get(v) for column, v in here.items()}
-                if near:
+        for condition, grid in points_of(envelope):
+            model_points = _model_points(grid, condition)
+            value, std = curve(
+                joint_model.model, joint_model.names, joint_model.values, joint_model.covariance, name, model_points
+            )
+            half = half_band(std, joint_model.flights)
+            for i, was_flown in enumerate(envelope.flown(grid)):
+                model_variables = {"alpha": "alpha", "V": "V", "delta_e": "delta_e", "beta_max": "beta"}
+                row: Row = {**common, "along": condition, "flown": bool(was_flown)}
+                row |= {column: model_points[i].get(v) for column, v in model_variables.items()}
+                if was_flown:
                     ends = {"low": value[i] - half[i], "high": value[i] + half[i]}
                     row |= {n: float(x) for n, x in {"estimate": value[i], "std": std[i], **ends}.items()}
                 yield row
 
 
-def _where(points: Array, along: str) -> list[dict[str, float]]:
+def _model_points(points: Array, condition: str) -> list[dict[str, float]]:
     """Values of the model's variables: sideslip is none but where it is what changes."""
-    where = []
+    points_of_model = []
     for p in points:
-        at = {n: float(x) for n, x in zip(CONDITIONS, p, strict=True) if np.isfinite(x)}
-        beta = at.pop("beta_max", 0.0)
-        where.append({**at, "beta": beta if along == "beta_max" else 0.0})
-    return where
+        values = {n: float(x) for n, x in zip(CONDITIONS, p, strict=True) if np.isfinite(x)}
+        beta = values.pop("beta_max", 0.0)
+        points_of_model.append({**values, "beta": beta if condition == "beta_max" else 0.0})
+    return points_of_model
 
 
 def _runs(results: "pa.Table") -> list[Row]:
@@ -125,14 +129,16 @@ def _runs(results: "pa.Table") -> list[Row]:
     return rows
 
 
-def _found(results: "pa.Table") -> Iterator[JointModel]:
+def _joint_models(results: "pa.Table") -> Iterator[JointModel]:
     import pyarrow.compute as pc
 
     for run in _runs(results):
         if not run["model_text"]:
             continue
-        mine = results.filter(pc.and_(pc.equal(results["key"], run["key"]), pc.equal(results["kind"], "envelope")))
-        rows = sorted((r for r in mine.to_pylist() if r["place"] is not None), key=lambda r: int(r["place"]))
+        parameter_rows = results.filter(
+            pc.and_(pc.equal(results["key"], run["key"]), pc.equal(results["kind"], "envelope"))
+        )
+        rows = sorted((r for r in parameter_rows.to_pylist() if r["place"] is not None), key=lambda r: int(r["place"]))
         covariance = np.array([[np.nan if c is None else c for c in r["covariance"]] for r in rows])
         yield JointModel(
             Model.from_dict(tomllib.loads(run["model_text"])),

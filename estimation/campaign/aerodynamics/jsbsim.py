@@ -8,14 +8,12 @@ from collections.abc import Iterator, Sequence
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.constants import FOOT
 from daq.contract.plain_words import file_name
 from estimation.campaign.aerodynamics.tables import SURFACE
 from estimation.campaign.tasks import Row
-
-Array = NDArray[np.float64]
+from groundstation.flight import Array
 
 FOLDER = "aero/sideslip/"
 ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
@@ -24,25 +22,25 @@ ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
 def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
     """Name of a file without its ending -> XML, for each group, method and way of estimation; of what a step in time moved, the
     last side."""
-    last = {_of(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")}
+    last = {_identity(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")}
     sets: dict[tuple[str, str, str], dict[str, list[Row]]] = {}
     for r in database:
-        if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_of(r))):
+        if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_identity(r))):
             sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
     return {
-        file_name("_".join(which).replace(", ", "_").replace(" ", "_")): _xml(", ".join(which), parameters)
-        for which, parameters in sets.items()
+        file_name("_".join(labels).replace(", ", "_").replace(" ", "_")): _xml(", ".join(labels), parameters)
+        for labels, parameters in sets.items()
     }
 
 
-def _of(r: Row) -> tuple[str, str, str, str]:
+def _identity(r: Row) -> tuple[str, str, str, str]:
     return r["group"], r["method"], r["kind"], r["parameter"]
 
 
-def _xml(what: str, parameters: dict[str, list[Row]]) -> str:
+def _xml(title: str, parameters: dict[str, list[Row]]) -> str:
     root = ET.Element("aerodynamics")
-    where = "where nobody flew, as at the nearest point flown; after the last step in time"
-    root.append(ET.Comment(f" Sideslip, {what}: derivatives per rad; {where} "))
+    validity = "where nobody flew, as at the nearest point flown; after the last step in time"
+    root.append(ET.Comment(f" Sideslip, {title}: derivatives per rad; {validity} "))
     for name, rows in parameters.items():
         root.append(_function(name, rows))
     ET.indent(root)
@@ -59,11 +57,11 @@ def _function(name: str, rows: Sequence[Row]) -> ET.Element:
     table = ET.SubElement(function, "table")
     ET.SubElement(table, "independentVar", lookup="row").text = ALPHA
     ET.SubElement(table, "independentVar", lookup="column").text = SPEED
-    ET.SubElement(table, "tableData").text = "\n" + "\n".join(_lines(alphas, speeds, value)) + "\n"
+    ET.SubElement(table, "tableData").text = "\n" + "\n".join(_table_lines(alphas, speeds, value)) + "\n"
     return function
 
 
-def _lines(alphas: Sequence[float], speeds: Sequence[float], value: Array) -> Iterator[str]:
+def _table_lines(alphas: Sequence[float], speeds: Sequence[float], value: Array) -> Iterator[str]:
     yield " ".join(f"{v / FOOT:.8g}" for v in speeds)
     for a, row in zip(alphas, value, strict=True):
         yield " ".join(f"{x:.8g}" for x in (a, *row))
@@ -75,8 +73,8 @@ def _filled(rows: Sequence[Row], alphas: Sequence[float], speeds: Sequence[float
     for r in rows:
         if r["flown"]:
             value[alphas.index(r["alpha"]), speeds.index(r["V"])] = r["estimate"]
-    flown = np.argwhere(np.isfinite(value))
+    filled_cells = np.argwhere(np.isfinite(value))
     for i, j in np.argwhere(np.isnan(value)):
-        nearest = flown[np.argmin(np.sum((flown - (i, j)) ** 2, axis=1))]
+        nearest = filled_cells[np.argmin(np.sum((filled_cells - (i, j)) ** 2, axis=1))]
         value[i, j] = value[tuple(nearest)]
     return value

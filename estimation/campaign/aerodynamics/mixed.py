@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight import Array
+
 Mask = NDArray[np.bool_]
 
 LEAST = 1e-7  # of a flight's variance: a variance so small is none
@@ -30,7 +31,6 @@ class MixedData:
     known: Mask
 
     def part(self, keep: Mask) -> "MixedData":
-        """Only some of the flights."""
         return MixedData(self.y[keep], self.V[keep], self.known[keep])
 
     def one(self, parameter: int) -> "MixedData":
@@ -49,18 +49,18 @@ class MixedDesign:
     penalty: NDArray[np.intp]
 
     @classmethod
-    def of(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "MixedDesign":
+    def from_columns(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "MixedDesign":
         """From (flights, terms) and penalties of each parameter's form."""
         count = sum(c.shape[1] for c in columns)
         X = np.zeros((*known.shape, count))
         owner, penalty = np.zeros(count, np.intp), np.zeros(count, np.intp)
         first, splines = 0, 0
-        for j, (c, own) in enumerate(zip(columns, penalties, strict=True)):
+        for j, (c, column_penalties) in enumerate(zip(columns, penalties, strict=True)):
             place = slice(first, first + c.shape[1])
             X[:, j, place] = c * known[:, j, None]
             owner[place] = j
-            penalty[place] = [p if p < 0 else p + splines for p in own]
-            first, splines = place.stop, splines + 1 + max(own)
+            penalty[place] = [p if p < 0 else p + splines for p in column_penalties]
+            first, splines = place.stop, splines + 1 + max(column_penalties)
         return cls(X, owner, penalty)
 
     @property
@@ -68,7 +68,6 @@ class MixedDesign:
         return int(self.penalty.max(initial=-1)) + 1
 
     def part(self, keep: Mask) -> "MixedDesign":
-        """Only some of the flights."""
         return MixedDesign(self.X[keep], self.owner, self.penalty)
 
 
@@ -96,8 +95,8 @@ class MixedFit:
 
     def scores(self) -> Array:
         """(flights,) log density of each flight as the others predict it, of a fit of one parameter."""
-        s, left = self.S[:, 0, 0], (self.S - self.H)[:, 0, 0]
-        density: Array = -0.5 * np.log(s**2 / left) - 0.5 * self.residual[:, 0] ** 2 / left
+        s, predictive_share = self.S[:, 0, 0], (self.S - self.H)[:, 0, 0]
+        density: Array = -0.5 * np.log(s**2 / predictive_share) - 0.5 * self.residual[:, 0] ** 2 / predictive_share
         return density
 
 
@@ -107,9 +106,13 @@ def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> Mix
 
     data, unit = _scaled(data)
     size = data.y.shape[1]
-    usual = np.concatenate([_first_guess(data, design), np.full(design.splines, 0.1 * np.maximum(1.0, np.var(data.y)))])
+    default_start = np.concatenate(
+        [_first_guess(data, design), np.full(design.splines, 0.1 * np.maximum(1.0, np.var(data.y)))]
+    )
     begin = (
-        usual if start is None else np.maximum(start / np.concatenate([unit, _spline_units(unit, design)]) ** 2, LEAST)
+        default_start
+        if start is None
+        else np.maximum(start / np.concatenate([unit, _spline_units(unit, design)]) ** 2, LEAST)
     )
 
     def cost(log_variances: Array) -> tuple[float, Array]:
@@ -122,29 +125,33 @@ def fit(data: MixedData, design: MixedDesign, start: Array | None = None) -> Mix
         cost, np.log(begin), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ROUNDS, "ftol": 1e-10}
     )
     variances = np.exp(ends.x)
-    without = np.where(variances < NEGLIGIBLE, LEAST, variances)
-    if cost(np.log(without))[0] <= ends.fun:  # towards nothing the likelihood grows flat long before it is there
-        variances = without
+    reduced_variances = np.where(variances < NEGLIGIBLE, LEAST, variances)
+    if (
+        cost(np.log(reduced_variances))[0] <= ends.fun
+    ):  # towards nothing the likelihood grows flat long before it is there
+        variances = reduced_variances
     tau2 = np.where(variances[:size] > LEAST, variances[:size], 0.0)
-    return _in_units(_at(data, design, tau2, variances[size:]), unit, design)
+    return _in_units(_fit_at(data, design, tau2, variances[size:]), unit, design)
 
 
-def predicted(found: MixedFit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
+def predicted(mixed_fit: MixedFit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
     """(points,) value and standard error of one parameter; columns: (points, terms) of its form."""
     place = np.flatnonzero(owner == parameter)
-    C = found.covariance[np.ix_(place, place)]
-    return columns @ found.b[place], np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, C, columns), 0.0))
+    C = mixed_fit.covariance[np.ix_(place, place)]
+    return columns @ mixed_fit.b[place], np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, C, columns), 0.0))
 
 
-def replicates(data: MixedData, design: MixedDesign, found: MixedFit, count: int, rng: np.random.Generator) -> Array:
-    """(count, p) coefficients from flights drawn again with replacement, variances as found: a check of the covariance."""
+def replicates(
+    data: MixedData, design: MixedDesign, mixed_fit: MixedFit, count: int, rng: np.random.Generator
+) -> Array:
+    """(count, p) coefficients from flights drawn again with replacement, variances as mixed_fit: a check of the covariance."""
     X, y = design.X, np.where(data.known, data.y, 0.0)
-    weighted = inverses(found.S, data.known) @ X
-    prior = np.diag([0.0 if p < 0 else 1.0 / found.smooth[p] for p in design.penalty])
-    drawn = rng.multinomial(len(y), np.full(len(y), 1.0 / len(y)), size=count)
+    weighted = inverses(mixed_fit.S, data.known) @ X
+    prior = np.diag([0.0 if p < 0 else 1.0 / mixed_fit.smooth[p] for p in design.penalty])
+    flight_counts = rng.multinomial(len(y), np.full(len(y), 1.0 / len(y)), size=count)
     free = design.penalty < 0
     found_b = np.full((count, X.shape[2]), np.nan)
-    for number, times in enumerate(drawn):
+    for number, times in enumerate(flight_counts):
         A = np.einsum("n,nkp,nkq->pq", times, weighted, X) + prior
         if np.linalg.matrix_rank(A[np.ix_(free, free)]) == free.sum():  # a draw of too few flights tells nothing
             found_b[number] = np.linalg.solve(A, np.einsum("n,nkp,nk->p", times, weighted, y))
@@ -156,8 +163,8 @@ def replicates(data: MixedData, design: MixedDesign, found: MixedFit, count: int
 
 def _scaled(data: MixedData) -> tuple[MixedData, Array]:
     """Every parameter in units of its usual bound, so that variances are of one size."""
-    own = np.where(data.known, np.sqrt(np.diagonal(data.V, axis1=1, axis2=2)), np.nan)
-    unit = np.nanmedian(own, axis=0)
+    bounds = np.where(data.known, np.sqrt(np.diagonal(data.V, axis1=1, axis2=2)), np.nan)
+    unit = np.nanmedian(bounds, axis=0)
     y = np.where(data.known, data.y, 0.0) / unit
     V = np.where(data.known[:, :, None] & data.known[:, None, :], data.V, 0.0) / np.outer(unit, unit)
     return MixedData(y, V, data.known), unit
@@ -177,9 +184,9 @@ def _first_guess(data: MixedData, design: MixedDesign) -> Array:
 
 def inverses(S: Array, known: Mask) -> Array:
     """(flights, k, k) inverses over what each flight tells, zero elsewhere."""
-    both = known[:, :, None] & known[:, None, :]
-    whole = np.where(both, S, np.eye(S.shape[1]))
-    inverse: Array = np.where(both, np.linalg.inv(whole), 0.0)
+    pair_known = known[:, :, None] & known[:, None, :]
+    padded = np.where(pair_known, S, np.eye(S.shape[1]))
+    inverse: Array = np.where(pair_known, np.linalg.inv(padded), 0.0)
     return inverse
 
 
@@ -200,48 +207,48 @@ def _solved(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) ->
 def _likelihood(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> tuple[float, Array]:
     """Minus the restricted log likelihood without its constant, and its slope (k + splines,) over the variances."""
     S, W, WX, A, inverse, b, residual = _solved(data, design, tau2, smooth)
-    whole = np.where(data.known[:, :, None] & data.known[:, None, :], S, np.eye(tau2.size))
+    padded = np.where(data.known[:, :, None] & data.known[:, None, :], S, np.eye(tau2.size))
     Wr = np.einsum("nkl,nl->nk", W, residual)
     sizes = np.bincount(design.penalty[design.penalty >= 0], minlength=smooth.size) if smooth.size else np.zeros(0)
     squares, traces = np.zeros(smooth.size), np.zeros(smooth.size)
     for s in range(smooth.size):
-        mine = design.penalty == s
-        squares[s], traces[s] = np.sum(b[mine] ** 2), np.sum(np.diag(inverse)[mine])
+        spline_columns = design.penalty == s
+        squares[s], traces[s] = np.sum(b[spline_columns] ** 2), np.sum(np.diag(inverse)[spline_columns])
     value = 0.5 * float(
-        np.linalg.slogdet(whole)[1].sum()
+        np.linalg.slogdet(padded)[1].sum()
         + np.linalg.slogdet(A)[1]
         + np.sum(sizes * np.log(smooth))
         + np.sum(residual * Wr)
         + np.sum(squares / smooth)
     )
     explained = np.einsum("nkp,pq,nkq->k", WX, inverse, WX, optimize=True)
-    between = 0.5 * (np.einsum("nkk->k", W) - explained - np.sum(Wr**2, axis=0))
-    return value, np.concatenate([between, 0.5 * (sizes / smooth - (traces + squares) / smooth**2)])
+    between_slope = 0.5 * (np.einsum("nkk->k", W) - explained - np.sum(Wr**2, axis=0))
+    return value, np.concatenate([between_slope, 0.5 * (sizes / smooth - (traces + squares) / smooth**2)])
 
 
-def _at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> MixedFit:
+def _fit_at(data: MixedData, design: MixedDesign, tau2: Array, smooth: Array) -> MixedFit:
     S, W, _, _, inverse, b, residual = _solved(data, design, tau2, smooth)
     H = np.einsum("nkp,pq,nlq->nkl", design.X, inverse, design.X, optimize=True)
-    used = np.einsum("nkl,nlk->k", W, H)
-    freedom = np.maximum(data.known.sum(axis=0) - used, 1.0)
+    used_freedom = np.einsum("nkl,nlk->k", W, H)
+    freedom = np.maximum(data.known.sum(axis=0) - used_freedom, 1.0)
     spread = np.where(data.known, np.einsum("nkk->nk", S), 1.0)
     factor = np.sqrt(np.maximum(1.0, np.sum(residual**2 / spread, axis=0) / freedom))[design.owner]
     return MixedFit(b, inverse * np.outer(factor, factor), tau2, smooth, S, H, residual, freedom)
 
 
-def _in_units(found: MixedFit, unit: Array, design: MixedDesign) -> MixedFit:
+def _in_units(mixed_fit: MixedFit, unit: Array, design: MixedDesign) -> MixedFit:
     """Back from units of the usual bound."""
     of_b, two = unit[design.owner], np.outer(unit, unit)
-    smooth = found.smooth * _spline_units(unit, design) ** 2
+    smooth = mixed_fit.smooth * _spline_units(unit, design) ** 2
     return MixedFit(
-        found.b * of_b,
-        found.covariance * np.outer(of_b, of_b),
-        found.tau2 * unit**2,
+        mixed_fit.b * of_b,
+        mixed_fit.covariance * np.outer(of_b, of_b),
+        mixed_fit.tau2 * unit**2,
         smooth,
-        found.S * two,
-        found.H * two,
-        found.residual * unit,
-        found.freedom,
+        mixed_fit.S * two,
+        mixed_fit.H * two,
+        mixed_fit.residual * unit,
+        mixed_fit.freedom,
     )
 
 

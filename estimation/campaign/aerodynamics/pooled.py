@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
-from estimation.campaign.aerodynamics.forms import CONSTANT, ConditionScale, PolynomialForm, flown, larger
+from estimation.campaign.aerodynamics.forms import CONSTANT, ConditionScale, PolynomialForm, larger_forms, near_flights
 from estimation.campaign.aerodynamics.mixed import MixedData, MixedDesign, MixedFit
+from groundstation.flight import Array
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SPARE_FLIGHTS = 4  # beyond the terms: fewer leave nothing to judge a form by
@@ -43,7 +43,7 @@ class PooledCurves:
     each parameter those that its flights can tell; distance, limit: (flights,) of each flight from what the others say, and
     the distance that one sound flight of so many exceeds with the usual level; sound: flights that enter the curves."""
 
-    of: GroupFlights
+    group: GroupFlights
     scale: ConditionScale
     forms: tuple[PolynomialForm, ...]
     shifts: Array
@@ -57,14 +57,14 @@ class PooledCurves:
     @cached_property
     def x(self) -> Array:
         """(sound flights, 4) scaled conditions."""
-        return self.scale.scaled(self.of.conditions[self.sound])
+        return self.scale.scaled(self.group.conditions[self.sound])
 
     def columns(self, parameter: int, conditions: Array, shifts: Array | None = None) -> Array:
         """(points, terms) of a parameter's form. shifts: (effects,), by default at their mean, which is zero."""
-        own = self.forms[parameter].columns(self.scale.scaled(conditions))
-        told = self.shifted[parameter]
-        beside = np.zeros(len(told)) if shifts is None else shifts[list(told)]
-        return np.column_stack([own, np.tile(beside, (len(own), 1))])
+        form_columns = self.forms[parameter].columns(self.scale.scaled(conditions))
+        effects = self.shifted[parameter]
+        effect_values = np.zeros(len(effects)) if shifts is None else shifts[list(effects)]
+        return np.column_stack([form_columns, np.tile(effect_values, (len(form_columns), 1))])
 
     def shift(self, parameter: int, effect: int) -> tuple[float, float] | None:
         """Coefficient and standard error of an effect on a parameter; None where its flights do not tell it."""
@@ -80,72 +80,80 @@ class PooledCurves:
 
     def of_flight(self, parameter: int, flight: int) -> tuple[float, float]:
         """Value and standard error of a parameter in one flight, with what moved it."""
-        own = self.forms[parameter].columns(self.scale.scaled(self.of.conditions[flight : flight + 1]))
-        row = np.column_stack([own, self.shifts[flight : flight + 1, self.shifted[parameter]]])
+        form_columns = self.forms[parameter].columns(self.scale.scaled(self.group.conditions[flight : flight + 1]))
+        row = np.column_stack([form_columns, self.shifts[flight : flight + 1, self.shifted[parameter]]])
         value, std = mixed.predicted(self.fit, row, self.design.owner, parameter)
         return float(value[0]), float(std[0])
 
     def half_band(self, parameter: int, std: Array) -> Array:
-        """Half of the 95 % band of a curve."""
         half: Array = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, int(self.fit.freedom[parameter])) * std
         return half
 
     def flown(self, conditions: Array, flights: Mask | None = None) -> Mask:
         """(points,) whether one of the sound flights (of those in the mask `flights`) was near enough, in every condition that
         changed."""
-        near = self.x if flights is None else self.x[flights[self.sound]]
-        return flown(self.scale.scaled(conditions), near, np.flatnonzero(self.scale.changed))
+        flight_conditions = self.x if flights is None else self.x[flights[self.sound]]
+        return near_flights(self.scale.scaled(conditions), flight_conditions, np.flatnonzero(self.scale.changed))
 
     def formula(self, parameter: int, shifts: Array | None = None) -> str | None:
         """An expression of alpha, V and delta_e for a model file, where the form has one. shifts: as of `columns`."""
-        form, told = self.forms[parameter], self.shifted[parameter]
+        form, effects = self.forms[parameter], self.shifted[parameter]
         b = self.fit.b[self.design.owner == parameter]
         free = b[: form.size].copy()
-        if shifts is not None and told:
-            free[0] += b[len(form.penalty) :] @ shifts[list(told)]
+        if shifts is not None and effects:
+            free[0] += b[len(form.penalty) :] @ shifts[list(effects)]
         return form.formula(self.scale, free)
 
 
-def envelope(of: GroupFlights, shifts: Array | None = None) -> PooledCurves | None:
+def envelope(group: GroupFlights, shifts: Array | None = None) -> PooledCurves | None:
     """Curves of all parameters that enough flights tell; None where there is none.
 
     shifts: (flights, effects) that may move every parameter by amounts of their own, whatever the conditions: a configuration,
     a date. They are taken about their means, so that the curves are those of the mean flight.
     """
-    enough = np.flatnonzero(of.data.known.sum(axis=0) >= CONSTANT.size + SPARE_FLIGHTS)
-    if not enough.size:
+    usable_columns = np.flatnonzero(group.data.known.sum(axis=0) >= CONSTANT.size + SPARE_FLIGHTS)
+    if not usable_columns.size:
         return None
-    names = tuple(of.parameters[j] for j in enough)
-    data = MixedData(of.data.y[:, enough], of.data.V[:, enough][:, :, enough], of.data.known[:, enough])
-    told: Mask = data.known.sum(axis=1) > 0
-    of = GroupFlights(
-        names,
-        tuple(f for f, t in zip(of.flights, told, strict=True) if t),
-        tuple(d for d, t in zip(of.dates, told, strict=True) if t),
-        of.conditions[told],
-        data.part(told),
+    names = tuple(group.parameters[j] for j in usable_columns)
+    data = MixedData(
+        group.data.y[:, usable_columns],
+        group.data.V[:, usable_columns][:, :, usable_columns],
+        group.data.known[:, usable_columns],
     )
-    moved = np.zeros((len(told), 0)) if shifts is None else shifts
-    moved = (moved - moved.mean(axis=0))[told]
-    scale = ConditionScale.of(of.conditions)
-    x = scale.scaled(of.conditions)
-    sound = _not_plainly_off(of.data, np.column_stack([x[:, scale.changed], moved]))
+    flights_known: Mask = data.known.sum(axis=1) > 0
+    group = GroupFlights(
+        names,
+        tuple(f for f, t in zip(group.flights, flights_known, strict=True) if t),
+        tuple(d for d, t in zip(group.dates, flights_known, strict=True) if t),
+        group.conditions[flights_known],
+        data.part(flights_known),
+    )
+    centred_shifts = np.zeros((len(flights_known), 0)) if shifts is None else shifts
+    centred_shifts = (centred_shifts - centred_shifts.mean(axis=0))[flights_known]
+    scale = ConditionScale.from_conditions(group.conditions)
+    x = scale.scaled(group.conditions)
+    sound_flights = _not_plainly_off(group.data, np.column_stack([x[:, scale.changed], centred_shifts]))
     for number in range(ROUNDS):
-        kept = of.data.part(sound)
-        shifted = tuple(_told_shifts(moved[sound][kept.known[:, j]]) for j in range(len(names)))
+        sound_data = group.data.part(sound_flights)
+        shifted = tuple(_told_shifts(centred_shifts[sound_flights][sound_data.known[:, j]]) for j in range(len(names)))
         forms = tuple(
-            choose(kept.one(j), x[sound], scale.changed, moved[sound][:, shifted[j]]) for j in range(len(names))
+            choose(sound_data.one(j), x[sound_flights], scale.changed, centred_shifts[sound_flights][:, shifted[j]])
+            for j in range(len(names))
         )
-        every = _design(of.data, forms, x, moved, shifted)
-        design = every.part(sound)
-        found = mixed.fit(kept, design)
-        distance = _distances(of.data, every, sound, found)
-        limit = np.array([_limit(int(c), len(told)) for c in of.data.known.sum(axis=1)])
-        again = distance <= limit
-        if np.array_equal(again, sound) or again.mean() < 1.0 - MOST_OUTLYING or number == ROUNDS - 1:
+        full_design = _design(group.data, forms, x, centred_shifts, shifted)
+        design = full_design.part(sound_flights)
+        mixed_fit = mixed.fit(sound_data, design)
+        distance = _distances(group.data, full_design, sound_flights, mixed_fit)
+        limit = np.array([_limit(int(c), len(flights_known)) for c in group.data.known.sum(axis=1)])
+        still_sound = distance <= limit
+        if (
+            np.array_equal(still_sound, sound_flights)
+            or still_sound.mean() < 1.0 - MOST_OUTLYING
+            or number == ROUNDS - 1
+        ):
             break
-        sound = again
-    return PooledCurves(of, scale, forms, moved, shifted, found, design, sound, distance, limit)
+        sound_flights = still_sound
+    return PooledCurves(group, scale, forms, centred_shifts, shifted, mixed_fit, design, sound_flights, distance, limit)
 
 
 def choose(data: MixedData, x: Array, changed: Mask, shifts: Array) -> PolynomialForm:
@@ -157,27 +165,27 @@ def choose(data: MixedData, x: Array, changed: Mask, shifts: Array) -> Polynomia
     hundredth of the forms that are tried.
     """
     rows = data.known[:, 0]
-    kept, at, beside = data.part(rows), x[rows], shifts[rows]
-    best, scores = CONSTANT, _scores(kept, CONSTANT, at, beside)
+    known_data, known_conditions, known_shifts = data.part(rows), x[rows], shifts[rows]
+    best_form, scores = CONSTANT, _scores(known_data, CONSTANT, known_conditions, known_shifts)
     while True:
-        tried = [
-            (form, found)
-            for form in larger(best, changed)
+        scored_forms = [
+            (form, form_scores)
+            for form in larger_forms(best_form, changed)
             if rows.sum() >= form.size + 2 * len(form.splines) + shifts.shape[1] + SPARE_FLIGHTS
-            and (found := _scores(kept, form, at, beside)) is not None
+            and (form_scores := _scores(known_data, form, known_conditions, known_shifts)) is not None
         ]
-        if scores is None or not tried:
-            return best
-        form, found = max(tried, key=lambda t: float(t[1].mean()))
-        gain = found - scores
+        if scores is None or not scored_forms:
+            return best_form
+        form, form_scores = max(scored_forms, key=lambda t: float(t[1].mean()))
+        gain = form_scores - scores
         if gain.mean() <= float(gain.std(ddof=1)) / np.sqrt(gain.size):
-            return best
-        best, scores = form, found
+            return best_form
+        best_form, scores = form, form_scores
 
 
 def bootstrap(envelope: PooledCurves, count: int, seed: int) -> Array:
     """(replicates, coefficients) with the flights drawn again."""
-    data = envelope.of.data.part(envelope.sound)
+    data = envelope.group.data.part(envelope.sound)
     return mixed.replicates(data, envelope.design, envelope.fit, count, np.random.default_rng(seed))
 
 
@@ -190,12 +198,14 @@ def flown_of(
     correlation: Array,
 ) -> GroupFlights:
     """Flights (date, name) with estimates (flights, k), NaN where not told, bounds, and correlations (flights, k, k)."""
-    known = np.isfinite(values) & np.isfinite(std) & (std > 0.0)
-    own = np.where(known, std, 1.0)
-    V = correlation * own[:, :, None] * own[:, None, :]
-    V[:, np.arange(len(parameters)), np.arange(len(parameters))] = own**2
+    told_mask = np.isfinite(values) & np.isfinite(std) & (std > 0.0)
+    safe_std = np.where(told_mask, std, 1.0)
+    V = correlation * safe_std[:, :, None] * safe_std[:, None, :]
+    V[:, np.arange(len(parameters)), np.arange(len(parameters))] = safe_std**2
     names = tuple(name for _, name in flights)
-    return GroupFlights(tuple(parameters), names, tuple(d for d, _ in flights), conditions, MixedData(values, V, known))
+    return GroupFlights(
+        tuple(parameters), names, tuple(d for d, _ in flights), conditions, MixedData(values, V, told_mask)
+    )
 
 
 # ------------------------------------------------------------------------------------------------------ inside
@@ -213,9 +223,9 @@ def _scores(data: MixedData, form: PolynomialForm, x: Array, shifts: Array) -> A
 def _design(
     data: MixedData, forms: Sequence[PolynomialForm], x: Array, shifts: Array, shifted: Sequence[tuple[int, ...]]
 ) -> MixedDesign:
-    columns = [np.column_stack([f.columns(x), shifts[:, own]]) for f, own in zip(forms, shifted, strict=True)]
-    penalties = [(*f.penalty, *(-1 for _ in own)) for f, own in zip(forms, shifted, strict=True)]
-    return MixedDesign.of(columns, penalties, data.known)
+    columns = [np.column_stack([f.columns(x), shifts[:, effects]]) for f, effects in zip(forms, shifted, strict=True)]
+    penalties = [(*f.penalty, *(-1 for _ in effects)) for f, effects in zip(forms, shifted, strict=True)]
+    return MixedDesign.from_columns(columns, penalties, data.known)
 
 
 def _told_shifts(shifts: Array) -> tuple[int, ...]:
@@ -224,18 +234,18 @@ def _told_shifts(shifts: Array) -> tuple[int, ...]:
     return tuple(np.flatnonzero(sides >= FEWEST_SHIFTED).tolist())
 
 
-def _distances(data: MixedData, every: MixedDesign, sound: Mask, found: MixedFit) -> Array:
+def _distances(data: MixedData, full_design: MixedDesign, sound_flights: Mask, mixed_fit: MixedFit) -> Array:
     """(flights,) squared distance from what the sound flights say, each sound flight from what the others say."""
-    distance = np.zeros(sound.size)
-    distance[sound] = found.left_out(data.known[sound])
-    if not sound.all():
-        rest = data.part(~sound)
-        X, C = every.X[~sound], found.covariance
-        S = rest.V + np.eye(found.tau2.size) * found.tau2 + np.einsum("nkp,pq,nlq->nkl", X, C, X, optimize=True)
-        both = rest.known[:, :, None] & rest.known[:, None, :]
-        r = np.where(rest.known, rest.y - X @ found.b, 0.0)
-        solved = np.linalg.solve(np.where(both, S, np.eye(found.tau2.size)), r[:, :, None])[:, :, 0]
-        distance[~sound] = np.einsum("nk,nk->n", r, solved)
+    distance = np.zeros(sound_flights.size)
+    distance[sound_flights] = mixed_fit.left_out(data.known[sound_flights])
+    if not sound_flights.all():
+        rest = data.part(~sound_flights)
+        X, C = full_design.X[~sound_flights], mixed_fit.covariance
+        S = rest.V + np.eye(mixed_fit.tau2.size) * mixed_fit.tau2 + np.einsum("nkp,pq,nlq->nkl", X, C, X, optimize=True)
+        pair_known = rest.known[:, :, None] & rest.known[:, None, :]
+        r = np.where(rest.known, rest.y - X @ mixed_fit.b, 0.0)
+        solved = np.linalg.solve(np.where(pair_known, S, np.eye(mixed_fit.tau2.size)), r[:, :, None])[:, :, 0]
+        distance[~sound_flights] = np.einsum("nk,nk->n", r, solved)
     return distance
 
 
@@ -249,7 +259,7 @@ def _limit(parameters: int, flights: int) -> float:
 def _not_plainly_off(data: MixedData, x: Array) -> Mask:
     """Flights near enough to the rest to begin with: each parameter by itself, about a plane over x (flights, columns), bounds
     widened to the scatter of the middle half, so that bad flights cannot hide one another."""
-    off = np.zeros(len(x), bool)
+    outlying = np.zeros(len(x), bool)
     for j in range(data.y.shape[1]):
         rows = data.known[:, j]
         y, s = data.y[rows, j], np.sqrt(data.V[rows, j, j])
@@ -258,8 +268,8 @@ def _not_plainly_off(data: MixedData, x: Array) -> Mask:
             X = np.column_stack([X, x[rows]])
         z = _robust_residual(y / s, X / s[:, None])
         wide = max(1.0, pooling.ROBUST * float(np.median(np.abs(z))))
-        off[rows] |= np.abs(z) / wide > pooling.outlier_limit(len(y))
-    return ~off if off.mean() <= MOST_OUTLYING else np.ones(len(x), bool)
+        outlying[rows] |= np.abs(z) / wide > pooling.outlier_limit(len(y))
+    return ~outlying if outlying.mean() <= MOST_OUTLYING else np.ones(len(x), bool)
 
 
 def _robust_residual(y: Array, X: Array) -> Array:

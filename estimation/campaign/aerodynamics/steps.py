@@ -5,7 +5,7 @@ is the largest Wald chi-square over all dates, of shifts of all parameters besid
 makes of it is found by drawing campaigns without a step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from estimation.campaign import pooling
 from estimation.campaign.aerodynamics import mixed
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves, envelope
+from groundstation.flight import Array
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 FEWEST_BESIDE = 3  # flights on either side of a date
@@ -48,72 +48,74 @@ class DateStep:
     freedom: int
 
 
-def with_steps(of: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[DateStep, ...]]:
-    """The curves of a group with the steps in time that its flights show. of: in order of date."""
-    shifts = np.zeros((len(of.flights), 0))
-    curves = envelope(of)
-    found: list[tuple[int, tuple[str, str], float]] = []
-    while curves is not None and len(found) < MOST_STEPS:
-        step = _search(curves, [f for f, _, _ in found], np.random.default_rng([seed, len(found)]))
+def with_steps(group: GroupFlights, seed: int) -> tuple[PooledCurves | None, tuple[DateStep, ...]]:
+    """The curves of a group with the steps in time that its flights show. group: in order of date."""
+    shifts = np.zeros((len(group.flights), 0))
+    curves = envelope(group)
+    located_steps: list[tuple[int, tuple[str, str], float]] = []
+    while curves is not None and len(located_steps) < MOST_STEPS:
+        step = _search(curves, [f for f, _, _ in located_steps], np.random.default_rng([seed, len(located_steps)]))
         if step is None:
             break
-        first = of.flights.index(curves.of.flights[step[0]])
-        later = (np.arange(len(of.flights)) >= first).astype(float)
-        again = envelope(of, np.column_stack([shifts, later]))
-        if again is None:
+        first = group.flights.index(curves.group.flights[step[0]])
+        after_step = (np.arange(len(group.flights)) >= first).astype(float)
+        shifted_curves = envelope(group, np.column_stack([shifts, after_step]))
+        if shifted_curves is None:
             break
-        shifts, curves = np.column_stack([shifts, later]), again
-        found.append((step[0], step[1], step[2]))
+        shifts, curves = np.column_stack([shifts, after_step]), shifted_curves
+        located_steps.append((step[0], step[1], step[2]))
     if curves is None:
         return None, ()
-    return curves, tuple(_described(curves, number, *step) for number, step in enumerate(found))
+    return curves, tuple(_described(curves, number, *step) for number, step in enumerate(located_steps))
 
 
 def _described(curves: PooledCurves, number: int, first: int, dates: tuple[str, str], probability: float) -> DateStep:
     """Sizes of a step, with all steps that were found and the variances that are left."""
-    told = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, number)) is not None]
-    freedom = int(min((curves.fit.freedom[j] for j, _ in told), default=1))
-    moved = []
-    for j, (change, std) in told:
+    told_shifts = [(j, s) for j in range(len(curves.group.parameters)) if (s := curves.shift(j, number)) is not None]
+    freedom = int(min((curves.fit.freedom[j] for j, _ in told_shifts), default=1))
+    parameter_steps = []
+    for j, (change, std) in told_shifts:
         p = pooling.two_sided(change / std, int(curves.fit.freedom[j]))
-        moved.append(ParameterStep(curves.of.parameters[j], change, std, min(1.0, p * len(told))))
-    return DateStep(first, dates, probability, tuple(moved), freedom)
+        parameter_steps.append(ParameterStep(curves.group.parameters[j], change, std, min(1.0, p * len(told_shifts))))
+    return DateStep(first, dates, probability, tuple(parameter_steps), freedom)
 
 
 def _search(
-    curves: PooledCurves, before: Sequence[int], rng: np.random.Generator
+    curves: PooledCurves, earlier_steps: Sequence[int], rng: np.random.Generator
 ) -> tuple[int, tuple[str, str], float] | None:
     """(first flight after the step, dates between which it lies, probability), where one is found at the usual level.
 
-    before: steps that were found already; between two there are as many flights as beside one.
+    earlier_steps: steps that were found already; between two there are as many flights as beside one.
     """
-    known = curves.of.data.known[curves.sound]
-    dates = [d for d, s in zip(curves.of.dates, curves.sound, strict=True) if s]
+    known_mask = curves.group.data.known[curves.sound]
+    dates = [d for d, s in zip(curves.group.dates, curves.sound, strict=True) if s]
     places = _places(dates)
-    sound = np.flatnonzero(curves.sound)
-    places = np.array([k for k in places if all(abs(sound[k] - b) >= FEWEST_BESIDE for b in before)], np.intp)
+    sound_indices = np.flatnonzero(curves.sound)
+    places = np.array(
+        [k for k in places if all(abs(sound_indices[k] - b) >= FEWEST_BESIDE for b in earlier_steps)], np.intp
+    )
     if not places.size:
         return None
-    statistics = _Statistics(curves, known, places)
-    found = statistics.of(np.where(known, curves.fit.residual, 0.0)[None])[0]
+    statistics = _Statistics(curves, known_mask, places)
+    chi2 = statistics.chi_square(np.where(known_mask, curves.fit.residual, 0.0)[None])[0]
     largest = statistics.by_chance(rng)
-    probability = (1.0 + float(np.sum(largest >= found.max()))) / (1.0 + largest.size)
+    probability = (1.0 + float(np.sum(largest >= chi2.max()))) / (1.0 + largest.size)
     if probability > pooling.LEVEL:
         return None
-    near = places[found >= found.max() - DATE_95]
-    between = dates[int(near.min()) - 1], dates[int(near.max())]
-    return int(sound[places[int(np.argmax(found))]]), between, probability
+    likely_places = places[chi2 >= chi2.max() - DATE_95]
+    date_range = dates[int(likely_places.min()) - 1], dates[int(likely_places.max())]
+    return int(sound_indices[places[int(np.argmax(chi2))]]), date_range, probability
 
 
 def _places(dates: Sequence[str]) -> Index:
     """First flights of a later date with enough flights on either side."""
-    some = [
+    eligible = [
         k for k in range(FEWEST_BESIDE, len(dates) - FEWEST_BESIDE + 1) if dates[k - 1] and dates[k] != dates[k - 1]
     ]
-    every = np.array(some, np.intp)
-    if every.size <= MOST_DATES:
-        return every
-    return every[np.linspace(0, every.size - 1, MOST_DATES).astype(np.intp)]
+    eligible_places = np.array(eligible, np.intp)
+    if eligible_places.size <= MOST_DATES:
+        return eligible_places
+    return eligible_places[np.linspace(0, eligible_places.size - 1, MOST_DATES).astype(np.intp)]
 
 
 class _Statistics:
@@ -130,14 +132,14 @@ class _Statistics:
         A = np.einsum("nkp,nkq->pq", design.X, WX, optimize=True)
         A[np.diag_indices(count)] += [0.0 if p < 0 else 1.0 / fit.smooth[p] for p in design.penalty]
         self.to_b = np.linalg.solve(A, WX.reshape(-1, count).T)  # (p, flights k): coefficients from estimates
-        after = _after(self.W, places)
-        cross = _after(WX, places)
-        information = after - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
+        later_information = _sums_from(self.W, places)
+        cross = _sums_from(WX, places)
+        information = later_information - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
         self.inverse = np.array([np.linalg.pinv(i, rcond=1e-9, hermitian=True) for i in information])
 
-    def of(self, residual: Array) -> Array:
+    def chi_square(self, residual: Array) -> Array:
         """(draws, places) from (draws, flights, k) residuals."""
-        score = np.stack([_after(r, self.places) for r in np.einsum("nkl,dnl->dnk", self.W, residual)])
+        score = np.stack([_sums_from(r, self.places) for r in np.einsum("nkl,dnl->dnk", self.W, residual)])
         chi2: Array = np.einsum("dck,ckl,dcl->dc", score, self.inverse, score, optimize=True)
         return chi2
 
@@ -151,11 +153,60 @@ class _Statistics:
             y = np.where(self.known, np.einsum("nkl,dnl->dnk", root, rng.standard_normal((count, n, k))), 0.0)
             b = y.reshape(count, -1) @ self.to_b.T
             residual = np.where(self.known, y - np.einsum("nkp,dp->dnk", self.X, b, optimize=True), 0.0)
-            largest += self.of(residual).max(axis=1).tolist()
+            largest += self.chi_square(residual).max(axis=1).tolist()
         return np.array(largest)
 
 
-def _after(values: Array, places: Index) -> Array:
+def _sums_from(values: Array, places: Index) -> Array:
     """(places, ...) sums over the flights from each place on, of (flights, ...)."""
     sums: Array = np.cumsum(values[::-1], axis=0)[::-1][places]
     return sums
+
+
+# Sides of a step in time: what a step moved has a curve before it and another from it on, for a mean of both was never flown.
+#
+# A parameter that no step clearly moved keeps one curve over all flights; where a step is told by all parameters together and by
+# none clearly, all of them are taken apart.
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Side:
+    """Flights between two steps that moved a parameter. since, until: dates of the first and the last of them, empty where
+    nothing moved it; shifts: (effects,) of the curves there; flights: (flights,) of the group."""
+
+    since: str
+    until: str
+    shifts: Array
+    flights: Mask
+
+
+def moved_by(steps: Sequence[DateStep], parameter: str) -> list[int]:
+    """Numbers of the steps that moved a parameter, in order of time."""
+    step_numbers = []
+    for number, step in enumerate(steps):
+        clearly = [m.parameter for m in step.moved if m.probability <= pooling.LEVEL]
+        if parameter in (clearly or [m.parameter for m in step.moved]):
+            step_numbers.append(number)
+    return sorted(step_numbers, key=lambda n: steps[n].first)
+
+
+def sides(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> Iterator[Side]:
+    """The stretches of time that have curves of their own, in order."""
+    step_numbers = moved_by(steps, parameter)
+    count = len(curves.group.flights)
+    edges = [0, *(steps[n].first for n in step_numbers), count]
+    place = np.arange(count)
+    for first, end in zip(edges, edges[1:], strict=False):
+        shifts = np.zeros(curves.shifts.shape[1])
+        shifts[step_numbers] = curves.shifts[first, step_numbers]
+        dates = (curves.group.dates[first], curves.group.dates[end - 1]) if step_numbers else ("", "")
+        yield Side(*dates, shifts, (place >= first) & (place < end))
+
+
+def starts_of(curves: PooledCurves, steps: Sequence[DateStep], parameter: str) -> list[tuple[str, str]]:
+    """Date and name of the first flight after each step that moved a parameter."""
+    return [
+        (curves.group.dates[i], curves.group.flights[i]) for i in (steps[n].first for n in moved_by(steps, parameter))
+    ]

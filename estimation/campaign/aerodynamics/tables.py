@@ -6,20 +6,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.campaign.aerodynamics import pooled
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.pooled import GroupFlights, PooledCurves
-from estimation.campaign.aerodynamics.sides import Side, sides, starts_of
-from estimation.campaign.aerodynamics.steps import DateStep, with_steps
+from estimation.campaign.aerodynamics.steps import DateStep, Side, sides, starts_of, with_steps
 from estimation.campaign.groups import Starts, label_of
+from estimation.campaign.schema import usable_estimates
 from estimation.campaign.tasks import Row
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 GRID = 9  # values of alpha and of V in a surface
 ALONG = 25  # points of a curve over one condition
@@ -47,82 +46,86 @@ class Curves:
 
 def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curves]:
     """The curves of every group and method with enough flights; instrument factors of the data checks are a method too."""
-    found = []
+    group_curves = []
     for (values, method), flights in sorted(_by_group(results, keys).items()):
         group = dict(zip(keys, values, strict=True))
         curves, steps = with_steps(flown_rows(flights), seed)
         if curves is not None:
-            about: Row = {"group": label_of(group), "method": method, **{k: v or None for k, v in group.items()}}
-            found.append(Curves(about, flights, curves, steps))
-    return found
+            group_columns: Row = {
+                "group": label_of(group),
+                "method": method,
+                **{k: v or None for k, v in group.items()},
+            }
+            group_curves.append(Curves(group_columns, flights, curves, steps))
+    return group_curves
 
 
-def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
+def database_rows(curves_by_group: Sequence[Curves], seed: int) -> list[Row]:
     """For each parameter a surface over alpha and V, and a curve along each condition, the others as they were flown there; for
     each side of a step in time that moved it."""
     rows: list[Row] = []
-    for each in found:
-        curves = each.envelope
+    for group_curves in curves_by_group:
+        curves = group_curves.envelope
         replicates = pooled.bootstrap(curves, REPLICATES, seed)
-        for j, name in enumerate(curves.of.parameters):
-            if each.about["method"] == INSTRUMENTS:
+        for j, name in enumerate(curves.group.parameters):
+            if group_curves.about["method"] == INSTRUMENTS:
                 continue
-            own = replicates[:, curves.design.owner == j]
-            for side in sides(curves, each.steps, name):
+            parameter_replicates = replicates[:, curves.design.owner == j]
+            for side in sides(curves, group_curves.steps, name):
                 common: Row = {
-                    **each.about,
+                    **group_curves.about,
                     "kind": "pooled",
                     "parameter": name,
-                    "flights": int(curves.of.data.known[curves.sound & side.flights, j].sum()),
+                    "flights": int(curves.group.data.known[curves.sound & side.flights, j].sum()),
                     "between": math.sqrt(curves.fit.tau2[j]),
                     "form": curves.forms[j].words,
                     "formula": curves.formula(j, side.shifts),
                     "since": side.since or None,
                     "until": side.until or None,
                 }
-                for along, points in points_of(curves):
-                    rows += _rows(curves, j, points, own, {**common, "along": along}, side)
+                for condition, points in points_of(curves):
+                    rows += _rows(curves, j, points, parameter_replicates, {**common, "along": condition}, side)
     return rows
 
 
-def starts_in(found: Sequence[Curves]) -> Starts:
+def starts_in(curves_by_group: Sequence[Curves]) -> Starts:
     """Where each parameter of each group begins to say something else."""
     return {
-        (each.about["group"], each.about["method"], name): starts
-        for each in found
-        for name in each.envelope.of.parameters
-        if (starts := starts_of(each.envelope, each.steps, name))
+        (group_curves.about["group"], group_curves.about["method"], name): starts
+        for group_curves in curves_by_group
+        for name in group_curves.envelope.group.parameters
+        if (starts := starts_of(group_curves.envelope, group_curves.steps, name))
     }
 
 
-def flight_rows(found: Sequence[Curves]) -> Iterator[Row]:
+def flight_rows(curves_by_group: Sequence[Curves]) -> Iterator[Row]:
     """A sentence on each flight that is far, in all its parameters together, from what the others say at its conditions."""
-    for each in found:
-        for i in np.flatnonzero(~each.envelope.sound):
-            yield _flight_row(each.envelope, int(i), each.about)
+    for group_curves in curves_by_group:
+        for i in np.flatnonzero(~group_curves.envelope.sound):
+            yield _flight_row(group_curves.envelope, int(i), group_curves.about)
 
 
-def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
-    of = curves.of
-    off = []
-    for j in np.flatnonzero(of.data.known[i]):
+def _flight_row(curves: PooledCurves, i: int, group_columns: Row) -> Row:
+    group = curves.group
+    distances = []
+    for j in np.flatnonzero(group.data.known[i]):
         value, std = curves.of_flight(int(j), i)
-        spread = math.hypot(std, math.sqrt(of.data.V[i, j, j] + curves.fit.tau2[j]))
-        off.append(((float(of.data.y[i, j]) - value) / spread, of.parameters[j]))
-    most = sorted(off, key=lambda o: -abs(o[0]))[:LEADING]
+        spread = math.hypot(std, math.sqrt(group.data.V[i, j, j] + curves.fit.tau2[j]))
+        distances.append(((float(group.data.y[i, j]) - value) / spread, group.parameters[j]))
+    leading = sorted(distances, key=lambda o: -abs(o[0]))[:LEADING]
     distance, limit = math.sqrt(curves.distance[i]), math.sqrt(curves.limit[i])
     text = (
-        f"{of.flights[i]}: its estimates together ({about['method']}) are {distance:.1f} bounds from what the other flights of"
-        f" {about['group']} say at its conditions (limit {limit:.1f}); most in "
-        + ", ".join(f"{name} ({z:+.1f} bounds)" for z, name in most)
+        f"{group.flights[i]}: its estimates together ({group_columns['method']}) are {distance:.1f} bounds from what the other"
+        f" flights of {group_columns['group']} say at its conditions (limit {limit:.1f}); most in "
+        + ", ".join(f"{name} ({z:+.1f} bounds)" for z, name in leading)
         + "; left out of the database: look at its record and its page"
     )
     return {
-        **about,
+        **group_columns,
         "kind": "outlying flight",
-        "flight": of.flights[i],
-        "at": of.dates[i] or None,
-        "flights": len(of.flights),
+        "flight": group.flights[i],
+        "at": group.dates[i] or None,
+        "flights": len(group.flights),
         "ratio": distance,
         "text": text,
     }
@@ -131,35 +134,14 @@ def _flight_row(curves: PooledCurves, i: int, about: Row) -> Row:
 # ------------------------------------------------------------------------------------------------------ inside
 
 
-def _by_group(
-    results: "pa.Table", keys: Sequence[str]
-) -> dict[Group, dict[tuple[str, str, str], list[dict[str, Any]]]]:
+def _by_group(results: "pa.Table", keys: Sequence[str]) -> dict[Group, ByFlight]:
     """Group -> (date, flight, key and manoeuvre) -> rows of usable estimates."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    kinds = pa.array(["estimate", INSTRUMENTS])
-    usable = results.filter(
-        pc.and_(pc.and_(pc.is_in(results["kind"], kinds), pc.equal(results["status"], "ok")), results["identifiable"])
-    )
-    wanted = (
-        "flight",
-        "manoeuvre",
-        "method",
-        "parameter",
-        "estimate",
-        "std_coloured",
-        "date",
-        "key",
-        "place",
-        "covariance",
-    )
     groups: dict[Group, ByFlight] = {}
-    for row in usable.select(list(dict.fromkeys((*wanted, *CONDITIONS, *keys)))).to_pylist():
-        if row["estimate"] is not None and row["std_coloured"]:
-            group = (tuple(row[k] or "" for k in keys), row["method"])
-            flight = (row["date"] or "", row["flight"], f"{row['key']} {row['manoeuvre'] or ''}")
-            groups.setdefault(group, {}).setdefault(flight, []).append(row)
+    columns = ("manoeuvre", "place", "covariance", *CONDITIONS, *keys)
+    for row in usable_estimates(results, ("estimate", INSTRUMENTS), columns):
+        group = (tuple(row[k] or "" for k in keys), row["method"])
+        flight = (row["date"] or "", row["flight"], f"{row['key']} {row['manoeuvre'] or ''}")
+        groups.setdefault(group, {}).setdefault(flight, []).append(row)
     return groups
 
 
@@ -181,25 +163,25 @@ def flown_rows(flights: ByFlight) -> GroupFlights:
     return pooled.flown_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
 
 
-def _correlate(into: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:
+def _correlate(correlation: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:
     """Correlations of one flight's estimates from the rows of its covariance; where a method gives none, there are none."""
-    placed = [r for r in rows if r["place"] is not None and r["covariance"]]
-    places = [r["place"] for r in placed]
-    if len(placed) < 2:
+    placed_rows = [r for r in rows if r["place"] is not None and r["covariance"]]
+    places = [r["place"] for r in placed_rows]
+    if len(placed_rows) < 2:
         return
-    C = np.array([[np.nan if r["covariance"][p] is None else r["covariance"][p] for p in places] for r in placed])
-    own = np.sqrt(np.maximum(np.diag(C), 0.0))
-    if not np.isfinite(C).all() or not (own > 0.0).all():
+    C = np.array([[np.nan if r["covariance"][p] is None else r["covariance"][p] for p in places] for r in placed_rows])
+    std = np.sqrt(np.maximum(np.diag(C), 0.0))
+    if not np.isfinite(C).all() or not (std > 0.0).all():
         return
-    index = [column[r["parameter"]] for r in placed]
-    into[np.ix_(index, index)] = 0.5 * (C + C.T) / np.outer(own, own)
+    index = [column[r["parameter"]] for r in placed_rows]
+    correlation[np.ix_(index, index)] = 0.5 * (C + C.T) / np.outer(std, std)
 
 
 def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
     """(what changes, (points, 4) conditions); where nothing changed there is one point."""
-    flights = curves.of.conditions[curves.sound]
+    flights = curves.group.conditions[curves.sound]
     middle, scale = np.median(flights, axis=0), curves.scale
-    changed = [c for c, moved in zip(CONDITIONS, scale.changed, strict=True) if moved]
+    changed = [c for c, is_changed in zip(CONDITIONS, scale.changed, strict=True) if is_changed]
     if not changed:
         yield "", middle[None, :]
         return
@@ -212,15 +194,17 @@ def points_of(curves: PooledCurves) -> Iterator[tuple[str, Array]]:
         yield SURFACE, grid
     for name in changed:
         c = CONDITIONS.index(name)
-        at = np.linspace(scale.centre[c] - scale.half[c], scale.centre[c] + scale.half[c], ALONG)
-        yield name, _as_flown(at, c, flights, scale.half)
+        condition_values = np.linspace(scale.centre[c] - scale.half[c], scale.centre[c] + scale.half[c], ALONG)
+        yield name, _as_flown(condition_values, c, flights, scale.half)
 
 
-def _as_flown(at: Array, condition: int, flights: Array, half: Array) -> Array:
-    """(points, 4): the condition at `at`, the others at the weighted means of the flights near by."""
-    near = np.exp(-0.5 * ((at[:, None] - flights[None, :, condition]) / (0.15 * half[condition])) ** 2) + 1e-12
-    points: Array = near @ np.nan_to_num(flights) / near.sum(axis=1, keepdims=True)
-    points[:, condition] = at
+def _as_flown(values: Array, condition: int, flights: Array, half: Array) -> Array:
+    """(points, 4): the condition at `values`, the others at the weighted means of the flights near by."""
+    flight_weights = (
+        np.exp(-0.5 * ((values[:, None] - flights[None, :, condition]) / (0.15 * half[condition])) ** 2) + 1e-12
+    )
+    points: Array = flight_weights @ np.nan_to_num(flights) / flight_weights.sum(axis=1, keepdims=True)
+    points[:, condition] = values
     return points
 
 
@@ -230,10 +214,12 @@ def _rows(curves: PooledCurves, parameter: int, points: Array, replicates: Array
     columns = curves.columns(parameter, points, side.shifts)
     spread = np.std(replicates @ columns.T, axis=0, ddof=1) if len(replicates) > 1 else None
     rows = []
-    for i, near in enumerate(curves.flown(points, side.flights)):
-        where = {n: float(x) if math.isfinite(x) else None for n, x in zip(CONDITIONS, points[i], strict=True)}
-        row: Row = {**common, **where, "flown": bool(near)}
-        if near:
+    for i, was_flown in enumerate(curves.flown(points, side.flights)):
+        condition_values = {
+            n: float(x) if math.isfinite(x) else None for n, x in zip(CONDITIONS, points[i], strict=True)
+        }
+        row: Row = {**common, **condition_values, "flown": bool(was_flown)}
+        if was_flown:
             numbers = {"estimate": value[i], "std": std[i], "low": value[i] - half[i], "high": value[i] + half[i]}
             row |= {n: float(x) for n, x in numbers.items()}
             row["bootstrap_std"] = None if spread is None else float(spread[i])

@@ -43,12 +43,12 @@ class ConditionTerm:
         """What stands in the line of the derivative."""
         return f"{self.name}*{_factor(self.variable)}" + (f"^{self.power}" if self.power > 1 else "")
 
-    def value(self, at: Mapping[str, float], reference: Mapping[str, float]) -> float:
+    def value(self, point: Mapping[str, float], reference: Mapping[str, float]) -> float:
         """What the parameter is multiplied by, at values of the variables; nothing for one that is not given: at its reference,
         or zero."""
-        if self.variable not in at:
+        if self.variable not in point:
             return 0.0
-        x = at[self.variable]
+        x = point[self.variable]
         if self.variable == "V":
             x = x / reference["V_ref"] - 1.0
         elif self.variable in CENTRED:
@@ -72,16 +72,18 @@ def candidates(model: Model, columns: Sequence[str]) -> tuple[ConditionTerm, ...
     signals = {*model.state_names, *model.input_names, *columns}
     controls = {s.name for s in model.inputs if s.control}
     names = derivatives_of(model)
-    found = [ConditionTerm(d, v, n) for v, powers in POWERS.items() if v in signals for n in powers for d in names]
-    found += [ConditionTerm(d, v, n) for d in names for v in sorted(_beside(model, d) & controls) for n in OWN_CONTROL]
-    taken = set(model.parameter_names) | set(model.constants)
-    return tuple(dict.fromkeys(t for t in found if t.name not in taken))
+    terms = [ConditionTerm(d, v, n) for v, powers in POWERS.items() if v in signals for n in powers for d in names]
+    terms += [
+        ConditionTerm(d, v, n) for d in names for v in sorted(_symbols_beside(model, d) & controls) for n in OWN_CONTROL
+    ]
+    existing_names = set(model.parameter_names) | set(model.constants)
+    return tuple(dict.fromkeys(t for t in terms if t.name not in existing_names))
 
 
-def _beside(model: Model, parameter: str) -> set[str]:
+def _symbols_beside(model: Model, parameter: str) -> set[str]:
     """Symbols that stand in a product with the parameter."""
-    every = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
-    return set().union(*every)
+    factor_sets = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
+    return set().union(*factor_sets)
 
 
 def with_terms(model: Model, terms: Sequence[ConditionTerm], reference: Mapping[str, float]) -> Model:
@@ -95,17 +97,22 @@ def with_terms(model: Model, terms: Sequence[ConditionTerm], reference: Mapping[
     for name in by_derivative:
         pattern = re.compile(rf"\b{re.escape(name)}\b")
         definitions = {symbol: pattern.sub(name + HERE, text) for symbol, text in definitions.items()}
-    lines = [f"{name}{HERE} = {' + '.join([name, *(t.text for t in own)])}" for name, own in by_derivative.items()]
-    used = {t.variable for t in terms}
+    lines = [
+        f"{name}{HERE} = {' + '.join([name, *(t.text for t in derivative_terms)])}"
+        for name, derivative_terms in by_derivative.items()
+    ]
+    used_variables = {t.variable for t in terms}
     signals = {*model.state_names, *model.input_names}
-    added = tuple(Signal(v, CENTRED.get(v, "rad"), "condition of the flight") for v in sorted(used - signals))
-    constants = {f"{v}_ref": reference[f"{v}_ref"] for v in CENTRED if v in used}
+    condition_signals = tuple(
+        Signal(v, CENTRED.get(v, "rad"), "condition of the flight") for v in sorted(used_variables - signals)
+    )
+    constants = {f"{v}_ref": reference[f"{v}_ref"] for v in CENTRED if v in used_variables}
     parameters = tuple(
         Parameter(t.name, _unit(model, t), description=f"{t.derivative} over {t.variable}") for t in terms
     )
     return replace(
         model,
-        inputs=model.inputs + added,
+        inputs=model.inputs + condition_signals,
         parameters=model.parameters + parameters,
         constants={**model.constants, **constants},
         equations=tuple(f"{symbol} = {text}" for symbol, text in definitions.items()) + tuple(lines),
@@ -113,26 +120,29 @@ def with_terms(model: Model, terms: Sequence[ConditionTerm], reference: Mapping[
 
 
 def _unit(model: Model, term: ConditionTerm) -> str:
-    own = model.parameter(term.derivative).unit
+    derivative_unit = model.parameter(term.derivative).unit
     if term.variable == "V":
-        return own
-    power = {"1/rad": 1, "1": 0}.get(own)
-    return f"1/rad{power + term.power}" if power is not None else f"{own}/rad{term.power}"
+        return derivative_unit
+    power = {"1/rad": 1, "1": 0}.get(derivative_unit)
+    return f"1/rad{power + term.power}" if power is not None else f"{derivative_unit}/rad{term.power}"
 
 
 def terms_of(model: Model) -> tuple[ConditionTerm, ...]:
     """The terms that a model's text holds, as `with_terms` wrote them."""
     names = set(model.parameter_names)
     variables = {*POWERS, *model.input_names}
-    found = []
+    terms = []
     for name in model.parameter_names:
         if f"{name}{HERE}" in model.definitions:
-            tried = (ConditionTerm(name, v, n) for v in sorted(variables) for n in (1, 2))
-            found += [t for t in tried if t.name in names]
-    return tuple(found)
+            possible_terms = (ConditionTerm(name, v, n) for v in sorted(variables) for n in (1, 2))
+            terms += [t for t in possible_terms if t.name in names]
+    return tuple(terms)
 
 
-def row_of(model: Model, derivative: str, names: Sequence[str], at: Mapping[str, float]) -> list[float]:
+def row_of(model: Model, derivative: str, names: Sequence[str], point: Mapping[str, float]) -> list[float]:
     """What each of `names` is multiplied by in the derivative, at values of the variables."""
-    own = {t.name: t for t in terms_of(model) if t.derivative == derivative}
-    return [1.0 if n == derivative else own[n].value(at, model.constants) if n in own else 0.0 for n in names]
+    term_by_name = {t.name: t for t in terms_of(model) if t.derivative == derivative}
+    return [
+        1.0 if n == derivative else term_by_name[n].value(point, model.constants) if n in term_by_name else 0.0
+        for n in names
+    ]

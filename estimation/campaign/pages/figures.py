@@ -4,18 +4,17 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import label_in
 from estimation.campaign.pages.points import EstimatePoints, faired
 from estimation.campaign.tasks import Row
-from estimation.report.drawing.figures import Picture, picture, styled
+from estimation.report.drawing.figures import Picture, legend_above, panels, picture, styled
 from estimation.report.names import tex
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-Array = NDArray[np.float64]
 
 PANELS = 3  # beside each other
 FEWEST_FOR_TRENDS = 5  # flights: below, a trend over conditions is anybody's guess
@@ -40,21 +39,21 @@ SURFACES: Mapping[str, tuple[str, str, float]] = {
 
 def looks_of(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Group -> colour and marker, the same in every figure."""
-    every = sorted(set(labels))
-    return {g: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, g in enumerate(every)}
+    group_names = sorted(set(labels))
+    return {g: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, g in enumerate(group_names)}
 
 
 def scatter_figure(method: str, points: Sequence[EstimatePoints], groups: Sequence[Row]) -> Picture:
     """The paper's Figure 8 over many flights: estimates in order of date, pooled value and its 95 % as a band, the prior."""
     looks = looks_of([g for p in points for g in p.groups])
     with styled():
-        figure, axes = _grid(len(points))
-        for axis, p in zip(axes, points, strict=False):
+        figure, axes = panels(len(points), PANELS, 2.1, 0.6)
+        for axis, p in zip(axes, points, strict=True):
             _draw(axis, p, p.order, looks)
             for r in groups:
                 if r["kind"] == "pooled" and (r["method"], r["parameter"]) == (method, p.parameter):
                     _band(axis, p, r, looks.get(r["group"], (JOINT, ""))[0])
-        _legend(figure, axes[: len(points)])
+        legend_above(figure, axes, 3)
     caption = (
         f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value, "
         "on each side of a step in time that moved it; dashes: what was believed before."
@@ -70,12 +69,12 @@ def trend_figures(method: str, points: Sequence[EstimatePoints], database: Seque
         if not any(_changes(p, condition) for p in points):
             continue
         with styled():
-            figure, axes = _grid(len(points))
-            for axis, p in zip(axes, points, strict=False):
+            figure, axes = panels(len(points), PANELS, 2.1, 0.6)
+            for axis, p in zip(axes, points, strict=True):
                 _draw(axis, p, factor * p.conditions[condition], looks)
-                every = faired(database, "pooled", method, p.parameter, condition)
-                newest = dict(every)
-                for group, c in every:
+                group_curves = faired(database, "pooled", method, p.parameter, condition)
+                newest = dict(group_curves)
+                for group, c in group_curves:
                     colour = looks.get(group, (JOINT, ""))[0]
                     axis.plot(factor * c.x, c.value, color=colour, lw=1.2, ls="-" if newest[group] is c else ":")
                     axis.fill_between(factor * c.x, c.low, c.high, color=colour, alpha=0.25, lw=0)
@@ -83,7 +82,7 @@ def trend_figures(method: str, points: Sequence[EstimatePoints], database: Seque
                     axis.plot(factor * c.x, c.value, color=JOINT, lw=1.2, ls="-.", label="joint model")
                     axis.fill_between(factor * c.x, c.low, c.high, color=JOINT, alpha=0.2, lw=0)
                 axis.set_xlabel(f"{title} [{unit}]")
-            _legend(figure, axes[: len(points)])
+            legend_above(figure, axes, 3)
         caption = (
             f"Estimates by {method} over {title}, with corrected bounds; lines: the faired curves of the database with 95 %, "
             "where anybody flew, dotted those of flights before a step in time that moved the parameter; dashes: what was "
@@ -107,20 +106,14 @@ def bounds_figure(method: str, groups: Sequence[Row]) -> Picture | None:
         figure = Figure(figsize=(max(6.4, 0.45 * len(names) + 2.0), 3.2), layout="constrained")
         axis = figure.subplots()
         for group, (colour, marker) in looks.items():
-            mine = [r for r in rows if r["group"] == group]
-            axis.plot(
-                [names.index(r["parameter"]) for r in mine],
-                [r["ratio"] for r in mine],
-                marker,
-                ms=5,
-                color=colour,
-                label=group,
-            )
+            group_rows = [r for r in rows if r["group"] == group]
+            places, ratios = [names.index(r["parameter"]) for r in group_rows], [r["ratio"] for r in group_rows]
+            axis.plot(places, ratios, marker, ms=5, color=colour, label=group)
         axis.axhline(1.0, color="#888888", lw=0.8)
         axis.set_yscale("log")
         axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names])
         axis.set_ylabel("scatter / bound")
-        _legend(figure, [axis])
+        legend_above(figure, [axis], 3)
     caption = (
         f"Scatter of the flights' estimates by {method} over their corrected bounds; 1: the bounds are what happens."
     )
@@ -137,23 +130,23 @@ def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
     columns = list(dict.fromkeys(("sha256", *pairs, *ranges, *keys)))
     rows = results.filter(pc.equal(results["kind"], "run")).select(columns).to_pylist()
     rows = list({r["sha256"]: r for r in rows if r["sha256"]}.values())  # a flight once, by however many methods
-    shown = [pair for pair in COVERAGE if any(r[pair[0]] is not None and r[pair[1]] is not None for r in rows)]
-    if not shown:
+    shown_pairs = [pair for pair in COVERAGE if any(r[pair[0]] is not None and r[pair[1]] is not None for r in rows)]
+    if not shown_pairs:
         return None
-    looks = looks_of([label_of({k: r[k] or "" for k in keys}) for r in rows])
+    labels = [label_in(r, keys) for r in rows]
+    looks = looks_of(labels)
     with styled():
-        figure, axes = _grid(len(shown), across=2, high=3.0)
-        for axis, (across, up) in zip(axes, shown, strict=False):
+        figure, axes = panels(len(shown_pairs), 2, 3.0, 0.6)
+        for axis, (across, vertical) in zip(axes, shown_pairs, strict=True):
             for label, look in looks.items():
-                mine = [r for r in rows if label_of({k: r[k] or "" for k in keys}) == label]
-                _cross(
-                    axis, [r for r in mine if r[across] is not None and r[up] is not None], (across, up), label, look
-                )
+                group_rows = [r for r, of_group in zip(rows, labels, strict=True) if of_group == label]
+                measured_rows = [r for r in group_rows if r[across] is not None and r[vertical] is not None]
+                _cross(axis, measured_rows, (across, vertical), label, look)
             axis.set_xlabel("{} [{}]".format(*titles[across]))
-            axis.set_ylabel("{} [{}]".format(*titles[up]))
-        _legend(figure, axes[: len(shown)])
+            axis.set_ylabel("{} [{}]".format(*titles[vertical]))
+        legend_above(figure, axes, 3)
     return picture(
-        figure, "envelope", "Envelope flown: a point a flight, with its range.", WEIGHT * len(rows) * len(shown)
+        figure, "envelope", "Envelope flown: a point a flight, with its range.", WEIGHT * len(rows) * len(shown_pairs)
     )
 
 
@@ -166,8 +159,8 @@ def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, lo
     spans = []
     for n, f, v in zip(pair, factors, values, strict=True):
         ends = [[r.get(f"{n}_{end}") for r in rows] for end in ("min", "max")]
-        known = rows and all(e is not None for side in ends for e in side)
-        spans.append(np.abs(f * np.array(ends, float) - v) if known else None)
+        ranges_known = rows and all(e is not None for side in ends for e in side)
+        spans.append(np.abs(f * np.array(ends, float) - v) if ranges_known else None)
     colour, marker = look
     axis.errorbar(*values, spans[1], spans[0], fmt=marker, ms=3.5, lw=0.4, alpha=0.6, color=colour, label=label)
 
@@ -178,47 +171,31 @@ def _band(axis: Any, p: EstimatePoints, pooled: Row, colour: str) -> None:
     if not pooled.get("since"):
         axis.axhspan(pooled["low"], pooled["high"], **look)
         return
-    held = [pooled["since"] <= date <= pooled["until"] for date in p.dates]
-    mine = p.order[np.array(held) & (np.array(p.groups) == pooled["group"])]
-    if mine.size:
-        axis.fill_between([mine.min() - 0.5, mine.max() + 0.5], pooled["low"], pooled["high"], **look)
+    in_period = [pooled["since"] <= date <= pooled["until"] for date in p.dates]
+    places = p.order[np.array(in_period) & (np.array(p.groups) == pooled["group"])]
+    if places.size:
+        axis.fill_between([places.min() - 0.5, places.max() + 0.5], pooled["low"], pooled["high"], **look)
 
 
 def _changes(p: EstimatePoints, condition: str) -> bool:
-    known = p.conditions[condition][np.isfinite(p.conditions[condition])]
-    return known.size >= FEWEST_FOR_TRENDS and float(np.ptp(known)) > 0.0
-
-
-def _grid(count: int, across: int = PANELS, high: float = 2.1) -> tuple[Any, list[Any]]:
-    from matplotlib.figure import Figure
-
-    rows = -(-count // across)
-    figure = Figure(figsize=(11.6, high * rows + 0.6), layout="constrained")
-    axes = figure.subplots(rows, across, squeeze=False).ravel().tolist()
-    for spare in axes[count:]:
-        spare.set_visible(False)
-    return figure, axes
+    measured_values = p.conditions[condition][np.isfinite(p.conditions[condition])]
+    return measured_values.size >= FEWEST_FOR_TRENDS and float(np.ptp(measured_values)) > 0.0
 
 
 def _draw(axis: Any, p: EstimatePoints, x: Array, looks: Mapping[str, tuple[str, str]]) -> None:
     """Estimates with corrected bounds, a symbol a group; the axis holds the middle nine tenths and what is near."""
     for label, (colour, marker) in looks.items():
-        mine = np.array([g == label for g in p.groups]) & np.isfinite(x)
-        if mine.any():
-            axis.errorbar(x[mine], p.y[mine], p.std[mine], fmt=marker, ms=2.8, lw=0.7, color=colour, label=label)
+        in_group = np.array([g == label for g in p.groups]) & np.isfinite(x)
+        if in_group.any():
+            axis.errorbar(
+                x[in_group], p.y[in_group], p.std[in_group], fmt=marker, ms=2.8, lw=0.7, color=colour, label=label
+            )
     if p.prior is not None:
         axis.axhline(p.prior, color="#888888", lw=0.9, ls="--")
     low, high = np.quantile(p.y, [0.05, 0.95])
     room = max(float(high - low), float(np.median(p.std)) * 2.0)
     axis.set_ylim(low - room, high + room)
     axis.set_ylabel(f"${tex(p.parameter)}$")
-
-
-def _legend(figure: Any, axes: Sequence[Any]) -> None:
-    """Each symbol of any panel once."""
-    found = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    if found:
-        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=3)
 
 
 def _name(method: str) -> str:

@@ -2,15 +2,17 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from markupsafe import Markup
 
 from daq.contract.constants import RADIAN
 from daq.contract.plain_words import file_name
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import label_in
 from estimation.campaign.tasks import Row
-from estimation.report.markup.html import write_page
+from estimation.report.page import Page, Section, box, breakable, bullets, free_table, paragraph
 from estimation.report.tables import ReportTable, number, significant
 
 if TYPE_CHECKING:
@@ -31,43 +33,29 @@ SHOWN: Mapping[str, tuple[str, float]] = {
 """Conditions on a flight's page: unit and factor to it."""
 
 
-@dataclass(frozen=True)
-class FlightListEntry:
-    """A line of the list of flights. page: relative to the campaign's page, or empty."""
-
-    flight: str
-    page: str
-    date: str
-    group: str
-    status: str
-    speed: str
-    alpha: str
-    sentences: int
-
-
-def write_flight_pages(
-    results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path
-) -> list[FlightListEntry]:
-    """Pages in folder/flights and the list of all flights, in order of date and name."""
+def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path) -> Markup:
+    """Pages in folder/flights; gives the table of all flights with links to them, in order of date and name."""
     flights = _by_flight(results)
-    said = _sentences(groups)
+    sentences_by_flight = _sentences(groups)
     pooled = [r for r in groups if r["kind"] == "pooled"]
     pages = folder / FOLDER
     for old in pages.glob("*.html"):
         old.unlink()
-    entries = []
+    lines = []
     for rows in sorted(flights.values(), key=lambda rows: (rows[0]["date"] or "", rows[0]["flight"])):
         first = next((r for r in rows if r["kind"] == "run" and r["V"] is not None), rows[0])
-        words = said.get(first["flight"], [])
+        words = sentences_by_flight.get(first["flight"], [])
         troubled = bool(words) or any(r["kind"] == "run" and r["status"] != "ok" for r in rows)
         page = _page_name(first) if len(flights) <= MOST_PAGES or troubled else ""
         if page:
-            _write(pages / page, rows, first, words, _beside(pooled, first["date"] or ""), keys)
-        entries.append(_entry(first, rows, page, len(words), keys))
-    return entries
+            _write(pages / page, rows, first, words, _pooled_beside(pooled, first["date"] or ""), keys)
+        lines.append(_flight_line(first, rows, page, len(words), keys))
+    heads = ("flight", "group", "date", "V [m/s]", "alpha [deg]", "status", "sentences")
+    kinds = {"group": "text", "status": "word"}
+    return free_table([(kinds.get(head, ""), head) for head in heads], lines, "short", "Every flight, with its page")
 
 
-def _beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
+def _pooled_beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
     """Group, method, parameter -> the pooled value that a flight of a date is held against: that of its side of a step."""
     return {
         (r["group"], r["method"], r["parameter"]): r
@@ -78,27 +66,23 @@ def _beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]
 
 def _by_flight(results: "pa.Table") -> dict[str, list[Row]]:
     """Location of a flight -> its rows."""
+    import pyarrow as pa
     import pyarrow.compute as pc
 
-    own = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], _kinds())))
+    kinds = pa.array(["run", "estimate", "fit", "check", "match"])
+    flight_rows = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], kinds)))
     flights: dict[str, list[Row]] = {}
-    for row in own.drop_columns(["covariance"]).to_pylist():
+    for row in flight_rows.drop_columns(["covariance"]).to_pylist():
         flights.setdefault(f"{row['source']} {row['sha256']}", []).append(row)
     return flights
 
 
-def _kinds() -> "pa.Array":
-    import pyarrow as pa
-
-    return pa.array(["run", "estimate", "fit", "check", "match"])
-
-
 def _sentences(groups: Sequence[Row]) -> dict[str, list[str]]:
-    said: dict[str, list[str]] = {}
+    sentences_by_flight: dict[str, list[str]] = {}
     for r in groups:
         if r.get("flight"):
-            said.setdefault(r["flight"], []).append(r["text"])
-    return said
+            sentences_by_flight.setdefault(r["flight"], []).append(r["text"])
+    return sentences_by_flight
 
 
 def _page_name(row: Row) -> str:
@@ -107,22 +91,17 @@ def _page_name(row: Row) -> str:
     return f"{file_name(row['flight'])[:60]}-{digest}.html"
 
 
-def _group(row: Row, keys: Sequence[str]) -> str:
-    return label_of({k: row[k] or "" for k in keys})
-
-
-def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]) -> FlightListEntry:
-    status = sorted({r["status"] for r in rows if r["kind"] == "run"})
-    return FlightListEntry(
-        first["flight"],
-        f"{FOLDER}/{page}" if page else "",
-        (first["date"] or "")[:16],
-        _group(first, keys),
-        ", ".join(status),
-        number(first["V"], 1),
-        number(None if first["alpha"] is None else RADIAN * first["alpha"], 1),
-        sentences,
-    )
+def _flight_line(
+    first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Cells of a flight, each with its class. page: its file, empty for none."""
+    link = Markup('<a href="{}/{}">{}</a>').format(FOLDER, quote(page), first["flight"]) if page else first["flight"]
+    alpha = None if first["alpha"] is None else RADIAN * first["alpha"]
+    numbers = [("", number(first["V"], 1)), ("", number(alpha, 1))]
+    status = ", ".join(sorted({r["status"] for r in rows if r["kind"] == "run"}))
+    count = ("" if sentences else "none", str(sentences or ""))
+    group = ("text", breakable(label_in(first, keys)))
+    return [("", link), group, ("", (first["date"] or "")[:16]), *numbers, ("word", status), count]
 
 
 def _write(
@@ -133,7 +112,7 @@ def _write(
     pooled: Mapping[tuple[str, str, str], Row],
     keys: Sequence[str],
 ) -> None:
-    group = _group(first, keys)
+    group = label_in(first, keys)
     conditions = tuple(
         (name, number(factor * first[name], 3), unit)
         for name, (unit, factor) in SHOWN.items()
@@ -148,19 +127,23 @@ def _write(
         tables.append(_estimates(method, [r for r in rows if r["method"] == method], group, pooled))
     tables += [_fits(kind, rows) for kind in ("fit", "match") if any(r["kind"] == kind for r in rows)]
     runs = [r for r in rows if r["kind"] == "run"]
-    write_page(
-        path,
-        "campaign_flight.html.j2",
-        title=first["flight"],
-        lead=f"{group}; {first['date'] or 'no date'}; {first['source']}",
-        back='<a href="../index.html">&larr; Campaign</a>',
-        words=list(dict.fromkeys([*words, *(r["why"] for r in runs if r["why"])])),
-        status=", ".join(dict.fromkeys(f"{r['method']}: {r['status']}" for r in runs)),
-        sound=all(r["status"] == "ok" for r in runs) and not words,
-        tables=tables,
-        source=first["source"],
-        sha256=first["sha256"] or "",
+    sentences = list(dict.fromkeys([*words, *(r["why"] for r in runs if r["why"])]))
+    unremarkable = all(r["status"] == "ok" for r in runs) and not words
+    status = paragraph(", ".join(dict.fromkeys(f"{r['method']}: {r['status']}" for r in runs)))
+    head = box(
+        [status, *([bullets(breakable(text) for text in sentences)] if sentences else [])], warn=not unremarkable
     )
+    digest = first["sha256"] or ""
+    note = Markup(
+        "Histories and residuals: <code>sideslip estimate {} --report DIR</code>."
+        ' SHA-256 <code class="breaks">{}<wbr>{}</code>'
+    ).format(breakable(first["source"]), digest[:32], digest[32:])
+    Page(
+        first["flight"],
+        f"{group}; {first['date'] or 'no date'}; {first['source']}",
+        [Section("", "", [head, *tables, paragraph(note, "note")])],
+        back='<a href="../index.html">&larr; Campaign</a>',
+    ).write(path)
 
 
 def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> ReportTable:
@@ -169,17 +152,17 @@ def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tup
     for r in rows:
         if r["kind"] not in ("estimate", "check"):
             continue
-        whole = pooled.get((group, method, r["parameter"]), {})
-        told = r["identifiable"] and r["estimate"] is not None and r["std_coloured"]
-        off = (r["estimate"] - whole["estimate"]) / r["std_coloured"] if told and whole else None
+        pooled_row = pooled.get((group, method, r["parameter"]), {})
+        identifiable = r["identifiable"] and r["estimate"] is not None and r["std_coloured"]
+        distance = (r["estimate"] - pooled_row["estimate"]) / r["std_coloured"] if identifiable and pooled_row else None
         cells.append(
             (
                 r["parameter"],
                 number(r["estimate"]),
                 significant(r["std_coloured"], 2),
-                number(whole.get("estimate")),
-                number(off, 1),
-                "" if told else "cannot tell",
+                number(pooled_row.get("estimate")),
+                number(distance, 1),
+                "" if identifiable else "cannot tell",
             )
         )
     head = ("parameter", "estimate", "corrected bound", "pooled", "bounds apart", "")

@@ -1,47 +1,168 @@
 """The page of a campaign: what was found, every flight, trends, envelope, residuals, failures, and a page of each flight."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from estimation.campaign.claims import told
+from markupsafe import Markup
+
+from estimation.campaign.groups import claims_of
 from estimation.campaign.pages.figures import bounds_figure, envelope_figure, scatter_figure, trend_figures
 from estimation.campaign.pages.flights import write_flight_pages
 from estimation.campaign.pages.points import points_of
-from estimation.campaign.pages.tables import failed_table, pooled_table, power_table, step_table, worst_table
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.run import CampaignOutcome
-from estimation.report.markup.html import write_page
-from estimation.report.tables import write_all
+from estimation.campaign.tasks import Row
+from estimation.report.page import Page, Part, Section, box, breakable, bullets, coloured, paragraph
+from estimation.report.tables import ReportTable, number, significant
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 SHOWN = 60  # sentences: the tables hold all
 
 
 def write_campaign_page(outcome: CampaignOutcome, plan: CampaignPlan, folder: Path) -> Path:
     """Write folder/index.html with everything inside, its tables as CSV and LaTeX in folder/tables, and folder/flights."""
-    said = [r["text"] for r in told(outcome.groups)]
-    pooled = [t for method in plan.methods if (t := pooled_table(outcome.groups, method)) is not None]
-    power, steps = power_table(outcome.groups), step_table(outcome.groups)
-    worst, failures = worst_table(outcome.results), failed_table(outcome.failed)
-    write_all([*pooled, worst, failures, *(t for t in (power, steps) if t is not None)], folder / "tables")
+    claims = [r["text"] for r in claims_of(outcome.groups)]
+    failures = failed_table(outcome.failed)
     flights = write_flight_pages(outcome.results, outcome.groups, plan.groups, folder)
-    points = {method: points_of(outcome.results, method, plan.groups) for method in plan.methods}
-    bounds = [f for method in plan.methods if (f := bounds_figure(method, outcome.groups)) is not None]
-    context: dict[str, Any] = {
-        "list": flights,
-        "flights": outcome.flights,
-        "done": outcome.done,
-        "failed": outcome.failed,
-        "failures": failures,
-        "said": said[:SHOWN],
-        "more": max(0, len(said) - SHOWN),
-        "power": power,
-        "steps": steps,
-        "pooled": pooled,
-        "worst": worst,
-        "bounds": bounds,
-        "scatter": [scatter_figure(method, p, outcome.groups) for method, p in points.items() if p],
-        "trends": [f for method, p in points.items() if p for f in trend_figures(method, p, outcome.database)],
-        "envelope": envelope_figure(outcome.results, plan.groups),
+    points = {
+        m: estimate_points for m in plan.methods if (estimate_points := points_of(outcome.results, m, plan.groups))
     }
+    envelope = envelope_figure(outcome.results, plan.groups)
+    pooled = [pooled_table(outcome.groups, method) for method in plan.methods]
+    bounds = [bounds_figure(method, outcome.groups) for method in plan.methods]
+    trends = [
+        f
+        for method, estimate_points in points.items()
+        for f in trend_figures(method, estimate_points, outcome.database)
+    ]
+    scatter = [scatter_figure(method, estimate_points, outcome.groups) for method, estimate_points in points.items()]
+    sections = [
+        Section("", "", [_status_box(outcome)]),
+        Section("found", "Found", _found_parts(claims, outcome.groups), "Found"),
+        Section("pooled", "Pooled estimates", [*pooled, *bounds], "Pooled"),
+        Section("scatter", "Every flight", scatter, "Scatter"),
+        Section("trends", "Trends over conditions", trends, "Trends"),
+        Section(
+            "envelope",
+            "Envelope flown",
+            [envelope or paragraph("Angle of attack or airspeed was not measured.")],
+            "Envelope",
+        ),
+        Section("worst", "Worst residuals", [worst_table(outcome.results)], "Residuals"),
+        Section(
+            "failed",
+            "Flights without a usable estimate",
+            [failures if outcome.failed else paragraph("None.")],
+            "Failed",
+        ),
+        Section("flights", "Flights", [flights], "Flights"),
+    ]
     lead = f"Model {plan.model}; methods: {', '.join(plan.methods)}; groups by {', '.join(plan.groups) or 'nothing'}."
-    return write_page(folder / "index.html", "campaign.html.j2", title="Campaign", lead=lead, **context)
+    return Page("Campaign", lead, sections, beside=[failures]).write(folder / "index.html", folder / "tables")
+
+
+def _status_box(outcome: CampaignOutcome) -> Markup:
+    missing = ", " + coloured(f"{len(outcome.failed)} not", "fail") if outcome.failed else Markup()
+    counts = Markup("{} flights: {}{}.").format(outcome.flights, coloured(f"{outcome.done} estimated", "ok"), missing)
+    return box([paragraph(counts)], warn=bool(outcome.failed))
+
+
+def _found_parts(claims: Sequence[str], groups: Sequence[Row]) -> list[Part]:
+    """What a person must read first, and what could have been found."""
+    parts: list[Part] = [paragraph("No outlier, no step in time and no difference between groups was found.")]
+    if claims:
+        parts = [bullets(breakable(text) for text in claims[:SHOWN])]
+    if len(claims) > SHOWN:
+        parts.append(paragraph(f"{len(claims) - SHOWN} more in groups/groups.parquet.", "note"))
+    power = power_table(groups)
+    return [*parts, step_table(groups), paragraph("What could have been found:") if power else None, power]
+
+
+WORST = 20  # channels
+
+
+def pooled_table(groups: Sequence[Row], method: str) -> ReportTable | None:
+    rows = [r for r in groups if r["kind"] == "pooled" and r["method"] == method]
+    cells = tuple(
+        (
+            r["parameter"],
+            r["group"] + (f", {r['since'][:10]} to {r['until'][:10]}" if r.get("since") else ""),
+            str(r["flights"]),
+            number(r["estimate"]),
+            *(significant(r[name], 2) for name in ("std", "between", "scatter", "bound", "ratio")),
+        )
+        for r in sorted(rows, key=lambda r: (r["parameter"], r["group"], r.get("since") or ""))
+    )
+    head = (
+        "parameter",
+        "group",
+        "flights",
+        "estimate",
+        "std",
+        "between flights",
+        "scatter",
+        "bound",
+        "scatter / bound",
+    )
+    note = (
+        "std: of the pooled estimate; between flights: standard deviation beyond the flights' own bounds (REML); "
+        "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1. "
+        "What a step in time moved is pooled on each side by itself, from date to date."
+    )
+    name, caption = f"pooled_{method.replace(':', '_')}", f"Pooled over flights, {method}"
+    return ReportTable(name, caption, head, cells, note=note) if cells else None
+
+
+def power_table(groups: Sequence[Row]) -> ReportTable | None:
+    rows = [r for r in groups if r["kind"] == "difference"]
+    cells = tuple(
+        (
+            r["parameter"],
+            r["method"],
+            f"{r['other']} less {r['group']}",
+            number(r["estimate"]),
+            *(significant(r[name], 2) for name in ("std", "probability", "detectable", "power")),
+        )
+        for r in sorted(rows, key=lambda r: r["probability"])
+    )
+    head = ("parameter", "method", "groups", "difference", "std", "probability", "detectable", "power for 5 %")
+    note = "Probability heeds the number of parameters compared; detectable: the least difference found four times in five."
+    return ReportTable("differences", "Differences between groups", head, cells, note=note) if cells else None
+
+
+def worst_table(results: "pa.Table") -> ReportTable:
+    import pyarrow.compute as pc
+
+    fits = results.filter(pc.and_(pc.equal(results["kind"], "fit"), pc.is_valid(results["r2"])))
+    rows = fits.sort_by([("r2", "ascending"), ("flight", "ascending"), ("parameter", "ascending")]).slice(0, WORST)
+    cells = tuple(
+        (str(r["flight"]), r["method"], r["parameter"], number(r["r2"], 3), significant(r["rms"]), r["status"])
+        for r in rows.to_pylist()
+    )
+    head = ("flight", "method", "channel", "r²", "rms [SI]", "status")
+    return ReportTable("worst", f"The {WORST} channels that the model explains least", head, cells, symbols=False)
+
+
+def step_table(groups: Sequence[Row]) -> ReportTable | None:
+    """Every parameter that a step in time moved."""
+    rows = [r for r in groups if r["kind"] == "step" and r.get("parameter")]
+    cells = tuple(
+        (
+            *(r[name] for name in ("parameter", "method", "group", "at", "flight")),
+            number(r["estimate"]),
+            *(significant(r[name], 2) for name in ("std", "probability")),
+        )
+        for r in sorted(rows, key=lambda r: (r["at"], r["group"], r["parameter"]))
+    )
+    head = ("parameter", "method", "group", "from", "first flight", "change", "std", "probability")
+    note = "Probability: of a step as clear as this by chance, in all parameters together and over all dates."
+    return ReportTable("steps", "Steps in time", head, cells, note=note) if cells else None
+
+
+def failed_table(failed: Mapping[str, str]) -> ReportTable:
+    """A sentence on each flight without a usable estimate."""
+    title = "Flights without a usable estimate"
+    return ReportTable("failed", title, ("flight", "why"), tuple(failed.items()), symbols=False, texts=(0, 1))

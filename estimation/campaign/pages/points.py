@@ -5,16 +5,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.campaign.aerodynamics.forms import CONDITIONS
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import label_in
+from estimation.campaign.schema import usable_estimates
 from estimation.campaign.tasks import Row
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -44,26 +43,24 @@ class Faired:
 
 def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[EstimatePoints]:
     """Usable estimates by parameter, in order of date and name."""
-    import pyarrow.compute as pc
-
-    keep = pc.and_(pc.equal(results["kind"], "estimate"), pc.equal(results["method"], method))
-    own = ("flight", "date", "key", "parameter", "estimate", "std_coloured", "identifiable", "reference")
-    sound = results.filter(pc.and_(keep, pc.equal(results["status"], "ok")))
-    rows = sound.select(list(dict.fromkeys((*own, *CONDITIONS, *keys)))).to_pylist()
-    rows = [r for r in rows if r["identifiable"] and r["estimate"] is not None and r["std_coloured"]]
+    columns = ("reference", *CONDITIONS, *keys)
+    rows = [r for r in usable_estimates(results, ("estimate",), columns) if r["method"] == method]
     flights = sorted({(r["date"] or "", r["flight"], r["key"]) for r in rows})
     place = {key: i for i, (_, _, key) in enumerate(flights)}
     by_name: dict[str, list[Row]] = {}
     for r in rows:
         by_name.setdefault(r["parameter"], []).append(r)
-    return [_points(name, sorted(own, key=lambda r: place[r["key"]]), place, keys) for name, own in by_name.items()]
+    return [
+        _points(name, sorted(parameter_rows, key=lambda r: place[r["key"]]), place, keys)
+        for name, parameter_rows in by_name.items()
+    ]
 
 
 def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequence[str]) -> EstimatePoints:
     def column(key: str) -> Array:
         return np.array([np.nan if r[key] is None else r[key] for r in rows], float)
 
-    groups = tuple(label_of({k: r[k] or "" for k in keys}) for r in rows)
+    groups = tuple(label_in(r, keys) for r in rows)
     order = np.array([place[r["key"]] for r in rows], float)
     priors = {r["reference"] for r in rows} - {None}
     prior = priors.pop() if len(priors) == 1 else None
@@ -74,15 +71,12 @@ def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequ
 
 def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> list[tuple[str, Faired]]:
     """(group, its curve along a condition), one for each side of a step in time, the last side last."""
-    mine: dict[tuple[str, str], list[Row]] = {}
+    rows_by_side: dict[tuple[str, str], list[Row]] = {}
     for r in database:
         if (r["kind"], r["method"], r["parameter"], r["along"]) == (kind, method, parameter, along):
-            mine.setdefault((r["group"], r.get("since") or ""), []).append(r)
-    return [(group, _faired(rows, along)) for (group, _), rows in sorted(mine.items())]
-
-
-def _faired(rows: Sequence[Row], along: str) -> Faired:
-    def column(key: str) -> Array:
-        return np.array([r.get(key, np.nan) for r in rows], float)
-
-    return Faired(column(along), column("estimate"), column("low"), column("high"))
+            rows_by_side.setdefault((r["group"], r.get("since") or ""), []).append(r)
+    curves = []
+    for (group, _), rows in sorted(rows_by_side.items()):
+        columns = (np.array([r.get(n, np.nan) for r in rows], float) for n in (along, "estimate", "low", "high"))
+        curves.append((group, Faired(*columns)))
+    return curves

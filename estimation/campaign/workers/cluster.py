@@ -11,10 +11,9 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from estimation.campaign.errors import CampaignError
-from estimation.campaign.tasks import Finished, Row, Work
-from estimation.campaign.workers.limits import ended_after, overdue_text
-from estimation.campaign.workers.work import OtherSoftwareError, do, failed
+from estimation.campaign.tasks import CampaignError, Finished, Row, Work
+from estimation.campaign.workers.in_process import ended_after, overdue_text
+from estimation.campaign.workers.work import OtherSoftwareError, do_work, failed_rows
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -68,8 +67,8 @@ class Cluster:
             ) from error
         if self._address:
             self.client = self._held.enter_context(_connected(Client, self._address))
-            shown = self._with_dashboard and "dashboard" in self.client.scheduler_info(n_workers=0)["services"]
-            self.dashboard = self.client.dashboard_link if shown else ""
+            has_dashboard = self._with_dashboard and "dashboard" in self.client.scheduler_info(n_workers=0)["services"]
+            self.dashboard = self.client.dashboard_link if has_dashboard else ""
         while not self._address:
             self._starts += 1
             try:
@@ -109,38 +108,38 @@ class Cluster:
         """Finished work in the order in which it ends; None about every second in which none did."""
         condemned: list[Work] = []
         yield from self._window(works, IN_FLIGHT, "", condemned)
-        alone: list[Work] = []
+        condemned_twice: list[Work] = []
         for work in condemned:
-            yield from self._window(iter([work]), 1, "-alone", alone)
-        for work in alone:
-            yield Finished(work, failed(work, _condemned_text(work)), attempts=4)
+            yield from self._window(iter([work]), 1, "-alone", condemned_twice)
+        for work in condemned_twice:
+            yield Finished(work, failed_rows(work, _condemned_text(work)), attempts=4)
 
     def _window(
         self, works: Iterator[Work], most: int, suffix: str, condemned: list[Work]
     ) -> Iterator[Finished | None]:
         """Keep up to `most` pieces a worker in flight until all have ended; what kills workers goes to `condemned`."""
-        waiting: dict[Future, Work] = {}
+        futures: dict[Future, Work] = {}
         attempts = 3 if suffix else 1
         while True:
-            while len(waiting) < (most * self.workers if most > 1 else 1):
+            while len(futures) < (most * self.workers if most > 1 else 1):
                 work = next(works, None)
                 if work is None:
                     break
-                waiting[self._submit(work, suffix)] = work
-            if not waiting:
+                futures[self._submit(work, suffix)] = work
+            if not futures:
                 return
-            ended = self._ended(waiting)
-            for future in ended:
-                work = waiting.pop(future)
+            ended_futures = self._ended(futures)
+            for future in ended_futures:
+                work = futures.pop(future)
                 rows = self._rows(future, work)
                 if rows is None:
                     condemned.append(work)
                 else:
                     yield Finished(work, rows, attempts)
-            if not ended:
+            if not ended_futures:
                 if self._lost():
                     self._reopen()
-                    waiting = {self._submit(work, suffix): work for work in waiting.values()}
+                    futures = {self._submit(work, suffix): work for work in futures.values()}
                 yield None
 
     def _submit(self, work: Work, suffix: str) -> "Future":
@@ -152,10 +151,10 @@ class Cluster:
         from distributed import wait
 
         try:
-            done = list(wait(list(waiting), timeout=TICK_S, return_when="FIRST_COMPLETED").done)
+            ended_futures = list(wait(list(waiting), timeout=TICK_S, return_when="FIRST_COMPLETED").done)
         except TimeoutError:
-            done = []
-        return done + [f for f, w in waiting.items() if w.identity in self._overdue and f not in done]
+            ended_futures = []
+        return ended_futures + [f for f, w in waiting.items() if w.identity in self._overdue and f not in ended_futures]
 
     def _rows(self, future: "Future", work: Work) -> list[Row] | None:
         """Rows of an ended piece; None where it was on a worker that died once too often."""
@@ -163,7 +162,7 @@ class Cluster:
 
         if work.identity in self._overdue and not future.done():
             future.cancel(force=True)
-            return failed(work, overdue_text(work.name, work.limit_s))
+            return failed_rows(work, overdue_text(work.name, work.limit_s))
         if future.status == "finished":
             rows: list[Row] = future.result()
             return rows
@@ -174,7 +173,7 @@ class Cluster:
             raise error
         if isinstance(error, KilledWorker):
             return None
-        return failed(work, f"{work.name}: {type(error).__name__}: {error}; the engine could not run it")
+        return failed_rows(work, f"{work.name}: {type(error).__name__}: {error}; the engine could not run it")
 
     def _lost(self) -> bool:
         """Whether there has been no scheduler, or no worker, for LOST_S."""
@@ -211,7 +210,7 @@ def watched(work: Work) -> list[Row]:
 
     worker = get_worker()
     with ended_after(work.limit_s, lambda: worker.log_event(OVERDUE, work.identity)):
-        return do(work)
+        return do_work(work)
 
 
 def _connected(client: "type[Client]", address: str) -> "Client":

@@ -5,30 +5,23 @@ sentence, never the end of the campaign.
 """
 
 import json
-import tempfile
 import time
-import tomllib
-from collections.abc import Iterator, Mapping
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.campaign.conditions import measured
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import versions
-from estimation.campaign.tasks import FlightSource, Row, Subject, Work
+from estimation.campaign.tasks import Row, Work
+from estimation.campaign.workers.subjects import CHECK, aircraft_of_subject, measured, model_of, read_subject
 from estimation.estimators.estimator import Extra, Extras
-from estimation.estimators.registry import find
-from estimation.estimators.result import Estimate, Result, finite
-from estimation.models import Model, load_model
+from estimation.estimators.registry import find_estimator
+from estimation.estimators.result import Result, finite_or_none
 from estimation.models.base import ParameterRole
-from estimation.resolve import which_aircraft
 from estimation.threads import one_thread
-from groundstation.flight import Flight, read_flight
+from groundstation.flight import Flight
 
-CHECK = "check"
+BOUNDS, FIT = ("estimate", "std", "std_coloured"), ("r2", "theil", "rms", "whiteness")
 FAILED, DOUBTFUL, OPEN, OK = "failed", "doubtful", "not converged", "ok"
 
 
@@ -36,21 +29,23 @@ class OtherSoftwareError(UserError):
     """A worker whose libraries are not those of the client: its numbers would be of another campaign."""
 
 
-def do(work: Work) -> list[Row]:
+def do_work(work: Work) -> list[Row]:
     """All rows of a piece of work. OtherSoftwareError where this process is not fit for it; nothing else is raised."""
     _refuse_other_software(work.versions)
     try:
         with one_thread():
             return list(_KINDS[work.kind](work))
     except UserError as error:
-        return failed(work, str(error))
+        return failed_rows(work, str(error))
     except Exception as error:  # noqa: BLE001  the edge of a worker: one flight is never the end of a campaign
-        return failed(work, f"{work.name}: {type(error).__name__}: {error}; a mistake of the program or of own code")
+        return failed_rows(
+            work, f"{work.name}: {type(error).__name__}: {error}; a mistake of the program or of own code"
+        )
 
 
-def failed(work: Work, why: str) -> list[Row]:
+def failed_rows(work: Work, why: str) -> list[Row]:
     """A row for each piece that says why it has no result."""
-    return [_run_row(work, piece, FAILED, why) for piece in work.pieces]
+    return [_row(work, piece, FAILED, why) for piece in work.pieces]
 
 
 def _refuse_other_software(wanted: Mapping[str, str]) -> None:
@@ -61,22 +56,23 @@ def _refuse_other_software(wanted: Mapping[str, str]) -> None:
             )
 
 
-def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
-    own = versions()
-    about: Row = {
+def _row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
+    """A row of results, by default of the run as a whole. more: columns, which go before those of every row."""
+    software_versions = versions()
+    columns: Row = {
         "kind": "run",
         "method": piece,
         "key": work.pieces[piece],
         "status": status,
         "why": why,
-        "software": json.dumps({k: v for k, v in own.items() if k != "code"}),
-        "code": own["code"],
+        "software": json.dumps({k: v for k, v in software_versions.items() if k != "code"}),
+        "code": software_versions["code"],
     }
     if work.kind in ("joint", "envelope"):
         own_text = {"model_text": "", "flights": len(work.subjects)} if work.kind == "envelope" else {}
-        return {**about, **own_text, "group": work.group, **more}
+        return {**columns, **own_text, "group": work.group, **more}
     source = work.subjects[0].source
-    return {**about, "flight": source.name, "source": source.location, "sha256": source.sha256, **more}
+    return {**columns, "flight": source.name, "source": source.location, "sha256": source.sha256, **more}
 
 
 # ------------------------------------------------------------------------------------------------ one flight
@@ -84,68 +80,54 @@ def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
 
 def _flight(work: Work) -> Iterator[Row]:
     subject = work.subjects[0]
-    whole = read_subject(subject)
-    craft = _aircraft(subject, whole, work)
-    parts = _parts(whole, work)
+    flight = read_subject(subject)
+    craft = aircraft_of_subject(subject, flight, work)
+    parts = _parts(flight, work)
     for number, part in enumerate(parts, start=1):
-        about: Row = {**measured(part), "aircraft": craft.name}
+        conditions: Row = {**measured(part), "aircraft": craft.name}
         if len(parts) > 1:
-            about["manoeuvre"] = str(number)
-        bad = _bad_quality(part) if work.quality else ""
+            conditions["manoeuvre"] = str(number)
+        quality_problem = _bad_quality(part) if work.quality else ""
         for piece in work.pieces:
-            if bad:
-                yield _run_row(work, piece, FAILED, bad, **about)
+            if quality_problem:
+                yield _row(work, piece, FAILED, quality_problem, **conditions)
             elif piece == CHECK:
-                yield from _checked(work, part, about)
+                yield from _checked(work, part, conditions)
             else:
-                yield from _estimated(work, piece, part, craft, about)
+                yield from _estimated(work, piece, part, craft, conditions)
 
 
 def _parts(flight: Flight, work: Work) -> list[Flight]:
-    from estimation.session.flights import separated
+    from estimation.prepare.stretches import flights_of_segments
 
-    return separated(flight) if work.each_segment else [flight]
+    return flights_of_segments(flight) if work.each_segment else [flight]
 
 
 def _bad_quality(flight: Flight) -> str:
     """What of the data is not usable at all, empty where nothing is."""
     from groundstation.flight.quality.report import quality_report
 
-    words = [f"{f.check}: {f.text}" for f in quality_report(flight) if f.verdict == "fail"]
+    words = [f"{f.kind}: {f.text}" for f in quality_report(flight) if f.severity == "fail"]
     return f"{flight.name}: {'; '.join(words)}" if words else ""
 
 
-def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
+def _checked(work: Work, flight: Flight, conditions: Row) -> Iterator[Row]:
     """Instrument factors by flight-path reconstruction."""
     from estimation.compatibility.reconstruction import compatibility
 
     begin = time.thread_time()
     try:
-        found = compatibility(flight)
+        check_result = compatibility(flight)
     except UserError as error:
-        yield _run_row(work, CHECK, FAILED, str(error), **about)
+        yield _row(work, CHECK, FAILED, str(error), **conditions)
         return
-    status = OK if found.converged else OPEN
-    yield _run_row(
-        work,
-        CHECK,
-        status,
-        "" if found.converged else found.text,
-        iterations=found.iterations,
-        cpu=time.thread_time() - begin,
-        **about,
-    )
-    for place, (name, factor) in enumerate(found.factors.items()):
-        numbers = {n: finite(getattr(factor, n)) for n in ("estimate", "std", "std_coloured")}
-        row = _run_row(work, CHECK, status, factor.why, **about)
-        yield {
-            **row,
-            **numbers,
-            "kind": "check",
-            "parameter": name,
-            "identifiable": factor.identifiable,
-            "place": place,
-        }
+    status = OK if check_result.converged else OPEN
+    why = "" if check_result.converged else check_result.text
+    cpu = time.thread_time() - begin
+    yield _row(work, CHECK, status, why, iterations=check_result.iterations, cpu=cpu, **conditions)
+    for place, (name, factor) in enumerate(check_result.factors.items()):
+        columns = {**conditions, **_finite(factor, BOUNDS), "kind": "check", "parameter": name, "place": place}
+        yield _row(work, CHECK, status, factor.why, identifiable=factor.identifiable, **columns)
 
 
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
@@ -161,21 +143,21 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
             model, [flight], craft, [method], extras=_extras(work, method), structure=StructureWish.OFF
         )
     except UserError as error:
-        yield _run_row(work, method, FAILED, str(error), **about)
+        yield _row(work, method, FAILED, str(error), **about)
         return
-    name = find(method).name
+    name = find_estimator(method).name
     if name in session.flights[0].failures:
-        yield _run_row(work, method, FAILED, session.flights[0].failures[name], **about)
+        yield _row(work, method, FAILED, session.flights[0].failures[name], **about)
         return
     result, doubts = session.flights[0].results[name], session.flights[0].doubts
     grave = [d.text for d in doubts if d.kind is not DoubtKind.UNEXPLAINED]
     status = OPEN if not result.converged else DOUBTFUL if grave else OK
-    why = result.text if not result.converged else "; ".join(grave or [d.text for d in doubts])
-    yield from _result_rows(work, method, result, status, why, "estimate", time.thread_time() - begin, about)
+    reason = result.text if not result.converged else "; ".join(grave or [d.text for d in doubts])
+    yield from _result_rows(work, method, result, status, reason, "estimate", time.thread_time() - begin, about)
 
 
 def _extras(work: Work, method: str) -> Extras:
-    able = find(method).supports
+    able = find_estimator(method).supports
     return Extras(
         bootstrap=work.bootstrap if Extra.BOOTSTRAP in able else 0, seed=work.seeds[method] if Extra.SEED in able else 0
     )
@@ -185,34 +167,23 @@ def _result_rows(
     work: Work, method: str, result: Result, status: str, why: str, kind: str, cpu: float, about: Row
 ) -> Iterator[Row]:
     """The run, its parameters, and the fit of each channel."""
-    cost = finite(result.cost)
-    yield _run_row(work, method, status, why, iterations=result.iterations, cost=cost, cpu=cpu, **about)
+    cost = finite_or_none(result.cost)
+    yield _row(work, method, status, why, iterations=result.iterations, cost=cost, cpu=cpu, **about)
     for name, e in result.parameters.items():
-        row = _run_row(work, method, status, e.why or why, **about)
-        yield {
-            **row,
-            "kind": kind,
-            "parameter": name,
-            **_numbers(e),
-            **_spread(result, name),
-            **_covariance(result, name),
-        }
+        columns = {**about, "kind": kind, "parameter": name, **_finite(e, BOUNDS)}
+        more = {**_spread(result, name), **_covariance(result, name)}
+        yield _row(
+            work, method, status, e.why or why, identifiable=e.identifiable, reference=e.reference, **columns, **more
+        )
     if len(result.flights) > 1:
         return
     for output, fit in result.flights[0].fit.items():
-        row = _run_row(work, method, status, why, **about)
-        numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
-        yield {**row, "kind": "fit", "parameter": output, **numbers}
+        yield _row(work, method, status, why, **about, kind="fit", parameter=output, **_finite(fit, FIT))
 
 
-def _numbers(e: Estimate) -> Row:
-    return {
-        "estimate": finite(e.estimate),
-        "std": finite(e.std),
-        "std_coloured": finite(e.std_coloured),
-        "identifiable": e.identifiable,
-        "reference": e.reference,
-    }
+def _finite(source: object, names: Sequence[str]) -> Row:
+    """Numbers of an estimate or a fit by name; None where one is not finite."""
+    return {name: finite_or_none(getattr(source, name)) for name in names}
 
 
 def _spread(result: Result, name: str) -> Row:
@@ -226,30 +197,31 @@ def _covariance(result: Result, name: str) -> Row:
     if name not in result.names:
         return {}
     place = result.names.index(name)
-    return {"place": place, "covariance": [finite(v) for v in result.covariance_coloured[place].tolist()]}
+    return {"place": place, "covariance": [finite_or_none(v) for v in result.covariance_coloured[place].tolist()]}
 
 
 # ------------------------------------------------------------------------------------------ several flights
 
 
 def _joint(work: Work) -> Iterator[Row]:
-    from estimation.session.flights import unique_names
-    from estimation.session.runner import joint_model, run_method
+    from estimation.models.base import joint_model
+    from estimation.prepare.stretches import unique_names
+    from estimation.session.runner import run_method
 
     flights = unique_names([part for s in work.subjects for part in _parts(read_subject(s), work)])
-    craft = _aircraft(work.subjects[0], flights[0], work)
+    craft = aircraft_of_subject(work.subjects[0], flights[0], work)
     model = joint_model(model_of(work.subjects[0], craft))
     for method in work.pieces:
         begin = time.thread_time()
-        about: Row = {"aircraft": craft.name, "model": model.name}
+        columns: Row = {"aircraft": craft.name, "model": model.name}
         try:
             result = run_method(method, model, flights, craft, extras=_extras(work, method))
         except UserError as error:
-            yield _run_row(work, method, FAILED, str(error), **about)
+            yield _row(work, method, FAILED, str(error), **columns)
             continue
         status = OK if result.converged else OPEN
-        why = "" if result.converged else result.text
-        yield from _result_rows(work, method, result, status, why, "joint", time.thread_time() - begin, about)
+        reason = "" if result.converged else result.text
+        yield from _result_rows(work, method, result, status, reason, "joint", time.thread_time() - begin, columns)
 
 
 def _envelope(work: Work) -> Iterator[Row]:
@@ -258,95 +230,36 @@ def _envelope(work: Work) -> Iterator[Row]:
     from estimation.models.load import model_text
 
     flights = [part for s in work.subjects for part in _parts(read_subject(s), work)]
-    craft = _aircraft(work.subjects[0], flights[0], work)
+    craft = aircraft_of_subject(work.subjects[0], flights[0], work)
     begin = time.thread_time()
     (method,) = work.pieces
-    found = global_model(model_of(work.subjects[0], craft), flights)
-    status = OK if found.result.converged else OPEN
-    about: Row = {"aircraft": craft.name, "model": found.model.name}
+    global_fit = global_model(model_of(work.subjects[0], craft), flights)
+    status = OK if global_fit.result.converged else OPEN
+    columns: Row = {"aircraft": craft.name, "model": global_fit.model.name}
     cpu = time.thread_time() - begin
-    rows = list(_result_rows(work, method, found.result, status, found.text, "envelope", cpu, about))
-    yield {**rows[0], "model_text": model_text(found.model) if found.result.converged else ""}
+    rows = list(_result_rows(work, method, global_fit.result, status, global_fit.text, "envelope", cpu, columns))
+    yield {**rows[0], "model_text": model_text(global_fit.model) if global_fit.result.converged else ""}
     yield from rows[1:]
-    for place, gain in enumerate(found.gains):
-        row = _run_row(work, method, status, "", **about)
-        yield {**row, "kind": "term", "parameter": gain.name, "estimate": gain.gain, "std": gain.std, "place": place}
+    for place, gain in enumerate(global_fit.gains):
+        numbers = {"estimate": gain.gain, "std": gain.std, "place": place}
+        yield _row(work, method, status, "", **columns, kind="term", parameter=gain.name, **numbers)
 
 
 def _match(work: Work) -> Iterator[Row]:
     """The flight predicted with what the others of its group say; trim and initial states are its own."""
-    from estimation.session.proof_of_match import predict
+    from estimation.session.proof_of_match import predict_flight
 
     flight = read_subject(work.subjects[0])
-    craft = _aircraft(work.subjects[0], flight, work)
-    own = model_of(work.subjects[0], craft)
+    craft = aircraft_of_subject(work.subjects[0], flight, work)
+    base_model = model_of(work.subjects[0], craft)
     for piece, values in work.values.items():
-        model = own.with_starts(values)
-        proof = predict(model, flight, free=model.free_of(ParameterRole.CONSTANT))
+        model = base_model.with_starts(values)
+        proof = predict_flight(model, flight, free=model.free_of(ParameterRole.CONSTANT))
         status = OK if proof.converged else OPEN
-        about: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
-        yield _run_row(work, piece, status, "" if proof.converged else proof.text, **about)
+        columns: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
+        yield _row(work, piece, status, "" if proof.converged else proof.text, **columns)
         for output, fit in proof.fit.items():
-            numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
-            row = _run_row(work, piece, status, "", **about)
-            yield {**row, "kind": "match", "parameter": output, **numbers}
+            yield _row(work, piece, status, "", **columns, kind="match", parameter=output, **_finite(fit, FIT))
 
 
 _KINDS = {"flight": _flight, "joint": _joint, "envelope": _envelope, "match": _match}
-
-
-# -------------------------------------------------------------------------------------- what a subject says
-
-
-def read_subject(subject: Subject) -> Flight:
-    """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
-    from estimation.session.flights import select_segments
-
-    source = subject.source
-    if source.path and source.data is None:
-        flight = read_flight(source.path)
-        if flight.provenance.sha256 != source.sha256:
-            raise CampaignError(f"{source.path}: changed while the campaign ran; run it again")
-    else:
-        flight = _from_bytes(source)
-    return select_segments(flight, subject.segments or None)
-
-
-def _from_bytes(source: FlightSource) -> Flight:
-    with tempfile.TemporaryDirectory(prefix="sideslip-") as folder:
-        path = Path(folder) / f"{source.name}{source.suffix}"
-        path.write_bytes(bytes_of(source))
-        return read_flight(path)
-
-
-def bytes_of(source: FlightSource) -> bytes:
-    """Sent along, flown by the maker, or fetched from the URL."""
-    if source.data is not None:
-        return source.data
-    if source.made is not None and source.maker is not None:
-        return source.maker(source.made)
-    from estimation.campaign.sources import fetched
-
-    return fetched(source.url)
-
-
-def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
-    given = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
-    needed = not subject.model_text or any(find(m).needs_aircraft for m in work.pieces if m != CHECK)
-    craft = which_aircraft([flight], given, needed=needed)
-    return craft if subject.mass is None else craft.with_values(mass=subject.mass)
-
-
-@lru_cache(maxsize=32)
-def aircraft_from_text(text: str, name: str) -> Aircraft:
-    """The aircraft of a file's text."""
-    from estimation.aircraft import schema
-
-    return schema.aircraft_from_text(text, f"aircraft {name}", name)
-
-
-def model_of(subject: Subject, craft: Aircraft) -> Model:
-    """The model by its text, or the built-in one with the aircraft's constants."""
-    if subject.model_text:
-        return Model.from_dict(tomllib.loads(subject.model_text))
-    return load_model(subject.model, craft)

@@ -1,32 +1,179 @@
-"""Output error in the frequency domain: the fit, its bounds and what is told of it.
+"""Output error in the frequency domain: the fit, its bounds and its result.
 
 V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., chapter 7. A first fit takes noise as white over the
-band, the next ones with the spectrum that the residuals show. `std` is the Cramer-Rao bound of the last; `std_coloured`
-(`bounds`) counts the cross-spectra of the residuals, what the fit took away of them, and imperfect inputs.
+band, the next ones with the spectrum that the residuals show. `std` is the Cramer-Rao bound of the last. `std_coloured` is from
+M^-1 B M^-1 with M the information and B the covariance of the score: a sum over frequencies of slopes times the spectra and
+cross-spectra of the residuals, smoothed over neighbouring frequencies and raised by what the fit took away, and of what imperfect
+inputs do (`estimation.estimators.input_error`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
-from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.errors import DataError
 from estimation.estimators.equation_error import simulated_fits, start_values
-from estimation.estimators.frequency_domain.bounds import Bounds, bounds, noise_shapes
-from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem
+from estimation.estimators.frequency_domain.problem import FrequencyPoint, FrequencyProblem, SegmentRows
 from estimation.estimators.frequency_domain.transformed import NYQUIST, Band
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, SolverOutcome, Status, minimise
-from estimation.estimators.output_error import failed, mean_of_locals
-from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.uncertainty import estimates
+from estimation.estimators.input_error import disturbed_outputs
+from estimation.estimators.normal_equations import FlightBlocks, pseudo_inverse
+from estimation.estimators.output_error import failed_result, mean_of_locals
+from estimation.estimators.result import FlightFit, Result, judge_status
+from estimation.estimators.uncertainty import TIED, judge_estimates
 from estimation.models import load_model
 from estimation.models.base import Model
-from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import FlightsToFit, prepare_all
+from estimation.signals.curves import Complex
+from groundstation.flight.findings import Finding, FindingKind
+
+SMOOTHED = 4  # bins to either side over which the spectra of residuals are averaged
+LEAST_LEFT = (
+    0.25  # of the noise at a frequency: what is fitted away nearly whole is not raised beyond four times in power
+)
+LEAST = 0.05  # of an output's mean noise: no frequency of it is trusted more
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """(shared, shared) covariances, and each flight's of its local parameters; blind: (shared,) not seen by the data."""
+
+    covariance: Array
+    coloured: Array
+    local: list[tuple[Array, Array]]
+    blind: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SpectralScore:
+    """Where the score of one flight about the free parameters scatters from, nuisances projected out. independent: (n, n)
+    covariance of what is another in every flight; common: (n, errors) of the timing errors that all flights of an
+    aircraft share."""
+
+    independent: Array
+    common: Array
+
+
+def frequency_bounds(problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint) -> Bounds:
+    """Both bounds at an optimum."""
+    blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
+    covariance, unseen = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
+    blind = np.any(np.abs(unseen) > TIED, axis=1) if unseen.size else np.zeros(len(problem.shared), bool)
+    scores = [_score(problem, unknowns, point, i, _whole(problem, covariance, b)) for i, b in enumerate(blocks)]
+    middle = np.diag(problem.prior_weight[problem.shared])
+    reduced = [_reduction(problem, block) for block in blocks]
+    middle += sum(r @ s.independent @ r.T for r, s in zip(reduced, scores, strict=True))
+    common = np.sum([r @ s.common for r, s in zip(reduced, scores, strict=True)], axis=0)
+    coloured = covariance @ (middle + common @ common.T) @ covariance
+    return Bounds(covariance, coloured, _local(problem, blocks, scores, covariance, coloured), blind)
+
+
+def _whole(problem: FrequencyProblem, covariance: Array, block: FlightBlocks) -> Array:
+    """(n, n) covariance of shared and local parameters side by side."""
+    combined = np.zeros((len(problem.free), len(problem.free)))
+    combined[np.ix_(problem.shared, problem.shared)] = covariance
+    combined[np.ix_(problem.local, problem.local)] = block.ll_inverse
+    return combined
+
+
+def _reduction(problem: FrequencyProblem, block: FlightBlocks) -> Array:
+    """(shared, n) from a flight's score to that of the shared parameters with the local ones eliminated."""
+    reduce = np.zeros((len(problem.shared), len(problem.free)))
+    reduce[:, problem.shared] = np.eye(len(problem.shared))
+    reduce[:, problem.local] = -block.sl @ block.ll_inverse
+    return reduce
+
+
+def _local(
+    problem: FrequencyProblem,
+    blocks: list[FlightBlocks],
+    scores: list[SpectralScore],
+    covariance: Array,
+    coloured: Array,
+) -> list[tuple[Array, Array]]:
+    covariances = []
+    for block, score in zip(blocks, scores, strict=True):
+        total = score.independent + score.common @ score.common.T
+        local_coloured = block.ll_inverse @ total[np.ix_(problem.local, problem.local)] @ block.ll_inverse
+        lever = block.ll_inverse @ block.sl.T
+        covariances.append(
+            (block.ll_inverse + lever @ covariance @ lever.T, local_coloured + lever @ coloured @ lever.T)
+        )
+    return covariances
+
+
+def _score(
+    problem: FrequencyProblem, unknowns: Array, point: FrequencyPoint, index: int, covariance: Array
+) -> SpectralScore:
+    """Of one flight: noise as residuals show it, and what is wrong with the inputs (`estimators.input_error`) at the size that is
+    believed before the residuals are seen. covariance: (n, n) of the parameters of this flight."""
+    n = len(problem.free)
+    total, columns = np.zeros((n, n)), []
+    responses = disturbed_outputs(problem, unknowns, index)
+    for j, (stretch, segment) in enumerate(zip(problem.stretches[index], problem.flights[index].segments, strict=True)):
+        rows = problem.rows(point, index, j)
+        inverse = point.blocks[index][j].xx_inverse
+        J = rows.by_parameter - rows.nuisance @ (inverse @ (rows.nuisance.T @ rows.by_parameter))
+        shape = (stretch.omega.size, problem.ny)
+        spectra = _smoothed(_complex(rows.residual, shape), _leverage(J, rows, covariance, inverse, shape))
+        slopes = _complex(J, (stretch.omega.size, problem.ny, n))
+        total += np.real(np.einsum("kon,kop,kpm->nm", slopes.conj(), spectra, slopes))
+        changes = stretch.transformed(segment.time, responses[j].values)
+        columns.append(J.T @ problem.in_noise(changes, point, index, j))
+    noise, edges, common = np.split(
+        np.sum(columns, axis=0), [responses[0].noise, responses[0].noise + responses[0].edges], axis=1
+    )
+    for draws in (noise, edges):
+        total += draws @ draws.T / max(draws.shape[1], 1)
+    return SpectralScore(total, common)
+
+
+def _leverage(J: Array, rows: SegmentRows, covariance: Array, nuisance_inverse: Array, shape: tuple[int, int]) -> Array:
+    """(bins, ny) share of each number that the fit takes up. J: nuisances projected out; covariance: (n, n) of the parameters."""
+    leverage = np.einsum("rn,nm,rm->r", J, covariance, J)
+    leverage += np.einsum("rk,kl,rl->r", rows.nuisance, nuisance_inverse, rows.nuisance)
+    return np.asarray(0.5 * _complex(leverage, shape).real + 0.5 * _complex(leverage, shape).imag)
+
+
+def _complex(values: Array, shape: tuple[int, ...]) -> Complex:
+    real, imaginary = np.split(values, 2)
+    return (real + 1j * imaginary).reshape(shape)
+
+
+def _smoothed(residual: Complex, leverage: Array) -> Complex:
+    """(bins, ny, ny) spectra of residuals (bins, ny) in units in which white noise has one for each of its two parts.
+
+    leverage: (bins, ny) leverage, by which residuals are smaller than the noise.
+    """
+    power = 0.5 * np.einsum("ko,kp->kop", residual, residual.conj())
+    lowest = power[1 : SMOOTHED + 1]
+    power[0] = lowest[np.argmax(np.trace(lowest.real, axis1=1, axis2=2))]  # a mean tells nothing of its own scatter
+    count = len(power)
+    windows = [slice(max(k - SMOOTHED, 0), min(k + SMOOTHED + 1, count)) for k in range(count)]
+    remaining = np.stack([np.maximum(1.0 - leverage[w].mean(axis=0), LEAST_LEFT) for w in windows])
+    spectra = np.stack([power[w].mean(axis=0) for w in windows])
+    return np.asarray(spectra / np.sqrt(remaining[:, :, None] * remaining[:, None, :]))
+
+
+def noise_shapes(problem: FrequencyProblem, point: FrequencyPoint) -> list[list[Array]]:
+    """Per flight and segment (bins, ny): spectrum of the residuals relative to its level, smoothed."""
+    shapes: list[list[Array]] = []
+    for i, flight in enumerate(problem.stretches):
+        shapes.append([])
+        for j, stretch in enumerate(flight):
+            rows = problem.rows(point, i, j)
+            residual = _complex(rows.residual, stretch.z.shape)
+            spectra = _smoothed(residual, np.zeros(residual.shape))
+            power = np.real(np.einsum("koo->ko", spectra)) * problem.shapes[i][j]
+            level = np.maximum(power[1:].mean(axis=0), 1e-300)
+            shapes[-1].append(np.where(stretch.compared, np.maximum(power / level, LEAST), 1.0))
+    return shapes
+
 
 NAME = "ml-frequency"
 LOW = 0.1  # Hz; below, gusts and drifts are larger than what manoeuvres of a few seconds leave
@@ -49,25 +196,21 @@ AS_USUAL = FrequencyOptions()
 Fit = SolverOutcome[FrequencyPoint]
 
 
-def frequency_output_error(
-    model: Model | str,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    options: FrequencyOptions = AS_USUAL,
-) -> Result:
+def frequency_output_error(model: Model | str, flights: FlightsToFit, options: FrequencyOptions = AS_USUAL) -> Result:
     """Fit `model`, linearised about each stretch, to the transforms of one flight or of several together.
 
     Raises DataError or MissingColumnError for a flight that cannot feed the model; a fit that fails is a Result that says so.
     """
-    chosen = load_model(model)
-    chosen, data = compared(chosen, prepared(chosen, flights))
+    loaded = load_model(model)
+    loaded, data = without_absent_outputs(loaded, prepare_all(loaded, flights))
     band = _band(data, options)
     data = [_long_enough(d, band) for d in data]
-    simulator = Simulator.build(chosen)
+    simulator = Simulator.build(loaded)
     problem = FrequencyProblem(data, simulator, band, drift=options.drift)
     _enough(problem)
-    starts = [chosen.starts(), start_values(simulator, data) or chosen.starts()]
-    begun = [problem.clip(problem.begin(s)) for s in starts]
-    first = min(begun, key=lambda u: problem.evaluate(u, False).cost)
+    starts = [loaded.starts(), start_values(simulator, data) or loaded.starts()]
+    candidates = [problem.clip(problem.begin(s)) for s in starts]
+    first = min(candidates, key=lambda u: problem.evaluate(u, False).cost)
     outcome = minimise(problem, first, AS_USUAL_LOOP)
     for _ in range(options.rounds if outcome.status.usable else 0):
         problem = problem.shaped(noise_shapes(problem, outcome.point))
@@ -92,17 +235,19 @@ def _long_enough(flight: FlightData, band: Band) -> FlightData:
     def bins(seconds: float) -> int:
         return int(band.high * seconds) - max(1, int(np.ceil(band.low * seconds))) + 1
 
-    kept = tuple(s for s in flight.segments if bins(float(s.time[-1] - s.time[0])) >= FEWEST_BINS)
-    if not kept:
+    long_segments = tuple(s for s in flight.segments if bins(float(s.time[-1] - s.time[0])) >= FEWEST_BINS)
+    if not long_segments:
         raise DataError(
             f"{flight.name}: no stretch is long enough for method ml-frequency: {FEWEST_BINS / band.high:.2g} s "
             "without a gap are "
             "needed; take method ml"
         )
-    if len(kept) == len(flight.segments):
+    if len(long_segments) == len(flight.segments):
         return flight
-    text = f"{len(flight.segments) - len(kept)} stretches too short to be transformed: left out by ml-frequency"
-    return replace(flight, segments=kept, notes=(*flight.notes, Note(NoteKind.LEFT_OUT, text)))
+    text = (
+        f"{len(flight.segments) - len(long_segments)} stretches too short to be transformed: left out by ml-frequency"
+    )
+    return replace(flight, segments=long_segments, notes=(*flight.notes, Finding(FindingKind.LEFT_OUT, text)))
 
 
 def _enough(problem: FrequencyProblem) -> None:
@@ -123,19 +268,17 @@ def _described(problem: FrequencyProblem, outcome: Fit) -> Result:
     model, unknowns, point = problem.model, outcome.unknowns, outcome.point
     names = tuple(problem.free[i] for i in problem.shared)
     if outcome.status is Status.DIVERGED:
-        return failed(problem, outcome, NAME)
+        return failed_result(problem, outcome, NAME)
     problem.segment_blocks(point)
-    spread = bounds(problem, unknowns, point)
-    found, pairs = estimates(
+    spread = frequency_bounds(problem, unknowns, point)
+    estimated, pairs = judge_estimates(
         model, names, unknowns[: len(names)], spread.covariance, spread.coloured, spread.blind, problem.flights
     )
     flights, R = _flights(problem, unknowns, spread)
     if len(problem.local):
-        found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
-    ordered = {n: found[n] for n in problem.free if n in found}
-    unclear = [n for n, e in ordered.items() if not e.identifiable]
-    status = Status.NOT_IDENTIFIABLE if outcome.status is Status.CONVERGED and unclear else outcome.status
-    text = status.value + (f": {', '.join(unclear)}" if status is Status.NOT_IDENTIFIABLE else "")
+        estimated |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
+    ordered = {n: estimated[n] for n in problem.free if n in estimated}
+    status, text = judge_status(outcome.status, ordered)
     return Result(
         model, NAME, status, f"{text}; {_compared(problem)}", outcome.iterations, outcome.evaluations, point.cost, R, names,
         ordered, spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,
@@ -152,10 +295,10 @@ def _flights(problem: FrequencyProblem, unknowns: Array, spread: Bounds) -> tupl
     values = [problem.values(unknowns, i) for i in range(len(problem.flights))]
     fits, R = simulated_fits(problem.model, problem.flights, values)
     names = tuple(problem.free[i] for i in problem.local)
-    seen = np.zeros(len(names), bool)
+    blind = np.zeros(len(names), bool)
     result = []
     for i, (fit, flight) in enumerate(zip(fits, problem.flights, strict=True)):
-        at = problem.parameters(unknowns, i)[problem.local]
-        local, _ = estimates(problem.model, names, at, *spread.local[i], seen, [flight])
+        local_values = problem.parameters(unknowns, i)[problem.local]
+        local, _ = judge_estimates(problem.model, names, local_values, *spread.local[i], blind, [flight])
         result.append(replace(fit, local=local))
     return tuple(result), R

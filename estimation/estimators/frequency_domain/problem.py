@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
-from estimation.estimators.arrow import SegmentBlocks
 from estimation.estimators.frequency_domain.transformed import Band, SpectralResponse, SpectralSegment
 from estimation.estimators.likelihood import DEFINITELY_ZERO, LikelihoodPoint, OutputErrorProblem
-from estimation.signals.fourier import Complex
+from estimation.estimators.normal_equations import SegmentBlocks
+from estimation.prepare.flight_data import FlightData
+from estimation.signals.curves import Complex
 
 
 @dataclass
@@ -68,8 +68,8 @@ class FrequencyProblem(OutputErrorProblem):
 
     def begin(self, values: dict[str, float]) -> Array:
         """Unknowns at parameter values, ends as measured and no drift."""
-        nothing = np.zeros(len(self.free_states))
-        return self.pack(values, [[nothing] * len(f.segments) for f in self.flights])
+        zero = np.zeros(len(self.free_states))
+        return self.pack(values, [[zero] * len(f.segments) for f in self.flights])
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> FrequencyPoint:
         v: list[list[Complex]] = []
@@ -81,10 +81,10 @@ class FrequencyProblem(OutputErrorProblem):
             for j, stretch in enumerate(flight):
                 nuisance = unknowns[self._state_slice(i, j)]
                 response = stretch.response(values, nuisance[: self.nx])
-                shown = response.y
+                outputs = response.y
                 if self.drift:
-                    shown = shown + stretch.drift[:, None] * nuisance[self.nx :]
-                residual = (stretch.z - shown) / np.sqrt(stretch.duration)
+                    outputs = outputs + stretch.drift[:, None] * nuisance[self.nx :]
+                residual = (stretch.z - outputs) / np.sqrt(stretch.duration)
                 if not np.all(np.isfinite(response.y[1:])):
                     return FrequencyPoint(np.inf, [], [], np.eye(self.ny))
                 v[-1].append(residual)
@@ -95,15 +95,15 @@ class FrequencyProblem(OutputErrorProblem):
 
     def counts(self) -> Array:
         """(ny,) complex numbers compared; a mean counts half."""
-        seen = [s.compared * _weights(s.omega)[:, None] for flight in self.stretches for s in flight]
-        return np.asarray(sum(s.sum(axis=0) for s in seen), float)
+        weights = [s.compared * _weights(s.omega)[:, None] for flight in self.stretches for s in flight]
+        return np.asarray(sum(s.sum(axis=0) for s in weights), float)
 
     def _levels(self, v: list[list[Complex]]) -> Array:
         """(ny,) level of S that fits best."""
         total = np.zeros(self.ny)
         for flight, shapes, stretches in zip(v, self.shapes, self.stretches, strict=True):
-            for one, shape, stretch in zip(flight, shapes, stretches, strict=True):
-                power = np.nan_to_num(np.abs(one) ** 2 / shape)
+            for transform, shape, stretch in zip(flight, shapes, stretches, strict=True):
+                power = np.nan_to_num(np.abs(transform) ** 2 / shape)
                 total += np.sum(_weights(stretch.omega)[:, None] * power, axis=0)
         floor = DEFINITELY_ZERO**2 * self._span()
         return np.asarray(np.maximum(total / np.maximum(self.counts(), 0.5), floor))
@@ -168,7 +168,7 @@ def _weights(omega: Array) -> Array:
 
 def _real(values: Complex, v: Complex) -> Array:
     """(2 bins ny, ...) real parts over imaginary parts, zero where `v` (bins, ny) is not compared."""
-    known = np.isfinite(v.real)
-    kept = np.where(known.reshape(known.shape + (1,) * (values.ndim - 2)), values, 0.0)
-    flat = kept.reshape(-1, *values.shape[2:])
+    compared = np.isfinite(v.real)
+    masked = np.where(compared.reshape(compared.shape + (1,) * (values.ndim - 2)), values, 0.0)
+    flat = masked.reshape(-1, *values.shape[2:])
     return np.asarray(np.concatenate([flat.real, flat.imag]))

@@ -6,8 +6,9 @@ System Identification, 2nd ed., chapter 7; R. Pintelon and J. Schoukens, System 
 
     (j w I - A) X = F - A X_m + d,    Y = C X + G - C X_m
 
-with F, G, X_m the transforms of f(x_m, u), g(x_m, u) and the measured motion x_m. A state that is not measured stands in x_m at
-its start value: there the model is linear. The bin w = 0 holds the means, from which come the constants.
+with A = df/dx, C = dg/dx of x_dot = f(x, u), y = g(x, u) at the mean state and input of the stretch, and F, G, X_m the transforms
+of f(x_m, u), g(x_m, u) and the measured motion x_m, so that a changing airspeed costs no bias. A state that is not measured
+stands in x_m at its start value: there the model is linear. The bin w = 0 holds the means, from which come the constants.
 """
 
 from collections.abc import Mapping
@@ -18,13 +19,52 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from estimation.engine.data import FlightData, Segment
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
-from estimation.engine.trace import trace
+from estimation.engine.trace import Traced, trace
 from estimation.engine.transforms import apply_transforms, transform_derivatives
-from estimation.estimators.frequency_domain.linearised import linearised
-from estimation.signals.fourier import Complex, curve, fine_times, finite_transform, longest_hole
+from estimation.prepare.flight_data import FlightData, Segment
+from estimation.signals.curves import Complex, curve_through, fine_times, finite_transform, longest_hole
+
+RELATIVE = 1e-4  # of a parameter: central difference of A and C, which parameters enter linearly or nearly so
+
+
+@dataclass(frozen=True)
+class LinearisedSystem:
+    """A: (nx, nx), C: (ny, nx); A_p: (n, nx, nx), C_p: (n, ny, nx) their slopes by the n free parameters."""
+
+    A: Array
+    C: Array
+    A_p: Array
+    C_p: Array
+
+
+def state_matrices(traced: Traced, state: Array, inputs: Array, p: Array) -> tuple[Array, Array]:
+    """(A (nx, nx), C (ny, nx)) at one point. p: parameters and constants as traced."""
+    nx, _, _, ny = traced.sizes
+    jacobians = []
+    for function, key, rows in ((traced.rates_jacobian, "f_x", nx), (traced.outputs_jacobian, "y_x", ny)):
+        matrix = np.zeros((rows, nx))
+        matrix[traced.patterns[key]] = np.asarray(function(state, inputs, p)[1]).ravel()
+        jacobians.append(matrix)
+    return jacobians[0], jacobians[1]
+
+
+def linearise_at(simulator: Simulator, values: Mapping[str, float], state: Array, inputs: Array) -> LinearisedSystem:
+    """The model of a simulator at parameter `values`, about state (nx,) and inputs (nu,)."""
+    traced, p = trace(simulator.model.structure), simulator.vector(values)
+    A, C = state_matrices(traced, state, inputs, p)
+    A_p, C_p = np.zeros((len(simulator.free), *A.shape)), np.zeros((len(simulator.free), *C.shape))
+    names = simulator.model.parameter_names
+    for j, name in enumerate(simulator.free):
+        h = RELATIVE * max(abs(values[name]), RELATIVE)
+        plus, minus = p.copy(), p.copy()
+        plus[names.index(name)] += h
+        minus[names.index(name)] -= h
+        (A1, C1), (A0, C0) = state_matrices(traced, state, inputs, plus), state_matrices(traced, state, inputs, minus)
+        A_p[j], C_p[j] = (A1 - A0) / (2 * h), (C1 - C0) / (2 * h)
+    return LinearisedSystem(A, C, A_p, C_p)
+
 
 SINGULAR = 1e10  # condition of A from which the means say nothing (a free integrator)
 NYQUIST = 0.5  # periods of the highest frequency that a hole in an output may last
@@ -79,7 +119,8 @@ class SpectralSegment:
         controls = [s.control or s.servo for s in simulator.model.inputs]
         self._u = (
             np.stack(
-                [curve(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)], axis=1
+                [curve_through(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)],
+                axis=1,
             )
             if controls
             else np.zeros((self._fine.size, 0))
@@ -99,8 +140,8 @@ class SpectralSegment:
         return np.isfinite(self.z.real)
 
     def _states(self, flight: FlightData, segment: Segment) -> Array:
-        measured = flight.states[segment.first : segment.first + len(segment)]
-        columns = [curve(segment.time, measured[:, i], self._fine) for i in range(measured.shape[1])]
+        measured = flight.states[segment.rows]
+        columns = [curve_through(segment.time, measured[:, i], self._fine) for i in range(measured.shape[1])]
         guesses = [np.full(self._fine.size, x) for x in segment.x0]
         return np.stack([c if np.isfinite(c).all() else g for c, g in zip(columns, guesses, strict=True)], axis=1)
 
@@ -108,7 +149,7 @@ class SpectralSegment:
         z = np.full((segment.z.shape[1], self._fine.size), np.nan)
         for i, column in enumerate(segment.z.T):
             if longest_hole(segment.time, column) <= NYQUIST / band.high:
-                z[i] = curve(segment.time, column, self._fine)
+                z[i] = curve_through(segment.time, column, self._fine)
         return self._transform(z.T)
 
     def transformed(self, time: Array, values: Array) -> Complex:
@@ -118,33 +159,33 @@ class SpectralSegment:
 
     def _transform(self, values: Array) -> Complex:
         """(bins, columns): the mean's bin, then the band."""
-        whole = np.isfinite(values).all(axis=0)
+        complete = np.isfinite(values).all(axis=0)
         result = np.full((1 + self._count, values.shape[1]), np.nan + 0j)
         spacing = 2 * np.pi / self.duration
-        chosen = values[:, whole]
-        result[:1, whole] = finite_transform(chosen, self._step, 0.0, spacing, 1)
-        result[1:, whole] = finite_transform(chosen, self._step, self._first * spacing, spacing, self._count)
+        columns = values[:, complete]
+        result[:1, complete] = finite_transform(columns, self._step, 0.0, spacing, 1)
+        result[1:, complete] = finite_transform(columns, self._step, self._first * spacing, spacing, self._count)
         return result
 
     # ------------------------------------------------------------------------------------------------ the model
     def response(self, values: Mapping[str, float], ends: Array) -> SpectralResponse:
         """Outputs and their slopes at parameter `values` and end differences d (nx,)."""
-        known = self._nonlinear(values)
-        linear = linearised(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
+        transforms = self._nonlinear(values)
+        linear = linearise_at(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
         nx = linear.A.shape[0]
         system = 1j * self.omega[:, None, None] * np.eye(nx) - linear.A
-        told = self.means_told(linear.A)
-        if not told:
+        means_known = self.means_told(linear.A)
+        if not means_known:
             system[0] = np.eye(nx)
-        forcing = known.F - self._X @ linear.A.T + ends
+        forcing = transforms.F - self._X @ linear.A.T + ends
         inverse = _inverse(np.asarray(system, np.complex128))
         X = np.einsum("kij,kj->ki", inverse, forcing)
-        off = X - self._X
-        y = X @ linear.C.T + known.G - self._X @ linear.C.T
-        X_p = np.einsum("kij,kjn->kin", inverse, known.F_p + np.einsum("nij,kj->kin", linear.A_p, off))
-        y_p = _slopes(linear.C, linear.C_p, X_p, known.G_p, off)
+        deviation = X - self._X
+        y = X @ linear.C.T + transforms.G - self._X @ linear.C.T
+        X_p = np.einsum("kij,kjn->kin", inverse, transforms.F_p + np.einsum("nij,kj->kin", linear.A_p, deviation))
+        y_p = _slopes(linear.C, linear.C_p, X_p, transforms.G_p, deviation)
         y_d = np.einsum("oi,kij->koj", linear.C, inverse)
-        if not told:
+        if not means_known:
             y[0] = np.nan
         return self._delayed(values, SpectralResponse(y, y_p, y_d))
 
@@ -157,7 +198,7 @@ class SpectralSegment:
         """Transforms of f and g at the measured motion, and their slopes; remembered where parameters enter linearly."""
         simulator = self._simulator
         free = [simulator.model.parameter_names.index(n) for n in simulator.free]
-        at = np.array([values[n] for n in simulator.free])
+        free_values = np.array([values[n] for n in simulator.free])
         u, du, names = self._driven(values)
         f, f_p, y, y_p = simulator.kernel.evaluate(self._x, u, simulator.vector(values))
         f_p, y_p = f_p[:, :, free], y_p[:, :, free]
@@ -165,19 +206,21 @@ class SpectralSegment:
             f_p, y_p = self._by_transforms(values, u, du, names, f_p.copy(), y_p.copy())
         old = self._memory
         if old is not None and not names and _same(old.slopes, (f_p, y_p)):
-            change = at - old.values
-            return _Remembered(at, old.F + old.F_p @ change, old.G + old.G_p @ change, old.F_p, old.G_p, old.slopes)
+            change = free_values - old.values
+            return _Remembered(
+                free_values, old.F + old.F_p @ change, old.G + old.G_p @ change, old.F_p, old.G_p, old.slopes
+            )
         F, G = self._transform(f), self._transform(y)
-        self._memory = _Remembered(at, F, G, self._slopes(f_p), self._slopes(y_p), (f_p, y_p))
+        self._memory = _Remembered(free_values, F, G, self._slopes(f_p), self._slopes(y_p), (f_p, y_p))
         return self._memory
 
     def _slopes(self, values: Array) -> Complex:
         """(bins, rows, n) transforms of slopes (M, rows, n), most of which are zero."""
         count, rows, n = values.shape
         flat = values.reshape(count, rows * n)
-        there = np.flatnonzero(np.abs(flat).max(axis=0) > 0.0)
+        nonzero = np.flatnonzero(np.abs(flat).max(axis=0) > 0.0)
         result = np.zeros((1 + self._count, rows * n), complex)
-        result[:, there] = self._transform(flat[:, there])
+        result[:, nonzero] = self._transform(flat[:, nonzero])
         return result.reshape(-1, rows, n)
 
     def _driven(self, values: Mapping[str, float]) -> tuple[Array, Array, tuple[str, ...]]:
@@ -197,10 +240,7 @@ class SpectralSegment:
         simulator = self._simulator
         traced = trace(simulator.model.structure)
         p = simulator.vector(values)
-        for function, key, slopes in (
-            (traced.rates_by_input, "f_u", f_p),
-            (traced.outputs_by_input, "y_u", y_p),
-        ):
+        for function, key, slopes in ((traced.rates_by_input, "f_u", f_p), (traced.outputs_by_input, "y_u", y_p)):
             rows, columns = traced.patterns[key]
             entries = np.asarray(function.map(len(u))(self._x.T, u.T, np.tile(p[:, None], len(u))))
             for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
@@ -229,8 +269,8 @@ def _inverse(system: Complex) -> Complex:
         return np.full_like(system, np.nan)
 
 
-def _slopes(C: Array, C_p: Array, X_p: Complex, G_p: Complex, off: Complex) -> Complex:
-    return np.asarray(np.einsum("oi,kin->kon", C, X_p) + G_p + np.einsum("noi,ki->kon", C_p, off))
+def _slopes(C: Array, C_p: Array, X_p: Complex, G_p: Complex, deviation: Complex) -> Complex:
+    return np.asarray(np.einsum("oi,kin->kon", C, X_p) + G_p + np.einsum("noi,ki->kon", C_p, deviation))
 
 
 def _same(old: tuple[Array, Array], new: tuple[Array, Array]) -> bool:

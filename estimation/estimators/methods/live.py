@@ -10,15 +10,15 @@ if TYPE_CHECKING:
 
 
 def _fit(task: Task) -> "Result":
-    from estimation.estimators.recursive import recursive
+    from estimation.estimators.recursive import estimate_recursively
 
-    return recursive(task.model, task.flights, task.aircraft)
+    return estimate_recursively(task.model, task.flights, task.aircraft)
 
 
 def _refuses(model: "Model") -> str:
-    from estimation.estimators.recursive import refusal
+    from estimation.estimators.recursive import unsupported_by_live
 
-    return refusal(model)
+    return unsupported_by_live(model)
 
 
 ESTIMATORS = (

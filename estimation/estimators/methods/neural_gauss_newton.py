@@ -50,9 +50,9 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
 
 
 def _refuses(model: "Model") -> str:
-    from estimation.estimators.neural_gauss_newton.formulated import refusal
+    from estimation.estimators.neural_gauss_newton.axes import unsupported_model
 
-    return refusal(model.name, model.parameter_names)
+    return unsupported_model(model.name, model.parameter_names)
 
 
 ESTIMATORS = (

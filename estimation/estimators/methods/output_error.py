@@ -15,7 +15,7 @@ def _fit(task: Task) -> "Result":
     flights, extras = task.data, task.extras
     result = output_error(task.model, flights)
     if extras.profile:
-        from estimation.estimators.profile import profile_likelihood
+        from estimation.estimators.refits import profile_likelihood
 
         task.tell(f"profiles of {', '.join(extras.profile)}")
         curves = {name: profile_likelihood(task.model, flights, name, result) for name in extras.profile}
@@ -23,7 +23,7 @@ def _fit(task: Task) -> "Result":
     if extras.bootstrap:
         import numpy as np
 
-        from estimation.estimators.bootstrap import parametric_bootstrap
+        from estimation.estimators.refits import parametric_bootstrap
 
         task.tell(f"{extras.bootstrap} bootstrap replicates")
         rng = np.random.default_rng([extras.seed, task.number])

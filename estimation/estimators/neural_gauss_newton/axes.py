@@ -1,71 +1,36 @@
-"""Which coefficients an axis has: how they follow from measured motion, and from parameters.
+"""Which models have a formulation, and which coefficients an axis has: how they follow from measured motion, and from parameters.
 
 Lateral: side force, rolling and yawing moment (REFERENCE, Neural Gauss-Newton). Longitudinal: lift, drag, pitching
 moment. SI, radians, body axes x forward, y right, z down; rates non-dimensional as p b/2V, q c/2V, r b/2V.
-All arrays are over samples; `loads` are forces and moments divided by reference area (and length): what a coefficient
-is once divided by dynamic pressure.
+All arrays are over samples; `inertial` gives forces and moments divided by reference area (and length): what a coefficient
+is once divided by dynamic pressure. Loads no network.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.estimators.neural_gauss_newton.formulated import LATERAL, LONGITUDINAL
+from estimation.models.library import LATERAL_DERIVATIVES, LONGITUDINAL_DERIVATIVES
+
+LATERAL, LONGITUDINAL = ("lateral", "lateral-simple"), ("longitudinal",)
+
+
+def unsupported_model(model: str, parameters: Collection[str] | None = None) -> str:
+    """Why a model of that name, and with those parameters, cannot be taken; empty where it can."""
+    if model not in (*LATERAL, *LONGITUDINAL):
+        models = "lateral, lateral-simple and longitudinal"
+        return f"model {model}: Neural Gauss-Newton has a formulation for {models}; use method ml"
+    names = LATERAL_DERIVATIVES if model in LATERAL else LONGITUDINAL_DERIVATIVES
+    if parameters is not None and (extra := [n for n in parameters if n not in names]):
+        return f"model {model}: Neural Gauss-Newton has no formulation with {', '.join(extra)}; use method ml"
+    return ""
+
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
-
-
-class Axis(Protocol):
-    """An axis of motion as Neural Gauss-Newton sees it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def motion(self) -> tuple[str, ...]:
-        """Motion variables that the network predicts."""
-
-    @property
-    def optional(self) -> tuple[str, ...]:
-        """Motion variables that may be missing."""
-
-    @property
-    def accelerations(self) -> tuple[str, ...]:
-        """Specific forces that the network predicts beside the motion."""
-
-    @property
-    def angular_rates(self) -> tuple[str, ...]:
-        """Rates whose increments carry the moments."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """All flight columns that are needed."""
-
-    @property
-    def controls(self) -> tuple[str, ...]:
-        """Columns that may step."""
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the unknown parameters."""
-
-    @property
-    def coefficients(self) -> tuple[str, ...]:
-        """Names of the three coefficients."""
-
-    @property
-    def linear(self) -> bool:
-        """Whether the coefficients are linear in the parameters."""
-
-    def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
-        """(N, 3) coefficients times dynamic pressure, from accelerations, rates and their derivatives."""
-
-    def aerodynamic(self, s: Signals, theta: Array) -> tuple[Array, Array]:
-        """(N, 3) coefficients of the aerodynamic model, and their derivative (N, 3, n) by the parameters."""
 
 
 def dynamic_pressure(s: Signals) -> Array:
@@ -75,7 +40,14 @@ def dynamic_pressure(s: Signals) -> Array:
 
 @dataclass(frozen=True)
 class LateralAxis:
-    """C_Y, C_l, C_n with the sixteen derivatives of the paper."""
+    """C_Y, C_l, C_n with the sixteen derivatives of the paper.
+
+    motion: what the network predicts, of which `optional` may be missing; accelerations: specific forces that it predicts beside;
+    angular_rates: rates whose increments carry the moments; columns: all that are needed; controls: those that may step; linear:
+    whether the coefficients are linear in the parameters. `inertial`: (N, 3) coefficients times dynamic pressure, from
+    accelerations, rates and their derivatives; `aerodynamic`: (N, 3) coefficients of the model, and their derivative (N, 3, n) by
+    the parameters.
+    """
 
     aircraft: Aircraft
     name: str = "lateral"
@@ -107,17 +79,17 @@ class LateralAxis:
         """Linear in all parameters."""
         p_hat = s["p"] * self.aircraft.span / (2 * s["V"])
         r_hat = s["r"] * self.aircraft.span / (2 * s["V"])
-        one = np.ones_like(p_hat)
+        ones = np.ones_like(p_hat)
         regressors = np.zeros((p_hat.size, 3, len(self.parameters)))
-        regressors[:, 0, 0:5] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_r"]])
-        regressors[:, 1, 5:11] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_a"], s["delta_r"]])
-        regressors[:, 2, 11:16] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_r"]])
+        regressors[:, 0, 0:5] = np.column_stack([ones, s["beta"], p_hat, r_hat, s["delta_r"]])
+        regressors[:, 1, 5:11] = np.column_stack([ones, s["beta"], p_hat, r_hat, s["delta_a"], s["delta_r"]])
+        regressors[:, 2, 11:16] = np.column_stack([ones, s["beta"], p_hat, r_hat, s["delta_r"]])
         return regressors @ theta, regressors
 
 
 @dataclass(frozen=True)
 class LongitudinalAxis:
-    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2."""
+    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2. Fields as of `LateralAxis`."""
 
     aircraft: Aircraft
     name: str = "longitudinal"
@@ -159,7 +131,10 @@ class LongitudinalAxis:
         return np.column_stack([lift, drag, columns @ theta[6:10]]), slopes
 
 
-def axis_for(name: str, aircraft: Aircraft) -> LateralAxis | LongitudinalAxis | None:
+Axis = LateralAxis | LongitudinalAxis
+
+
+def axis_for(name: str, aircraft: Aircraft) -> Axis | None:
     """The axis a model name stands for; None where Neural Gauss-Newton has no formulation."""
     if name in LATERAL:
         return LateralAxis(aircraft)

@@ -5,30 +5,158 @@ Published form: S. Das, R. A. Kuttieri, M. Sinha and R. Jategaonkar, Journal of 
 measured coefficients; then it is frozen, the coefficients come from the aerodynamic model, and Gauss-Newton finds the
 parameters that let it predict best. No equation of motion is solved.
 
-Improved form: coefficients are means over an interval (`samples`), a linear path goes round the hidden layer, and the
-normal equations are formed with instruments (`instruments`), so that neither the derivative of a rate nor noise in the
-regressors makes the parameters small. An ensemble of networks is averaged.
+Improved form: coefficients are means over an interval, a linear path goes round the hidden layer, and the normal equations are
+formed with instruments (`samples`), so that neither the derivative of a rate nor noise in the regressors makes the parameters
+small. An ensemble of networks is averaged.
 
 The Cramer-Rao bound of a frozen network takes the network for truth and its inputs for exact, and is far too small. The
 honest spread is from a block bootstrap (networks trained again on resampled blocks) together with the ensemble's.
+
+The histories of the result are the model's, simulated with the estimates like those of every other method: one-step predictions
+of a network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
-from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
-from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
-from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
-from estimation.estimators.neural_gauss_newton.formulated import refusal
+from estimation.estimators.equation_error import simulated_fits
+from estimation.estimators.gauss_newton import Status
+from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for, unsupported_model
 from estimation.estimators.neural_gauss_newton.formulation import FlightUnknowns, TrainingRows
-from estimation.estimators.neural_gauss_newton.options import NgnOptions, default_options
-from estimation.estimators.neural_gauss_newton.present import describe
-from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
-from estimation.estimators.result import Result
+from estimation.estimators.neural_gauss_newton.network import one_thread, usable_device
+from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve_problems
+from estimation.estimators.neural_gauss_newton.training import NgnOptions, default_options
+from estimation.estimators.output_error import mean_of_locals
+from estimation.estimators.refits import PERCENTILES
+from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread, judge_status
+from estimation.estimators.uncertainty import judge_estimates
 from estimation.models.base import Model
-from groundstation.flight import Flight
+from estimation.prepare.columns import with_derived
+from estimation.prepare.flight_data import FlightData, without_absent_outputs
+from estimation.prepare.pipeline import prepare_all
+from groundstation.flight import Array, Flight
+from groundstation.flight.findings import Finding
+
+if TYPE_CHECKING:
+    from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, NeuralSolution
+
+
+def ngn_result(
+    model: Model,
+    flights: Sequence[Flight],
+    problem: "NeuralProblem",
+    solution: "NeuralSolution",
+    settings: dict[str, object],
+    bootstrap: bool,
+) -> Result:
+    """Estimates with bounds and verdicts, simulated histories, and the training record in `extra`.
+
+    bootstrap: whether its replicates are wanted in the result.
+    """
+    rows, unknowns = problem.rows, problem.unknowns
+    model, data = without_absent_outputs(model, prepare_all(model, flights))
+    shared = [i for i, f in enumerate(unknowns.owner) if f < 0]
+    names = tuple(unknowns.names[i] for i in shared)
+    pick = np.ix_(shared, shared)
+    parameters, pairs = _estimates(model, names, solution, np.array(shared, int), data)
+    fitted, R = _fitted_flights(model, data, unknowns, solution, rows.notes)
+    means = mean_of_locals(fitted, tuple(fitted[0].local))
+    parameters |= {n: replace(e, identifiable=True, why="") for n, e in means.items()}
+    ordered = {n: parameters[n] for n in model.free_names if n in parameters}
+    status, text = _status(solution, ordered)
+    cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
+    return Result(
+        model, "ngn-improved" if problem.options.improved else "ngn", status, text, max(f.iterations for f in solution.fits),
+        sum(f.iterations for f in solution.fits), cost, R, names, ordered, solution.bound[pick], solution.spread[pick],
+        pairs, fitted, "torch", {**settings, **_record(rows, unknowns, solution)},
+        bootstrap=_bootstrap(names, solution, np.array(shared, int)) if bootstrap else None,
+    )  # fmt: skip
+
+
+def _status(solution: "NeuralSolution", parameters: dict[str, Estimate]) -> tuple[Status, str]:
+    if not np.all(np.isfinite(solution.theta)):
+        return Status.DIVERGED, Status.DIVERGED.value
+    # A network that predicts no better than a mean is fed with coefficients it never saw.
+    if any(float(np.log(f.R).mean()) >= 0.0 for f in solution.fits):
+        return Status.STALLED, Status.STALLED.value
+    if not all(f.converged for f in solution.fits):
+        return Status.LIMIT, Status.LIMIT.value
+    return judge_status(Status.CONVERGED, parameters)
+
+
+def _estimates(
+    model: Model, names: tuple[str, ...], solution: "NeuralSolution", index: NDArray[np.int64], data: list[FlightData]
+) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
+    pick = np.ix_(index, index)
+    blind = np.diag(solution.bound)[index] <= 0.0
+    return judge_estimates(
+        model, names, solution.theta[index], solution.bound[pick], solution.spread[pick], blind, data
+    )
+
+
+def _fitted_flights(
+    model: Model,
+    data: list[FlightData],
+    unknowns: FlightUnknowns,
+    solution: "NeuralSolution",
+    notes: tuple[Finding, ...],
+) -> tuple[tuple[FlightFit, ...], Array]:
+    """Each flight simulated at its estimates, with its local ones; and the (ny, ny) variances of the residuals."""
+    values = [
+        {
+            n: float(v)
+            for n, v, owner in zip(unknowns.names, solution.theta, unknowns.owner, strict=True)
+            if owner in (-1, index)
+        }
+        for index in range(len(data))
+    ]
+    fits, R = simulated_fits(model, data, values)
+    flights = []
+    for index, (flight, fit) in enumerate(zip(data, fits, strict=True)):
+        local_index = np.array([i for i, owner in enumerate(unknowns.owner) if owner == index], int)
+        names = tuple(unknowns.names[i] for i in local_index)
+        local = _estimates(model, names, solution, local_index, [flight])[0] if local_index.size else {}
+        flights.append(replace(fit, local=local, notes=(*fit.notes, *notes)))
+    return tuple(flights), R
+
+
+def _bootstrap(names: tuple[str, ...], solution: "NeuralSolution", index: NDArray[np.int64]) -> Bootstrap | None:
+    """The replicates about the estimate, as other methods show theirs. index: of the names among the unknowns."""
+    deviations = solution.bootstrap[:, index]
+    if len(deviations) < 2:
+        return None
+    replicates = solution.theta[index] + deviations
+    low, high = np.percentile(replicates, PERCENTILES, axis=0)
+    std, bias = replicates.std(axis=0, ddof=1), deviations.mean(axis=0)
+    spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
+    return Bootstrap(names, replicates, spreads, 0)
+
+
+def _record(rows: TrainingRows, unknowns: FlightUnknowns, solution: "NeuralSolution") -> dict[str, Any]:
+    """How training went, and where the spread comes from."""
+
+    def spread(values: Array) -> dict[str, float]:
+        if len(values) < 2:
+            return {}
+        return dict(zip(unknowns.names, np.std(values, axis=0, ddof=1).tolist(), strict=True))
+
+    outputs = [*rows.motion, *rows.axis.accelerations]
+    rms = np.sqrt(np.mean([f.R for f in solution.fits], axis=0))
+    return {
+        "record": [
+            {"training_error": t.training_error, "validation_error": t.validation_error, "iterations": t.iterations}
+            for t in solution.trained
+        ],
+        "prediction_rms_standardised": dict(zip(outputs, rms.tolist(), strict=True)),
+        "ensemble_spread": spread(solution.members),
+        "bootstrap_spread": spread(solution.bootstrap),
+    }
 
 
 def estimate_ngn(
@@ -49,8 +177,8 @@ def estimate_ngn(
     bootstraps and seed over what the options say; bootstraps asked for are in the result's `bootstrap`.
     Raises EstimationError for another model, MissingColumnError and DataError for a flight that cannot be used.
     """
-    many = [flights] if isinstance(flights, Flight) else list(flights)
-    return _estimate(aircraft, [many], model, improved, options, device, bootstraps, seed)[0]
+    flight_list = [flights] if isinstance(flights, Flight) else list(flights)
+    return _estimate(aircraft, [flight_list], model, improved, options, device, bootstraps, seed)[0]
 
 
 def estimate_campaign(
@@ -83,10 +211,10 @@ def _estimate(
 ) -> list[Result]:
     from estimation.models import load_model
 
-    chosen = load_model("lateral", aircraft) if model is None else model
-    axis = axis_for(chosen.name, aircraft)
+    ngn_model = load_model("lateral", aircraft) if model is None else model
+    axis = axis_for(ngn_model.name, aircraft)
     if axis is None:
-        raise EstimationError(refusal(chosen.name))
+        raise EstimationError(unsupported_model(ngn_model.name))
     opt = options or default_options(improved, axis.name)
     opt = replace(
         opt,
@@ -95,10 +223,10 @@ def _estimate(
         seed=opt.seed if seed is None else seed,
     )
     with one_thread():
-        problems = [_problem(axis, chosen, flights, opt) for flights in sets]
-        solutions = solve(problems, opt)
+        problems = [_problem(axis, ngn_model, flights, opt) for flights in sets]
+        solutions = solve_problems(problems, opt)
     return [
-        describe(chosen, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
+        ngn_result(ngn_model, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
         for flights, p, s in zip(sets, problems, solutions, strict=True)
     ]
 

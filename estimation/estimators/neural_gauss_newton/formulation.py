@@ -13,21 +13,20 @@ from numpy.typing import NDArray
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis
 from estimation.estimators.neural_gauss_newton.frozen import Standard
-from estimation.estimators.neural_gauss_newton.instruments import predicted_signals
 from estimation.estimators.neural_gauss_newton.samples import (
     COSTLY,
     SHORTEST,
     Form,
     SampleStretch,
     missing_optional,
+    predicted_signals,
     require_columns,
-    stretches,
+    training_stretches,
 )
 from estimation.models.base import Model
-from groundstation.flight import Flight
-from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight import Array, Flight
+from groundstation.flight.findings import Finding, FindingKind
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 BLOCK_S = 1.0  # of the block bootstrap: longer than residuals remember (0.2 s), and thirty in a flight of half a minute
@@ -50,11 +49,11 @@ class FlightUnknowns:
     @classmethod
     def of(cls, model: Model, axis: Axis, flights: int) -> "FlightUnknowns":
         """Raises EstimationError where the model's parameters are not those of the axis."""
-        other = set(model.parameter_names) ^ set(axis.parameters)
-        if other:
+        mismatch = set(model.parameter_names) ^ set(axis.parameters)
+        if mismatch:
             raise EstimationError(
                 f"model {model.name}: Neural Gauss-Newton knows the built-in {axis.name} aerodynamics only, "
-                f"not {', '.join(sorted(other))}; use method ml"
+                f"not {', '.join(sorted(mismatch))}; use method ml"
             )
         names: list[str] = []
         owner: list[int] = []
@@ -85,9 +84,9 @@ class FlightUnknowns:
     def scatter(self, flight: int, slopes: Array) -> Array:
         """(M, out, axis parameters) derivatives of a flight as (M, out, n) by the unknowns."""
         index = self.index[flight]
-        out = np.zeros((*slopes.shape[:2], self.size))
-        out[:, :, index[index >= 0]] = slopes[:, :, index >= 0]
-        return out
+        by_unknown = np.zeros((*slopes.shape[:2], self.size))
+        by_unknown[:, :, index[index >= 0]] = slopes[:, :, index >= 0]
+        return by_unknown
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,7 @@ class TrainingRows:
     z: torch.Tensor
     held_out: torch.Tensor
     block: Index
-    notes: tuple[Note, ...]
+    notes: tuple[Finding, ...]
 
     @classmethod
     def build(cls, axis: Axis, flights: Sequence[Flight], form: Form) -> "TrainingRows":
@@ -113,24 +112,26 @@ class TrainingRows:
             require_columns(axis, flight)
         missing = missing_optional(axis, flights)
         motion = tuple(c for c in axis.motion if c not in missing)
-        found: list[SampleStretch] = []
+        stretch_list: list[SampleStretch] = []
         owner: list[int] = []
         notes = [
-            Note(NoteKind.NOT_MEASURED, f"{c} is not measured, or not throughout: the network does without it")
+            Finding(FindingKind.NOT_MEASURED, f"{c} is not measured, or not throughout: the network does without it")
             for c in missing
         ]
         for i, flight in enumerate(flights):
-            own = stretches(axis, flight, form, motion)
-            found += own
-            owner += [i] * len(own)
-            notes += _unused(flight, own)
-        standard = Standard.of(found)
-        u = torch.as_tensor(np.vstack([standard.u(s.u) for s in found]))
-        z = torch.as_tensor(np.vstack([standard.z(s.z) for s in found]))
+            flight_stretches = training_stretches(axis, flight, form, motion)
+            stretch_list += flight_stretches
+            owner += [i] * len(flight_stretches)
+            notes += _unused(flight, flight_stretches)
+        standard = Standard.of(stretch_list)
+        u = torch.as_tensor(np.vstack([standard.u(s.u) for s in stretch_list]))
+        z = torch.as_tensor(np.vstack([standard.z(s.z) for s in stretch_list]))
         step = float(np.median([f.sample_interval for f in flights]))
-        block = _blocks(found, step)
-        held = torch.as_tensor(block % 8 == 4)
-        return cls(axis, motion, tuple(found), tuple(owner), step, standard, u, z, held, block, tuple(notes))
+        block = _blocks(stretch_list, step)
+        validation = torch.as_tensor(block % 8 == 4)
+        return cls(
+            axis, motion, tuple(stretch_list), tuple(owner), step, standard, u, z, validation, block, tuple(notes)
+        )
 
     def split(self, values: Array) -> list[Array]:
         """(M, ...) values row by row, as one array for each stretch."""
@@ -139,33 +140,33 @@ class TrainingRows:
     def resampled(self, rng: np.random.Generator) -> Array:
         """(M,) how often each row is drawn, in whole blocks (Künsch 1989, Annals of Statistics 17, 1217-1241)."""
         count = int(self.block[-1]) + 1
-        drawn = np.bincount(rng.integers(0, count, count), minlength=count)
-        return drawn[self.block].astype(float)
+        multiplicity = np.bincount(rng.integers(0, count, count), minlength=count)
+        return multiplicity[self.block].astype(float)
 
     def instruments(self) -> list[dict[str, Array]]:
         """Signals without the noise of the measured ones, for every stretch."""
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
 
 
-def _unused(flight: Flight, found: Sequence[SampleStretch]) -> list[Note]:
+def _unused(flight: Flight, flight_stretches: Sequence[SampleStretch]) -> list[Finding]:
     """A note where much of a flight cannot be used."""
-    used = sum(len(s.u) + max(s.window, 1) for s in found)
-    if used >= (1.0 - COSTLY) * len(flight):
+    covered = sum(len(s.u) + max(s.window, 1) for s in flight_stretches)
+    if covered >= (1.0 - COSTLY) * len(flight):
         return []
     return [
-        Note(
-            NoteKind.LEFT_OUT,
-            f"{flight.name}: the networks saw {used} of {len(flight)} samples; elsewhere a channel is missing, or the "
+        Finding(
+            FindingKind.LEFT_OUT,
+            f"{flight.name}: the networks saw {covered} of {len(flight)} samples; elsewhere a channel is missing, or the "
             f"stretch is shorter than {SHORTEST}",
         )
     ]
 
 
-def _blocks(found: Sequence[SampleStretch], step: float) -> Index:
+def _blocks(stretch_list: Sequence[SampleStretch], step: float) -> Index:
     """(M,) number of the block each row lies in; blocks never reach over the end of a stretch."""
     length = max(2, round(BLOCK_S / step))
     numbers, first = [], 0
-    for s in found:
+    for s in stretch_list:
         count = max(1, round(len(s.u) / length))
         numbers.append(first + np.minimum(np.arange(len(s.u)) * count // len(s.u), count - 1))
         first += count

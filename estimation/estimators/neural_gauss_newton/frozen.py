@@ -7,12 +7,14 @@ prediction error weighted by R^-1, R from the residuals (relaxation). The Jacobi
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from estimation.estimators.gauss_newton import halve_until
 from estimation.estimators.neural_gauss_newton.axes import Axis
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, input_slopes
 from estimation.estimators.neural_gauss_newton.samples import SampleStretch
@@ -88,13 +90,16 @@ class Frozen:
         m = stretch.u.shape[1] - 3
         coefficients, d_theta = regressors(theta)
         u = torch.as_tensor(self.standard.u(np.column_stack([stretch.u[:, :m], coefficients])))
-        out, d_u = input_slopes(self.shape, self.weights, u)
+        outputs, d_u = input_slopes(self.shape, self.weights, u)
         slopes = (d_u[:, :, m:].numpy() / self.standard.u_std[m:]) @ d_theta
-        return self.standard.z(stretch.z) - out.numpy(), slopes
+        return self.standard.z(stretch.z) - outputs.numpy(), slopes
 
 
 Predict = Callable[[Array], tuple[list[Array], list[Array]]]
 """theta -> standardised residuals (M, out) and prediction slopes (M, out, n) of every stretch."""
+Look = tuple[list[Array], list[Array], Array, float]
+"""The same at one theta, with R (out,) and the cost."""
+HALVINGS = 11  # of a step, down to a thousandth
 
 
 def fit_parameters(
@@ -112,31 +117,33 @@ def fit_parameters(
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
     total = sum(float(c.sum()) for c in counts)
 
-    def look(t: Array) -> tuple[list[Array], list[Array], Array, float]:
+    def look(t: Array) -> Look:
         residuals, slopes = predict(t)
-        R = variance(residuals, counts)
+        R = residual_variance(residuals, counts)
         return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
 
+    def along(theta: Array, step: NDArray[np.floating[Any]], fraction: float) -> Look:
+        return look(theta + fraction * step)
+
+    def not_above(limit: float, place: Look) -> bool:
+        return not place[3] > limit
+
     theta, (residuals, slopes, R, cost) = min(((t, look(t)) for t in starts), key=lambda tried: tried[1][3])
-    converged, used = False, 0
+    converged, count = False, 0
     for _ in range(iterations):
-        used += 1
+        count += 1
         information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
         step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
-        scale = 1.0
-        trial = look(theta + step)
-        while trial[3] > cost + 1e-9 * abs(cost) and scale > 1e-3:
-            scale *= 0.5
-            trial = look(theta + scale * step)
-        converged = settled(step, information)
-        if trial[3] > cost + 1e-9 * abs(cost):
+        converged = step_settled(step, information)
+        lowered = halve_until(partial(along, theta, step), partial(not_above, cost + 1e-9 * abs(cost)), HALVINGS)
+        if lowered is None:
             break
-        theta = theta + scale * step
-        residuals, slopes, R, cost = trial
+        theta = theta + lowered[0] * step
+        residuals, slopes, R, cost = lowered[1]
         if converged:
             break
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
-    return FrozenFit(theta, information, R, tuple(residuals), used, converged)
+    return FrozenFit(theta, information, R, tuple(residuals), count, converged)
 
 
 def fit_with_instruments(
@@ -154,24 +161,26 @@ def fit_with_instruments(
     """
     theta = start.copy()
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
-    converged, used = False, 0
+    converged, count = False, 0
     for _ in range(iterations):
-        used += 1
+        count += 1
         residuals, slopes = predict(theta)
-        _, left = instrument(theta)
-        matrix, right = normal_equations(left, slopes, residuals, counts, variance(residuals, counts))
+        _, instruments = instrument(theta)
+        matrix, right = normal_equations(instruments, slopes, residuals, counts, residual_variance(residuals, counts))
         step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
         theta = theta + step
-        converged = settled(step, normal_equations(slopes, slopes, residuals, counts, variance(residuals, counts))[0])
+        converged = step_settled(
+            step, normal_equations(slopes, slopes, residuals, counts, residual_variance(residuals, counts))[0]
+        )
         if converged:
             break
     residuals, slopes = predict(theta)
-    R = variance(residuals, counts)
+    R = residual_variance(residuals, counts)
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
-    return FrozenFit(theta, information, R, tuple(residuals), used, converged)
+    return FrozenFit(theta, information, R, tuple(residuals), count, converged)
 
 
-def settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
+def step_settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
     """Whether a step is less than a hundredth of the Cramer-Rao bound, in every direction of parameter space.
 
     Relative to the parameters themselves it would never be, where the data hardly sees one.
@@ -179,7 +188,7 @@ def settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
     return bool(step @ information @ step < 1e-4)
 
 
-def variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
+def residual_variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
     """(out,) mean squared residual over weighted rows."""
     total = sum(float(c.sum()) for c in counts)
     summed = sum((c[:, None] * r**2).sum(axis=0) for c, r in zip(counts, residuals, strict=True))
@@ -187,12 +196,12 @@ def variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
 
 
 def normal_equations(
-    left: Sequence[Array], slopes: Sequence[Array], residuals: Sequence[Array], counts: Sequence[Array], R: Array
+    instruments: Sequence[Array], slopes: Sequence[Array], residuals: Sequence[Array], counts: Sequence[Array], R: Array
 ) -> tuple[Array, Array]:
     """Sum of left' R^-1 slope and left' R^-1 residual over all rows; left are the slopes, or instruments for them."""
     n = slopes[0].shape[2]
     matrix, right = np.zeros((n, n)), np.zeros(n)
-    for a, s, r, c in zip(left, slopes, residuals, counts, strict=True):
+    for a, s, r, c in zip(instruments, slopes, residuals, counts, strict=True):
         weighted = (a * (c[:, None] / R)[:, :, None]).reshape(-1, n).T
         matrix += weighted @ s.reshape(-1, n)
         right += weighted @ r.reshape(-1)

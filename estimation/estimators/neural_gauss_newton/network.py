@@ -5,10 +5,44 @@ Shapes: inputs (samples, n_in), outputs (samples, n_out), weights (n_weights,) o
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from estimation.errors import EstimationError
+
+
+def usable_device(name: str) -> str:
+    """`name` if torch can compute there, `auto` meaning a GPU where there is one; EstimationError otherwise."""
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise EstimationError(f"device {name!r} is unknown; write cpu, cuda or auto") from None
+    if device.type not in ("cpu", "cuda"):
+        raise EstimationError(f"device {name!r} is not supported; write cpu, cuda or auto")
+    if device.type == "cuda":
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if not count:
+            raise EstimationError(f"device {name!r}: torch finds no GPU here; write cpu or auto")
+        if (device.index or 0) >= count:
+            raise EstimationError(f"device {name!r}: torch finds {count} GPU here, counted from cuda:0")
+    return name
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Sums in the same order on every machine, so that the same seed gives the same bits; as it was before afterwards."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +57,8 @@ class NetworkShape:
     @property
     def weights(self) -> int:
         """Number of weights and biases."""
-        through = self.inputs * self.outputs if self.skip else 0
-        return (self.inputs + 1) * self.hidden + (self.hidden + 1) * self.outputs + through
+        linear = self.inputs * self.outputs if self.skip else 0
+        return (self.inputs + 1) * self.hidden + (self.hidden + 1) * self.outputs + linear
 
     def split(self, w: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]:
         """Weight matrices and biases W1 (hidden, in), b1, W2 (out, hidden), b2, and the linear path (out, in)."""
@@ -60,8 +94,8 @@ def forward(shape: NetworkShape, w: Tensor, u: Tensor) -> Tensor:
     """Network output. w: (n_weights,) or (nets, n_weights); u: (samples, in) or (nets, samples, in)."""
     first, b1, second, b2, linear = shape.split(w)
     hidden = torch.tanh(u @ first.mT + b1.unsqueeze(-2))
-    out = hidden @ second.mT + b2.unsqueeze(-2)
-    return out if linear is None else out + u @ linear.mT
+    output = hidden @ second.mT + b2.unsqueeze(-2)
+    return output if linear is None else output + u @ linear.mT
 
 
 def weight_normal_equations(
@@ -75,16 +109,16 @@ def weight_normal_equations(
     F'F, F'phi and phi'phi. Autograd gives the same (tested).
     """
     first, b1, second, b2, linear = shape.split(w)
-    nets, one = w.shape[0], torch.ones_like(u[..., :1])
-    seen = torch.tanh(u @ first.mT + b1.unsqueeze(-2))  # (nets, samples, hidden)
-    inputs = torch.cat([u, one], dim=-1).expand(nets, -1, -1)
-    layers = [seen, one.expand(nets, -1, -1)]
+    nets, ones = w.shape[0], torch.ones_like(u[..., :1])
+    activation = torch.tanh(u @ first.mT + b1.unsqueeze(-2))  # (nets, samples, hidden)
+    inputs = torch.cat([u, ones], dim=-1).expand(nets, -1, -1)
+    layers = [activation, ones.expand(nets, -1, -1)]
     output = torch.cat([second, b2.unsqueeze(-1)], dim=-1)
     if linear is not None:
         layers.append(u.expand(nets, -1, -1))
         output = torch.cat([output, linear], dim=-1)
     phi = torch.cat(layers, dim=-1)
-    F = ((1 - seen**2).unsqueeze(-1) * inputs.unsqueeze(-2)).flatten(-2)  # (nets, samples, hidden * (in + 1))
+    F = ((1 - activation**2).unsqueeze(-1) * inputs.unsqueeze(-2)).flatten(-2)  # (nets, samples, hidden * (in + 1))
     residual = (z - phi @ output.mT) * weight.unsqueeze(-1)
     weighted = F * weight.unsqueeze(-1)
     outer = second.mT @ second  # (nets, hidden, hidden)
@@ -97,8 +131,8 @@ def weight_normal_equations(
     eye = torch.eye(shape.outputs, dtype=w.dtype, device=w.device)
     foot = (eye[None, :, None, :, None] * gram[:, None, :, None, :]).reshape(nets, side.shape[-1], side.shape[-1])
     matrix = torch.cat([torch.cat([corner, side], dim=-1), torch.cat([side.mT, foot], dim=-1)], dim=-2)
-    back = (residual @ second).unsqueeze(-1)  # (nets, samples, hidden, 1)
-    right_first = (F.reshape(*back.shape[:-1], across) * back).sum(dim=1).flatten(1)
+    backpropagated = (residual @ second).unsqueeze(-1)  # (nets, samples, hidden, 1)
+    right_first = (F.reshape(*backpropagated.shape[:-1], across) * backpropagated).sum(dim=1).flatten(1)
     right = torch.cat([right_first, (residual.mT @ phi).flatten(1)], dim=-1)
     order = _flat_order(shape).to(w.device)
     return matrix[:, order][:, :, order], right[:, order]
@@ -122,7 +156,7 @@ def input_slopes(shape: NetworkShape, w: Tensor, u: Tensor) -> tuple[Tensor, Ten
     Samples do not see each other, so one pass back over as many copies of them as there are outputs gives all rows.
     """
     copies = u.expand(shape.outputs, -1, -1).clone().requires_grad_(True)
-    out = forward(shape, w, copies)
-    chosen = out.diagonal(dim1=0, dim2=2)  # output o of copy o
-    (slopes,) = torch.autograd.grad(chosen.sum(), copies)
-    return out[0].detach(), slopes.transpose(0, 1)
+    outputs = forward(shape, w, copies)
+    own_output = outputs.diagonal(dim1=0, dim2=2)  # output o of copy o
+    (slopes,) = torch.autograd.grad(own_output.sum(), copies)
+    return outputs[0].detach(), slopes.transpose(0, 1)

@@ -1,4 +1,4 @@
-"""Training and estimation samples from a flight: the published one-step form, and the interval form.
+"""Training and estimation samples from a flight: the published one-step form, and the interval form; instruments.
 
 Published form (`point`): inputs motion(k) and coefficients at k, outputs motion(k+1) and acceleration(k+1). The
 coefficients need p_dot and r_dot at k, from the spline through the rates without their noise. With a roll mode as fast as
@@ -6,8 +6,14 @@ a sample is long that derivative is too small and too early, and the rolling-mom
 
 Interval form: the coefficient that carries the motion from k to k+n is its mean over the interval, and the mean of a
 moment is exactly the increment of angular momentum, so no derivative is taken: C_l = [Ixx dp - Ixz dr - ...] / (n dt
-mean(q) S b). The model's coefficients are averaged in the same way. Noise in the signals they are computed from would
-still make parameters too small; `instruments` is where that is dealt with, from signals de-noised without smearing edges.
+mean(q) S b). The model's coefficients are averaged in the same way.
+
+Noise in the signals they are computed from would still make every derivative too small (errors in variables). An instrument is a
+signal that moves like the regressor but does not share its noise: here the motion that a linear one-step predictor, fitted to the
+de-noised flight, gives when it runs by itself driven by the measured controls, restarted every RESTART_S. It need not be exact,
+only alike and independent: what is not alike costs spread, never bias. Refined instrumental variables: Young (2011), Recursive
+Estimation and Time-Series Analysis, ch. 6-7. Tried and left: the trained network itself as the predictor. Its errors grow from
+step to step outside the data it was trained on, and the estimates scatter three to ten times more.
 """
 
 from collections.abc import Sequence
@@ -20,10 +26,10 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import DataError
 from estimation.estimators.neural_gauss_newton.axes import Axis, dynamic_pressure
-from estimation.signals.preprocess import denoise_many
-from groundstation.flight import Flight
+from estimation.signals.denoise import denoise_many
+from groundstation.flight import Array, Flight
+from groundstation.flight.arrays import true_runs
 
-Array = NDArray[np.float64]
 Form = Literal["point", "interval"]
 
 INTERVAL_S = 0.2
@@ -74,49 +80,42 @@ def window_mean(values: Array, steps: int) -> Array:
 
 def require_columns(axis: Axis, flight: Flight) -> None:
     """MissingColumnError naming what the axis must have and the flight has not."""
-    needed = [c for c in axis.columns if c not in axis.optional]
-    flight.require(needed, f"Neural Gauss-Newton, {axis.name} axis")
+    required = [c for c in axis.columns if c not in axis.optional]
+    flight.require(required, f"Neural Gauss-Newton, {axis.name} axis")
 
 
 def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
     """Motion variables that the network has to do without: those that would cost some flight a tenth of its samples."""
-    needed = [c for c in axis.columns if c not in axis.optional]
+    required = [c for c in axis.columns if c not in axis.optional]
 
     def costs(flight: Flight, column: str) -> bool:
         if not flight.measured(column):
             return True
-        usable = np.isfinite(np.column_stack([flight[c] for c in needed])).all(axis=1)
+        usable = np.isfinite(np.column_stack([flight[c] for c in required])).all(axis=1)
         return float(np.isfinite(flight[column])[usable].sum()) < (1.0 - COSTLY) * float(usable.sum())
 
     return tuple(c for c in axis.optional if any(costs(f, c) for f in flights))
 
 
-def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[SampleStretch]:
+def training_stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[SampleStretch]:
     """All usable stretches: cut at gaps in time and wherever a needed column has no value.
 
     Raises DataError when nothing long enough is left.
     """
     columns = [c for c in axis.columns if c not in axis.optional or c in motion]
     table = np.column_stack([flight[c] for c in columns])
-    known = np.asarray(np.isfinite(table).all(axis=1))
-    found = []
-    for part in flight.segments:
-        for start, stop in _runs(known[part]):
-            if stop - start >= SHORTEST:
-                rows = slice(part.start + start, part.start + stop)
-                signals = {c: flight[c][rows] for c in columns}
-                found.append(_stretch(axis, signals, flight.time[rows], rows.start, form, motion))
-    if not found:
+    complete = np.asarray(np.isfinite(table).all(axis=1))
+    sample_stretches = []
+    for start, stop in true_runs(complete, flight.segments):
+        if stop - start >= SHORTEST:
+            signals = {c: flight[c][start:stop] for c in columns}
+            sample_stretches.append(_stretch(axis, signals, flight.time[start:stop], start, form, motion))
+    if not sample_stretches:
         raise DataError(
             f"{flight.name}: no stretch of {SHORTEST} samples in a row with all of {', '.join(columns)}; "
             "Neural Gauss-Newton needs one"
         )
-    return found
-
-
-def _runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    return sample_stretches
 
 
 def _stretch(
@@ -161,12 +160,52 @@ def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion
     smooth = _without_noise(axis, raw, motion=2)
     none = {c: np.zeros(len(time)) for c in axis.angular_rates}
     increments = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
-    nothing = {c: np.zeros(len(time) - steps) for c in raw}
+    zeros = {c: np.zeros(len(time) - steps) for c in raw}
     # inertial loads are linear in the rate derivatives: mean of the rest, plus what the exact increments carry
-    loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(nothing, increments)
+    loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(zeros, increments)
     u = np.column_stack(
         [*(raw[c][:-steps] for c in motion), loads / window_mean(dynamic_pressure(raw), steps)[:, None]]
     )
     accelerations = [window_mean(raw[c], steps) for c in axis.accelerations]
     z = np.column_stack([*(raw[c][steps:] for c in motion), *accelerations])
     return SampleStretch(u, z, first + np.arange(len(u)), raw, smooth, steps)
+
+
+RESTART_S = 3.0
+
+
+def predicted_signals(
+    axis: Axis, stretches: list[SampleStretch], motion: tuple[str, ...], step: float
+) -> list[dict[str, Array]]:
+    """Signals of each stretch with the motion replaced by the prediction. step: sample interval [s]."""
+    tables = [_table(axis, s, motion) for s in stretches]
+    inputs = np.vstack([t[0][:-1] for t in tables])
+    drives = np.vstack([t[1] for t in tables])
+    targets = np.vstack([t[0][1:] for t in tables])
+    regressors = np.hstack([inputs, drives])
+    scale = np.where(regressors.std(axis=0) > 0, regressors.std(axis=0), 1.0)
+    map_ = np.linalg.lstsq(regressors / scale, targets, rcond=1e-8)[0] / scale[:, None]
+    block = max(2, round(RESTART_S / step))
+    result = []
+    for stretch, (x, drive) in zip(stretches, tables, strict=True):
+        predicted = x.copy()
+        starts = np.arange(0, len(x) - 1, block)
+        state, rows = x[starts], starts
+        for _ in range(block):
+            keep = rows + 1 < len(x)
+            rows, state = rows[keep], state[keep]
+            if not rows.size:
+                break
+            state = np.hstack([state, drive[rows]]) @ map_
+            rows = rows + 1
+            fresh = ~np.isin(rows, starts)
+            predicted[rows[fresh]] = state[fresh]
+        result.append({**stretch.smooth, **{c: predicted[:, i] for i, c in enumerate(motion)}})
+    return result
+
+
+def _table(axis: Axis, stretch: SampleStretch, motion: tuple[str, ...]) -> tuple[Array, Array]:
+    """(N, n_motion) de-noised motion, and (N - 1, ...) controls at both ends of each step with a constant."""
+    x = np.column_stack([stretch.smooth[c] for c in motion])
+    controls = np.column_stack([stretch.smooth[c] for c in axis.controls])
+    return x, np.hstack([controls[:-1], controls[1:], np.ones((len(x) - 1, 1))])

@@ -24,8 +24,7 @@ from estimation.estimators.neural_gauss_newton.frozen import (
     fit_with_instruments,
 )
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, initial_weights
-from estimation.estimators.neural_gauss_newton.options import NgnOptions
-from estimation.estimators.neural_gauss_newton.training import Job, Trained, mean_square, train_jobs
+from estimation.estimators.neural_gauss_newton.training import Job, NgnOptions, Trained, mean_square, train_jobs
 
 Array = NDArray[np.float64]
 
@@ -70,8 +69,10 @@ class NeuralProblem:
 
         def predict(theta: Array) -> tuple[list[Array], list[Array]]:
             residuals, slopes = [], []
-            for stretch, flight, own in zip(self.rows.stretches, self.rows.flight, regressors, strict=True):
-                r, s = frozen.residual_and_slope(stretch, own, self.unknowns.of_flight(flight, theta))
+            for stretch, flight, stretch_regressors in zip(
+                self.rows.stretches, self.rows.flight, regressors, strict=True
+            ):
+                r, s = frozen.residual_and_slope(stretch, stretch_regressors, self.unknowns.of_flight(flight, theta))
                 residuals.append(r)
                 slopes.append(self.unknowns.scatter(flight, s))
             return residuals, slopes
@@ -88,8 +89,10 @@ class NeuralProblem:
 
         def coefficients(theta: Array) -> tuple[list[Array], list[Array]]:
             residuals, slopes = [], []
-            for stretch, flight, own in zip(self.rows.stretches, self.rows.flight, self.smooth, strict=True):
-                model, d_theta = own(self.unknowns.of_flight(flight, theta))
+            for stretch, flight, stretch_regressors in zip(
+                self.rows.stretches, self.rows.flight, self.smooth, strict=True
+            ):
+                model, d_theta = stretch_regressors(self.unknowns.of_flight(flight, theta))
                 residuals.append(stretch.u[:, -model.shape[1] :] - model)
                 slopes.append(self.unknowns.scatter(flight, d_theta))
             return residuals, slopes
@@ -100,24 +103,20 @@ class NeuralProblem:
         """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
         smooth = self.predict(frozen, self.smooth)
-        found = fit_parameters(smooth, self.counts, [self.unknowns.start, self.regression])
+        fitted = fit_parameters(smooth, self.counts, [self.unknowns.start, self.regression])
         if not self.instruments:
-            return found
+            return fitted
         return fit_with_instruments(
-            self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, found.theta
+            self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, fitted.theta
         )
 
-    def refit(self, weights: torch.Tensor, start: Array, drawn: Array) -> Array:
+    def refit(self, weights: torch.Tensor, start: Array, multiplicity_of_rows: Array) -> Array:
         """(n,) parameters with another network on resampled rows, a few steps from a solution."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
-        multiplicity = self.rows.split(drawn)
+        multiplicity = self.rows.split(multiplicity_of_rows)
         if not self.instruments:
             return fit_parameters(
-                self.predict(frozen, self.smooth),
-                self.counts,
-                [start],
-                multiplicity=multiplicity,
-                iterations=FEW_STEPS,
+                self.predict(frozen, self.smooth), self.counts, [start], multiplicity=multiplicity, iterations=FEW_STEPS
             ).theta
         return fit_with_instruments(
             self.predict(frozen, self.measured),
@@ -129,22 +128,22 @@ class NeuralProblem:
         ).theta
 
 
-def solve(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[NeuralSolution]:
+def solve_problems(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[NeuralSolution]:
     """Train, freeze, estimate; then again for the bootstrap."""
     trained = _trained(problems, options)
     fitted = [[p.fit(t.weights) for t in nets] for p, nets in zip(problems, trained, strict=True)]
-    drawn = [_bootstrap_weights(p, options) for p in problems]
+    multiplicities = [_bootstrap_weights(p, options) for p in problems]
     jobs = [
         p.job(torch.as_tensor(row), nets[k % len(nets)].weights)
-        for p, nets, rows in zip(problems, trained, drawn, strict=True)
+        for p, nets, rows in zip(problems, trained, multiplicities, strict=True)
         for k, row in enumerate(rows)
     ]
-    short = replace(options.training, optimiser="lm", iterations=options.bootstrap_iterations)
-    again = iter(train_jobs(jobs, short, options.device))
+    short = replace(options.training, iterations=options.bootstrap_iterations)
+    retrained = iter(train_jobs(jobs, short, options.device))
     solutions = []
-    for problem, nets, fits, rows in zip(problems, trained, fitted, drawn, strict=True):
+    for problem, nets, fits, rows in zip(problems, trained, fitted, multiplicities, strict=True):
         spread = [
-            problem.refit(next(again)[0], fits[k % len(fits)].theta, row) - fits[k % len(fits)].theta
+            problem.refit(next(retrained)[0], fits[k % len(fits)].theta, row) - fits[k % len(fits)].theta
             for k, row in enumerate(rows)
         ]
         bootstrap = np.array(spread).reshape(-1, problem.unknowns.size)
@@ -163,47 +162,49 @@ def _trained(problems: Sequence[NeuralProblem], options: NgnOptions) -> list[lis
     tries = members * training.restarts
     jobs = []
     for problem in problems:
-        seen = (~problem.rows.held_out).double()
+        training_rows = (~problem.rows.held_out).double()
         for member in range(members):
             starts = initial_weights(problem.shape, generator_of(options.seed, member), training.restarts)
-            jobs += [problem.job(seen, start) for start in starts]
-    tried = train_jobs(jobs, training, options.device)
-    chosen: list[tuple[torch.Tensor, int, float]] = []
+            jobs += [problem.job(training_rows, start) for start in starts]
+    candidates = train_jobs(jobs, training, options.device)
+    best_nets: list[tuple[torch.Tensor, int, float]] = []
     for i, problem in enumerate(problems):
         for member in range(members):
             first = i * tries + member * training.restarts
-            chosen.append(_best(problem, tried[first : first + training.restarts]))
+            best_nets.append(_best(problem, candidates[first : first + training.restarts]))
     everything = [
-        problem.job(torch.ones(len(problem.rows.u), dtype=torch.float64), chosen[i * members + k][0])
+        problem.job(torch.ones(len(problem.rows.u), dtype=torch.float64), best_nets[i * members + k][0])
         for i, problem in enumerate(problems)
         for k in range(members)
     ]
     finished = train_jobs(everything, training, options.device)
     return [
         [
-            Trained(w, mean_square(p.shape, w, p.rows.u, p.rows.z, torch.ones(len(p.rows.u))), before[2], before[1] + n)
-            for (w, n), before in zip(
-                finished[i * members : (i + 1) * members], chosen[i * members : (i + 1) * members], strict=True
+            Trained(
+                w, mean_square(p.shape, w, p.rows.u, p.rows.z, torch.ones(len(p.rows.u))), selected[2], selected[1] + n
+            )
+            for (w, n), selected in zip(
+                finished[i * members : (i + 1) * members], best_nets[i * members : (i + 1) * members], strict=True
             )
         ]
         for i, p in enumerate(problems)
     ]
 
 
-def _best(problem: NeuralProblem, tried: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
+def _best(problem: NeuralProblem, candidates: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
     """Weights, iterations and held-out error of the network that predicts held-out rows best."""
     rows = problem.rows
     judged = rows.held_out.double() if rows.held_out.any() else torch.ones(len(rows.u), dtype=torch.float64)
-    errors = [mean_square(problem.shape, w, rows.u, rows.z, judged) for w, _ in tried]
-    best = int(np.nanargmin(errors))
-    return *tried[best], errors[best]
+    errors = [mean_square(problem.shape, w, rows.u, rows.z, judged) for w, _ in candidates]
+    lowest = int(np.nanargmin(errors))
+    return *candidates[lowest], errors[lowest]
 
 
 def _bootstrap_weights(problem: NeuralProblem, options: NgnOptions) -> Array:
     """(bootstraps, M) how often each row is drawn."""
     rng = np.random.default_rng([options.seed, 64])
-    drawn = [problem.rows.resampled(rng) for _ in range(options.bootstraps)]
-    return np.array(drawn).reshape(options.bootstraps, len(problem.rows.u))
+    multiplicities = [problem.rows.resampled(rng) for _ in range(options.bootstraps)]
+    return np.array(multiplicities).reshape(options.bootstraps, len(problem.rows.u))
 
 
 def _solution(fits: Sequence[FrozenFit], trained: Sequence[Trained], bootstrap: Array) -> NeuralSolution:

@@ -1,18 +1,15 @@
-"""Training of networks side by side: Levenberg-Marquardt (default), L-BFGS or Adam, in float64, on a CPU or a GPU.
+"""Training of networks side by side by Levenberg-Marquardt, in float64, on a CPU or a GPU; its settings.
 
 On a CPU the same jobs give the same weights bit for bit.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from estimation.estimators.neural_gauss_newton.network import NetworkShape, forward, weight_normal_equations
-
-Optimiser = Literal["lm", "lbfgs", "adam"]
 
 TRIES = 8  # dampings of one step before a network counts as trained
 LARGEST_BATCH_ROWS = {"cpu": 40_000, "cuda": 1_000_000}  # of all networks of a batch: 0.1 and 2 GB while training
@@ -23,11 +20,9 @@ ENOUGH = 1e-7  # part of the cost that a step must gain
 class TrainingOptions:
     """How to train. decay: weight of the sum of squared weights in the cost (standardised data, summed residuals)."""
 
-    optimiser: Optimiser = "lm"
     iterations: int = 60
     restarts: int = 2
     decay: float = 1e-4
-    learning_rate: float = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +57,11 @@ def train_jobs(jobs: Sequence[Job], options: TrainingOptions, device: str = "cpu
     for batch in _batches(jobs, LARGEST_BATCH_ROWS[torch.device(device).type]):
         longest = max(len(j.u) for j in batch)
         shared = all(j.u is batch[0].u and j.z is batch[0].z for j in batch)
-        many = batch[:1] if shared else batch
-        u, z = (torch.stack([_padded(v, longest) for v in vs]) for vs in ([j.u for j in many], [j.z for j in many]))
-        weights, iterations = OPTIMISERS[options.optimiser](
+        sources = batch[:1] if shared else batch
+        u, z = (
+            torch.stack([_padded(v, longest) for v in vs]) for vs in ([j.u for j in sources], [j.z for j in sources])
+        )
+        weights, iterations = levenberg_marquardt(
             batch[0].shape,
             (u[0] if shared else u).to(device),
             (z[0] if shared else z).to(device),
@@ -116,33 +113,33 @@ def levenberg_marquardt(
     w = starts.clone()
     damping = torch.full((len(w),), 1e-2, dtype=w.dtype, device=w.device)
     cost = _costs(shape, w, u, z, weights, options.decay)
-    used = torch.zeros(len(w), dtype=torch.int64, device=w.device)
+    iterations = torch.zeros(len(w), dtype=torch.int64, device=w.device)
     active = torch.arange(len(w), device=w.device)
     for _ in range(options.iterations):
         if not len(active):
             break
-        mine = _Batch.of(u, z, weights, active)
-        matrix, right = weight_normal_equations(shape, w[active], mine.u, mine.z, mine.weights)
+        rows = _Batch.of(u, z, weights, active)
+        matrix, right = weight_normal_equations(shape, w[active], rows.u, rows.z, rows.weights)
         matrix.diagonal(dim1=1, dim2=2).add_(options.decay)
         right -= options.decay * w[active]
         scale = matrix.diagonal(dim1=1, dim2=2).mean(dim=1)
         gain = torch.full_like(scale, -1.0)
         for _ in range(TRIES):
-            left = torch.nonzero(gain < 0).squeeze(1)
-            if not len(left):
+            pending = torch.nonzero(gain < 0).squeeze(1)
+            if not len(pending):
                 break
-            now = active[left]
-            step = _damped_step(matrix[left], right[left], damping[now] * scale[left])
-            trial = w[now] + step
-            part = mine.only(left)
+            nets = active[pending]
+            step = _damped_step(matrix[pending], right[pending], damping[nets] * scale[pending])
+            trial = w[nets] + step
+            part = rows.only(pending)
             new = _costs(shape, trial, part.u, part.z, part.weights, options.decay)
-            better = new < cost[now]
-            gain[left[better]] = ((cost[now] - new) / cost[now])[better]
-            w[now[better]], cost[now[better]] = trial[better], new[better]
-            damping[now] = torch.where(better, torch.clamp(damping[now] / 3.0, min=1e-10), damping[now] * 4.0)
-        used[active[gain >= 0]] += 1
+            lowered = new < cost[nets]
+            gain[pending[lowered]] = ((cost[nets] - new) / cost[nets])[lowered]
+            w[nets[lowered]], cost[nets[lowered]] = trial[lowered], new[lowered]
+            damping[nets] = torch.where(lowered, torch.clamp(damping[nets] / 3.0, min=1e-10), damping[nets] * 4.0)
+        iterations[active[gain >= 0]] += 1
         active = active[gain >= ENOUGH]
-    return w, used
+    return w, iterations
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,14 +151,14 @@ class _Batch:
     weights: Tensor
 
     @classmethod
-    def of(cls, u: Tensor, z: Tensor, weights: Tensor, chosen: Tensor) -> "_Batch":
-        return cls(u, z, weights).only(chosen) if len(chosen) < len(weights) else cls(u, z, weights)
+    def of(cls, u: Tensor, z: Tensor, weights: Tensor, nets: Tensor) -> "_Batch":
+        return cls(u, z, weights).only(nets) if len(nets) < len(weights) else cls(u, z, weights)
 
-    def only(self, chosen: Tensor) -> "_Batch":
-        if len(chosen) == len(self.weights):
+    def only(self, nets: Tensor) -> "_Batch":
+        if len(nets) == len(self.weights):
             return self
-        u, z = (v[chosen] if v.dim() == 3 else v for v in (self.u, self.z))
-        return _Batch(u, z, self.weights[chosen])
+        u, z = (v[nets] if v.dim() == 3 else v for v in (self.u, self.z))
+        return _Batch(u, z, self.weights[nets])
 
 
 def _damped_step(matrix: Tensor, right: Tensor, damping: Tensor) -> Tensor:
@@ -178,45 +175,33 @@ def _costs(shape: NetworkShape, w: Tensor, u: Tensor, z: Tensor, weights: Tensor
     return (weights[:, :, None] * (z - forward(shape, w, u)) ** 2).sum(dim=(1, 2)) + decay * (w**2).sum(dim=1)
 
 
-def _lbfgs(
-    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
-) -> tuple[Tensor, Tensor]:
-    """One network after the other: a line search cannot be shared."""
-    found, used = [], []
-    for k in range(len(starts)):
-        own = [v[k] if v.dim() == 3 else v for v in (u, z)]
-        w = starts[k : k + 1].clone().requires_grad_(True)
-        optimiser = torch.optim.LBFGS(
-            [w], max_iter=10 * options.iterations, history_size=30, line_search_fn="strong_wolfe"
-        )
+@dataclass(frozen=True, slots=True)
+class NgnOptions:
+    """improved: the interval form with a linear path; instruments: normal equations with instruments.
 
-        def closure(w: Tensor = w, own: list[Tensor] = own, weight: Tensor = weights[k : k + 1]) -> float:
-            w.grad = None
-            cost = _costs(shape, w, own[0], own[1], weight, options.decay).sum()
-            cost.backward()  # type: ignore[no-untyped-call]
-            return float(cost.detach())
+    hidden: neurons; ensemble: networks of different seeds whose estimates are averaged; bootstraps: networks of the
+    block bootstrap (0: no honest spread, the Cramer-Rao bound stands alone); device: cpu, cuda or auto, for training.
+    """
 
-        optimiser.step(closure)
-        found.append(w.detach()[0])
-        used.append(int(optimiser.state[w].get("n_iter", 0)))
-    return torch.stack(found), torch.tensor(used)
+    improved: bool = False
+    instruments: bool = False
+    hidden: int = 6
+    training: TrainingOptions = field(default_factory=lambda: TrainingOptions(restarts=1))
+    ensemble: int = 2
+    bootstraps: int = 64
+    bootstrap_iterations: int = 4
+    seed: int = 0
+    device: str = "cpu"
 
 
-def _adam(
-    shape: NetworkShape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
-) -> tuple[Tensor, Tensor]:
-    """20 steps for each iteration of the others, with a learning rate that falls to a hundredth."""
-    w = starts.clone().requires_grad_(True)
-    steps = 20 * options.iterations
-    optimiser = torch.optim.Adam([w], lr=options.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, eta_min=options.learning_rate * 1e-2)
-    for _ in range(steps):
-        optimiser.zero_grad()
-        cost = _costs(shape, w, u, z, weights, options.decay).sum()
-        cost.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-        schedule.step()
-    return w.detach(), torch.full((len(starts),), steps)
+def default_options(improved: bool, axis: str = "lateral") -> NgnOptions:
+    """What the study found best. The published form's networks differ more, so it takes more of them.
 
-
-OPTIMISERS = {"lm": levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
+    Longitudinal: lift follows angle of attack so closely that instruments carry too little of what is left.
+    """
+    if improved and axis == "lateral":
+        return NgnOptions(improved=True, instruments=True)
+    steady = TrainingOptions(restarts=1, decay=1e-2)
+    if improved:
+        return NgnOptions(improved=True, hidden=4, training=steady)
+    return NgnOptions(training=steady, ensemble=4)

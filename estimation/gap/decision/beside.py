@@ -17,7 +17,7 @@ from estimation.gap.decision.decide import (
     as_unknown,
 )
 from estimation.gap.decision.unnamed import (
-    searched,
+    search_shape,
 )
 from estimation.gap.errors import GapError
 from estimation.gap.fit.baseline import Baseline, fit_baseline
@@ -65,7 +65,7 @@ def names_beside(
         nameless_base = afresh_with(bare, extended.findings, extended.findings[-1].child)
         if nameless_base is None:
             return None
-        renewed = searched(setting, search, setting.screened(nameless_base, len(search.rounds)), decision)
+        renewed = search_shape(setting, search, setting.screened(nameless_base, len(search.rounds)), decision)
     except GapError:  # a motion that cannot be linearised: what was found before stands
         return None
     if renewed.shape is None or renewed.shape.fitted.increment.place != shape.fitted.increment.place:
@@ -85,7 +85,7 @@ def _shaped(
         return found.shape, found.shape.measured.child
     if decision.kept == len(search.findings) or isinstance(found.follower, SwingingTerm):
         return None, None
-    shape = searched(setting, search, search.rounds[-1], decision).shape
+    shape = search_shape(setting, search, search.rounds[-1], decision).shape
     fitted = None if shape is None else fit_increment(standing, shape.fitted.increment)
     if fitted is None:
         return None, None
@@ -160,7 +160,7 @@ def without_doubted(
     if number is None:
         return None
     round_ = kept[number].round_
-    search_result = searched(setting, search, round_, as_unknown(decision))
+    search_result = search_shape(setting, search, round_, as_unknown(decision))
     if search_result.shape is None or not as_good(search_result.shape, named[number], setting.options.criteria):
         return None
     changed = without_name(decision, kept[number], number, search_result.shape)

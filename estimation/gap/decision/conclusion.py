@@ -19,7 +19,7 @@ from estimation.gap.decision.decide import (
     with_names,
     with_shape,
 )
-from estimation.gap.decision.followers import beside_memory, late_rest, settled
+from estimation.gap.decision.followers import beside_memory, late_rest, settled_follower
 from estimation.gap.decision.lineage import models
 from estimation.gap.decision.location import views
 from estimation.gap.decision.steps import (
@@ -35,11 +35,11 @@ from estimation.gap.decision.steps import (
 )
 from estimation.gap.decision.unnamed import (
     event_step,
+    events_in_time,
+    find_held_instrument,
     floor_about,
-    happened,
-    held_back,
     held_step,
-    searched,
+    search_shape,
     shaped_step,
     standing_round,
 )
@@ -100,7 +100,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         if renewed is not None:
             return concluded(setting, renewed, check)
         _add_names(state, continuation)
-    return _answer(state, check, turned_down(search, continuation))
+    return _answer(state, check, rejected_hypotheses(search, continuation))
 
 
 def _decided(setting: Setting, search: SearchState) -> _Standing:
@@ -123,14 +123,14 @@ def _search_unnamed(state: _Standing) -> None:
     setting, search = state.setting, state.search
     round_ = standing_round(setting, search, state.kept)
     if not state.kept or state.decision.verdict is GapVerdict.UNKNOWN:
-        state.found = searched(setting, search, round_, state.decision)
+        state.found = search_shape(setting, search, round_, state.decision)
     if state.found.shape is None:  # names say nothing of what happens at one time
-        state.event = happened(setting, round_)
+        state.event = events_in_time(setting, round_)
     if state.found.shape is not None or state.event is not None:
         return
     late_term = late_rest(setting, search, state.kept)
     if late_term is None:
-        follower = settled(state.found.follower, state.model, setting.options.seed)
+        follower = settled_follower(state.found.follower, state.model, setting.options.seed)
     else:
         follower = late_term.follower
         state.decision = beside_memory(state.decision, [n.effect for n in state.named], late_term)
@@ -165,10 +165,10 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
         rest, remainder = still_left(last, rest)
     elif state.event is not None:
         decision, unnamed = as_unknown(decision), event_step(state.event, unchanged_gap)
-    elif decision.verdict in EXPLAINED and (stale := held_back(state.model, prepared)):
+    elif decision.verdict in EXPLAINED and (stale := find_held_instrument(state.model, prepared)):
         decision, unnamed = as_unknown(decision), held_step(stale, unchanged_gap)
-    effect_steps = [sized(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
-    steps = told(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, shapes.follower)
+    effect_steps = [with_final_estimates(s, f, final) for s, f in zip(state.named, state.kept, strict=False)]
+    steps = steps_in_words(decision, effect_steps, rest, check, state.gap, state.floor, unnamed, shapes.follower)
     repeats, detectable = repeatability(last, prepared.names), detectable_sizes(last)
     stages = views(first.baseline, final, prepared, final is not first.baseline)
     before_model, after_model = models(setting.base, first.baseline, state.kept, shapes.shape)
@@ -221,7 +221,7 @@ def _answer(state: _Standing, check: KinematicCheck, rejected: tuple[Rejected, .
     )
 
 
-def sized(step: EffectStep, finding: AcceptedEffect, after: Baseline) -> EffectStep:
+def with_final_estimates(step: EffectStep, finding: AcceptedEffect, after: Baseline) -> EffectStep:
     """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it."""
     return replace(step, estimates=estimates_of(finding.round_, finding.candidate, after))
 
@@ -235,7 +235,7 @@ def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
     return rest, how_it_shows(rest) if rest.matters(round_.criteria) else ""
 
 
-def turned_down(search: SearchState, beside: ShapeContinuation | None) -> tuple[Rejected, ...]:
+def rejected_hypotheses(search: SearchState, beside: ShapeContinuation | None) -> tuple[Rejected, ...]:
     """Hypotheses that the rounds turned down, but for those that stand beside a shape in the end."""
     if beside is None:
         return search.rejected
@@ -263,7 +263,7 @@ def facts_of(
     )
 
 
-def told(
+def steps_in_words(
     decision: Decision,
     named: Sequence[EffectStep],
     rest: Omnibus,

@@ -84,7 +84,7 @@ def _unnamed(title: str, form: Form) -> Hypothesis:
     return Hypothesis(Effect(form.label, title, Group.UNSTEADY, "", "", "", "", {}, "", (form,)), form)
 
 
-def settled(follower: Follower | None, baseline: Baseline, seed: int) -> Follower | None:
+def settled_follower(follower: Follower | None, baseline: Baseline, seed: int) -> Follower | None:
     """A lag as it is; a swing with frequency and damping as fitted beside a model, and none where the fit ends in something that
     does not ring. None too where it gains nearly as much with only the controls measured again. As linear theory has it where
     the fit runs away."""
@@ -160,7 +160,7 @@ def _late_rest(setting: Setting, search: SearchState, kept: Sequence[AcceptedEff
     count = 0
     for finding in kept:
         problem, extended = _with_name(problem, current, finding)
-        if extended.diverged or not significant(2.0 * (current.cost - extended.cost), finding):
+        if extended.diverged or not significant_beside(2.0 * (current.cost - extended.cost), finding):
             break
         current, count = extended, count + 1
     return LateRest(fitted, count)
@@ -171,7 +171,7 @@ def stands_out(follower: Follower, criteria: Criteria) -> bool:
     return follower.score > criteria.restless_margin * follower.threshold
 
 
-def significant(gain: float, finding: AcceptedEffect) -> bool:
+def significant_beside(gain: float, finding: AcceptedEffect) -> bool:
     """Whether a name that gains so much (twice a log-likelihood) beside a lag or swing would have been named."""
     return gain > own_inflation(finding.candidate) * finding.round_.threshold**2
 

@@ -16,11 +16,16 @@ from estimation.gap.search.state import AcceptedEffect
 from estimation.gap.shapes.search import CoefficientShape
 from estimation.models.base import Model
 from estimation.models.load import write_model
-from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
+from estimation.session.sanity_checks import (
+    controls_of_another_unit,
+    turned_controls,
+    turned_outputs,
+    turned_side_force,
+)
 from groundstation.flight import Flight
 
 
-def fitted(model: Model, values: Mapping[str, float]) -> Model:
+def with_values(model: Model, values: Mapping[str, float]) -> Model:
     """`model` with its parameters starting at the fitted `values`."""
     parameters = []
     for p in model.parameters:
@@ -105,7 +110,7 @@ def models(
     base: Model, first: Baseline, kept: Sequence[AcceptedEffect], shape: CoefficientShape | None = None
 ) -> tuple[Model, Model]:
     """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
-    parent = fitted(base, first.fit.values)
+    parent = with_values(base, first.fit.values)
     if not kept and shape is None:
         return parent, parent
     child = base
@@ -117,4 +122,4 @@ def models(
         values = shape.measured.child.fit.values
         child = shape.fitted.increment.written_into(child, values)
         names.append("nameless")
-    return parent, replace(fitted(child, values), name="+".join(names))
+    return parent, replace(with_values(child, values), name="+".join(names))

@@ -31,7 +31,8 @@ from estimation.gap.fit.spectra import (
 )
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.significance.measure import plain_residuals
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
+from groundstation.flight.arrays import true_runs
 
 LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
 DEGREES = {"beta", "alpha", "phi", "theta", "delta_a", "delta_r", "delta_e", "p", "q", "r"}
@@ -212,8 +213,7 @@ def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, 
     n = min(max(round(criteria.span_window / float(np.median(np.diff(time)))), 2), time.size)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
     limit = max(criteria.span_share * float(smooth.max()), NOTHING)
-    changes = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > limit).astype(int), [0]])))
-    spans = [(a, b - 1) for a, b in zip(changes[::2], changes[1::2], strict=True) if b - a >= n // 2]
+    spans = [(a, b - 1) for a, b in true_runs(smooth > limit) if b - a >= n // 2]
     spans.sort(key=lambda s: -float(gain[s[0] : s[1] + 1].sum()))
     return [(float(time[a]), float(time[b])) for a, b in spans]
 

@@ -49,7 +49,7 @@ def floor_about(setting: Setting, round_: Round) -> Floors:
     return floors(round_, round_.baseline.held_out, holdout_errors, setting.options.seed)
 
 
-def searched(setting: Setting, search: SearchState, round_: Round, decision: Decision) -> ShapeSearch:
+def search_shape(setting: Setting, search: SearchState, round_: Round, decision: Decision) -> ShapeSearch:
     """Look for a shape of what the standing names leave: at length where a rest is known to matter."""
     setting.tell("a shape for what has no name", 0.92)
     number = len(search.rounds)
@@ -72,7 +72,7 @@ def shaped_step(
     """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
     location = locate(baseline, shape.measured.child, shape.fitted.increment.place.line)
     formulas = [formula for formula, _ in shape.plain]
-    catalogued = alike(formulas, location.equation, baseline.clean, setting.effects, rejected)
+    catalogued = effects_of_same_form(formulas, location.equation, baseline.clean, setting.effects, rejected)
     curve = curve_of(shape, setting, location.regime, catalogued)
     return EffectStep(
         effect="unknown", title=UNNAMED if catalogued else UNKNOWN, form="", confidence=0.0, members=(),
@@ -114,7 +114,7 @@ def _unit(model: Model, variable: str) -> str:
     return next((s.unit for s in (*model.states, *model.inputs, *model.outputs) if s.name == variable), "1")
 
 
-def happened(setting: Setting, round_: Round) -> Happened | None:
+def events_in_time(setting: Setting, round_: Round) -> Happened | None:
     """Events in time that leave nothing else to explain; None where there is none, or where something else is left."""
     setting.tell("what may have happened at one time", 0.94)
     try:
@@ -128,10 +128,12 @@ def happened(setting: Setting, round_: Round) -> Happened | None:
         return None
     records, names = round_.baseline.problem.records, setting.prepared.names
     flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in transients.found]
-    return Happened([happening(f, setting.base, flight) for f, flight in zip(transients.found, flights, strict=True)])
+    return Happened(
+        [event_report(f, setting.base, flight) for f, flight in zip(transients.found, flights, strict=True)]
+    )
 
 
-def happening(found: DetectedEvent, base: Model, flight: str) -> EventReport:
+def event_report(found: DetectedEvent, base: Model, flight: str) -> EventReport:
     """An event in the words of the answer. flight: its name, "" for all of them."""
     event, sizes = found.event, found.sizes
     unit = next((s.unit for s in base.outputs if s.name == event.channel), "1/s")
@@ -167,7 +169,7 @@ def event_step(shape: Happened, gap: Gap) -> EffectStep:
     )  # fmt: skip
 
 
-def held_back(baseline: Baseline, prepared: FlightRecords) -> HeldInstrument | None:
+def find_held_instrument(baseline: Baseline, prepared: FlightRecords) -> HeldInstrument | None:
     """The stale output that is farthest from the model where it repeats; None where none is too far."""
     problem, fit = baseline.problem, baseline.fit
     modelled = [problem.modelled(i, fit.values, local) for i, local in enumerate(fit.locals)]
@@ -178,14 +180,14 @@ def held_back(baseline: Baseline, prepared: FlightRecords) -> HeldInstrument | N
         if signal.source in prepared.stale and pairs:
             repeated = np.concatenate([r.apart[:, c] - y[:, c] for r, y in pairs if r.apart is not None])
             fresh = np.concatenate([r.z[:, c] - y[:, c] for r, y in pairs])
-            instrument = judged(
+            instrument = held_instrument(
                 signal.source, repeated[np.isfinite(repeated)], fresh[np.isfinite(fresh)], step, baseline.criteria
             )
             instruments += [instrument] if instrument is not None else []
     return max(instruments, key=lambda h: h.ratio, default=None)
 
 
-def judged(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> HeldInstrument | None:
+def held_instrument(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> HeldInstrument | None:
     """Residuals of a channel where it repeats a value, (n,), against those at new values, (m,), of records sampled every `step`
     [s]; None where the former are little farther."""
     reference = float(np.sqrt(np.mean(near**2))) if near.size else 0.0
@@ -209,7 +211,7 @@ def held_step(held: HeldInstrument, gap: Gap) -> EffectStep:
     )  # fmt: skip
 
 
-def alike(
+def effects_of_same_form(
     plain: Sequence[Plain], line: str, model: Model, effects: Sequence[Effect], rejected: Sequence[Rejected]
 ) -> tuple[Alike, ...]:
     """Effects that add to `line` what a formula beside a shape does, times a number, and that `model` lacks."""

@@ -12,7 +12,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.estimators.equation_error import start_values
@@ -20,7 +19,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.fit.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.fit.fitting import ENOUGH, cost_at, fit
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local
 from estimation.gap.fit.spectra import (
     NoiseModel,
     NoisePart,
@@ -45,7 +44,8 @@ from estimation.gap.fit.whitener import Whitener
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord, FlightRecords
 from estimation.models.base import Model
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
+from estimation.prepare.flight_data import FlightData
 
 PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
 SPARE_PASSES = 3  # more of them where the fit has not come to rest
@@ -290,11 +290,11 @@ def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | Non
 def fit_from(problem: LikelihoodProblem, other: ModelFit, enough: float = ENOUGH, beyond: float = np.inf) -> ModelFit:
     """A problem's fit begun where another model of the same flights ended, with all that both have."""
     values = {n: other.values[n] for n in problem.free if n in other.values}
-    locals_ = [carried(local, other.model, problem.model) for local in other.locals]
+    locals_ = [carried_local(local, other.model, problem.model) for local in other.locals]
     return fit(problem, values, locals_, enough=enough, beyond=beyond)
 
 
-def deeper(baseline: Baseline, other: ModelFit) -> ModelFit | None:
+def deeper_fit(baseline: Baseline, other: ModelFit) -> ModelFit | None:
     """A better fit of a baseline's own model, begun where another model of the same flights ended; None where there is none.
 
     A gain over a fit that rests in a poorer valley is not the other model's. A base whose motion grows was left for one as good

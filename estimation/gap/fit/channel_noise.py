@@ -7,7 +7,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
-from estimation.signals.preprocess import noise_level
+from estimation.signals.denoise import noise_level
 
 KNOWN = 0.2  # of the steps from sample to sample, for what is seen of them to stand for the rest
 QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all

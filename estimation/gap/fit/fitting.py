@@ -12,9 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import FlightBlocks
-from estimation.estimators.box import step_within
 from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
+from estimation.estimators.normal_equations import FlightBlocks, step_within
 from estimation.gap.fit.problem import LikelihoodProblem, Local, ModelFit, prior_cost, prior_terms
 
 ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller

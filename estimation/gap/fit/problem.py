@@ -12,13 +12,13 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.whitener import Whitener
-from estimation.gap.records.flight_records import FlightRecord, started
+from estimation.gap.records.flight_records import FlightRecord, starting_state
 from estimation.models.base import Model, ParameterRole
-from estimation.models.in_force import asked_for
-from estimation.signals.monotone_cubic import half_way, inner_slopes
+from estimation.models.dependence import asked_for
+from estimation.signals.curves import half_way, inner_slopes
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
 
@@ -88,9 +88,9 @@ class Local:
     parameters: Mapping[str, float]
 
 
-def carried(local: Local, old: Model, new: Model) -> Local:
+def carried_local(local: Local, old: Model, new: Model) -> Local:
     """A record's own unknowns carried over to a model with more or fewer states."""
-    return Local(started(new, dict(zip(old.state_names, local.x0, strict=True))), local.parameters)
+    return Local(starting_state(new, dict(zip(old.state_names, local.x0, strict=True))), local.parameters)
 
 
 @dataclass(frozen=True)

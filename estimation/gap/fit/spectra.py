@@ -28,7 +28,7 @@ from estimation.gap.effects.catalogue import REFERENCE
 from estimation.gap.fit.whitener import Complex, Whitener
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.models.base import Model, Signal
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 
 STEADY = frozenset({"V", "alpha", "theta", "u", "w", "ax", "az"})
 """Quantities that have a value in straight and level flight; all others are zero there."""

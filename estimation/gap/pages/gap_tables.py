@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from estimation.gap.answer.result import EffectStep, Gap, GapResult
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.effects.base import Effect
-from estimation.report.notes import collected
-from estimation.report.tables import ReportTable, number, pair, significant
+from estimation.report.flight_tables import collected
+from estimation.report.tables import ReportTable, number, significant, value_and_bound
 
 GAP_HEAD = ("before [σ]", "after [σ]", "floor [σ]", "closed [%]")
 BEFORE_FLYING, MIGRATED = ("from [1/rad]", "to [1/rad]"), "moved by [bounds]"
@@ -40,7 +40,7 @@ def step_parameters(step: EffectStep) -> ReportTable | None:
     """What was estimated of the effect."""
     if not step.estimates:
         return None
-    rows = tuple((n, *pair(*e), _unit(step.units.get(n, ""))) for n, e in step.estimates.items())
+    rows = tuple((n, *value_and_bound(*e), _unit(step.units.get(n, ""))) for n, e in step.estimates.items())
     head = ("", "estimate", "bound", "unit")
     return ReportTable(f"parameters_{step.effect}", "Estimate of the effect", head, rows)
 

@@ -2,10 +2,10 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from markupsafe import Markup
 
 from estimation.gap.answer.result import EffectStep, GapResult, Histories
 from estimation.gap.answer.shape import ShapeCurve
@@ -14,15 +14,10 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
 from estimation.gap.pages.figures import AFTER, BEFORE, residual_maps
 from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
-from estimation.report.markup.html import write_page
+from estimation.report.flight_tables import notes_table
 from estimation.report.names import axis_label, face
-from estimation.report.notes import notes_table
-from estimation.report.tables import ReportTable, write_all
+from estimation.report.page import Page, Part, Section, box, paragraph
 
-if TYPE_CHECKING:
-    from markupsafe import Markup
-
-HERE = Path(__file__).parent
 BAND = "#9db4c4"
 TITLES = {
     "no_gap": "No gap",
@@ -33,50 +28,109 @@ TITLES = {
 }
 
 
-@dataclass(frozen=True)
-class Told:
-    """A step as the page shows it."""
-
-    step: EffectStep
-    tables: tuple[ReportTable, ...]
-    equation: "Markup | None"
-    curve: Picture | None = None
-
-
 def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] = ()) -> Path:
     """Write folder/index.html with its pictures inside, and its tables as CSV and LaTeX in folder/tables; returns the page.
 
     effects: those that were asked for, for their units; by default the catalogue.
     """
-    steps = [_told(s) for s in result.steps]
-    tables: dict[str, ReportTable | None] = {
-        "missing": gap_tables.missing_table(result) if result.views else None,
-        "repeat": gap_tables.repeat_table(result),
-        "ties": gap_tables.ties_table(result),
-        "cannot": gap_tables.cannot_table(result),
-        "rejected": gap_tables.rejected_table(result),
-        "sizes": gap_tables.sizes_table(result, effects or catalogue(model=result.model_before)),
-        "notes": notes_table(_of_flight(n) for n in result.notes),
-    }
-    write_all(
-        [*(t for s in steps for t in s.tables), *(t for t in tables.values() if t is not None)], folder / "tables"
+    numbered = enumerate(result.steps, start=1)
+    places: list[Part] = (
+        [] if not result.views else [_stages(result), residual_maps(result), gap_tables.missing_table(result)]
     )
+    repeat = gap_tables.repeat_table(result)
+    histories = [history_figure(h, result) for h in result.histories]
+    sizes = gap_tables.sizes_table(result, effects or catalogue(model=result.model_before))
+    limits = [t for t in (gap_tables.ties_table(result), gap_tables.cannot_table(result)) if t is not None]
+    seen = paragraph("These flights would show every effect of the catalogue, and tell each from the others.")
+    notes = notes_table((_of_flight(n) for n in result.notes), filed=True)
+    sections = [
+        Section("", "", _answer(result)),
+        *(
+            Section(f"step{n}", _step_title(n, step), _step_parts(step, result.text), step.effect)
+            for n, step in numbered
+        ),
+        Section("where", "Where the disagreement lives", places, "Where") if places else None,
+        Section("repeat", "Repeatability", [repeat]) if repeat else None,
+        Section("histories", "Measured, before, after", histories, "Histories"),
+        Section(
+            "hypotheses",
+            "All hypotheses",
+            [score_figure(result), sizes, gap_tables.rejected_table(result)],
+            "Hypotheses",
+        ),
+        Section("limits", "What these flights cannot tell", limits or [seen], "What these flights cannot tell"),
+        Section("lineage", "Lineage", [_lineage(result), notes], "Lineage"),
+    ]
     # a flight of several stretches has a history for each
     flights = dict.fromkeys(h.flight + (" (held out)" if h.holdout else "") for h in result.histories)
-    return write_page(
-        folder / "index.html",
-        "report.html.j2",
-        templates=HERE,
-        title=TITLES[result.verdict.value],
-        lead=f"Model {result.model_before.name}; flights: {', '.join(flights)}.",
-        r=result,
-        steps=steps,
-        tables=tables,
-        gate=result.details["kinematic_gate"],
-        histories=[history_figure(h, result) for h in result.histories],
-        bars=score_figure(result),
-        places=residual_maps(result) if result.views else None,
+    lead = f"Model {result.model_before.name}; flights: {', '.join(flights)}."
+    return Page(TITLES[result.verdict.value], lead, sections).write(folder / "index.html", folder / "tables")
+
+
+def _answer(result: GapResult) -> list[Part]:
+    """The paragraph of the verdict, and what its numbers mean."""
+    gate = result.details["kinematic_gate"]
+    instrument = ""
+    if gate["best"]:
+        instrument = (
+            f" (best instrument error {gate['best']}, score {gate['score']} against {gate['threshold']}: {gate['why']})"
+        )
+    note = (
+        "Gaps are rms residuals in units of the measurement noise σ, over all outputs; the floor is their median over"
+        f" {result.details['nulls']} simulated nulls (seed {result.details['seed']}). Family-wise threshold of the scores"
+        f" {result.threshold:.2f} (nominal {result.nominal_threshold:.2f}). Kinematic check: {gate['origin']}{instrument}."
     )
+    closed = result.verdict.value in ("no_gap", "gap_closed")
+    return [box([paragraph(result.text)], warn=not closed), paragraph(note, "note")]
+
+
+def _step_title(number: int, step: EffectStep) -> str:
+    return f"{number}. {step.title[0].upper()}{step.title[1:]} ({step.effect})"
+
+
+def _step_parts(step: EffectStep, verdict: str) -> list[Part]:
+    """A step: its equation, what it is and where, its curve where it has no name, its tables. verdict: said already."""
+    parts: list[Part] = [paragraph(typeset(step.equation), "eq")] if step.equation else []
+    if step.text != verdict:
+        parts.append(paragraph(step.text))
+    where = f"Score {step.score:.1f} against the threshold of {step.threshold:.1f}. Where: {step.where.equation}"
+    if step.where.channels:
+        where += f"; channels {', '.join(step.where.channels)}"
+    if step.where.regime:
+        where += f"; {step.where.regime}"
+    if step.where.segments:
+        where += f"; mostly at {', '.join(f'{a:.1f} to {b:.1f} s' for a, b in step.where.segments)}"
+    parts.append(paragraph(f"{where}."))
+    if step.practical:
+        practical = step.practical if step.practical.startswith("matters") else f"is {step.practical}"
+        parts.append(paragraph(f"In flight-simulator tolerances it {practical}."))
+    if step.absorbed is not None:
+        takeover = Markup("The base's own derivatives can take over {} % of its signature.")
+        parts.append(paragraph(takeover.format(f"{100 * step.absorbed:.0f}")))
+    if isinstance(step.shape, ShapeCurve):
+        parts.append(curve_figure(step.shape))
+    return [
+        *parts,
+        gap_tables.step_gap(step),
+        gap_tables.step_parameters(step),
+        gap_tables.step_members(step),
+        gap_tables.step_migrated(step),
+        gap_tables.step_formulas(step),
+    ]
+
+
+def _stages(result: GapResult) -> Markup:
+    stages = "; ".join(f"{view.stage}: {view.gap:.2f}" for view in result.views)
+    return paragraph(
+        f"{stages} times the measurement noise. Frozen at what was believed before the flights the disagreement stands where it"
+        " arises; a refit hides most of it in the derivatives."
+    )
+
+
+def _lineage(result: GapResult) -> Markup:
+    before, after = result.model_before, result.model_after
+    line = Markup("{} (<code>{}</code>) &rarr; {} (<code>{}</code>)")
+    return paragraph(line.format(before.name, before.digest, after.name, after.digest))
 
 
 def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:
@@ -96,23 +150,8 @@ def _of_flight(note: str) -> tuple[str, str]:
     return (flight, text) if separator else ("all", note)
 
 
-def _told(step: EffectStep) -> Told:
-    tables = (
-        gap_tables.step_gap(step),
-        gap_tables.step_parameters(step),
-        gap_tables.step_members(step),
-        gap_tables.step_migrated(step),
-        gap_tables.step_formulas(step),
-    )
-    curve = curve_figure(step.shape) if isinstance(step.shape, ShapeCurve) else None
-    filled = tuple(t for t in tables if t is not None)
-    return Told(step, filled, typeset(step.equation) if step.equation else None, curve)
-
-
-def typeset(equation: str) -> "Markup":
+def typeset(equation: str) -> Markup:
     """C_nβ and the like with their subscripts lowered."""
-    from markupsafe import Markup
-
     return Markup(re.sub(r"_([^\s_()|*+−=,;/]+)", r"<sub>\1</sub>", str(Markup.escape(equation))))
 
 

@@ -15,7 +15,7 @@ from daq.contract.durable import make_directories
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import GapResult, Histories
 from estimation.gap.errors import GapError
-from groundstation.flight.rerun_file import rerun_file
+from groundstation.flight.writing import rerun_file
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -82,11 +82,11 @@ def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
     width = criteria.own_timing_share if several else criteria.timing_share
     if several:
         model = model.plus(
-            parameters=[carried(TOGETHER, "s", criteria.timing_share * sample_interval)],
+            parameters=[nuisance_parameter(TOGETHER, "s", criteria.timing_share * sample_interval)],
             transforms=[InputTransform("delay", name, (TOGETHER,)) for name in controls],
         )
     return model.plus(
-        parameters=[carried(f"{TIMING}{name}", "s", width * sample_interval) for name in controls],
+        parameters=[nuisance_parameter(f"{TIMING}{name}", "s", width * sample_interval) for name in controls],
         transforms=[InputTransform("delay", name, (f"{TIMING}{name}",)) for name in controls],
     )
 
@@ -96,7 +96,7 @@ def timing_of(control: str, values: Mapping[str, float]) -> float:
     return values.get(TOGETHER, 0.0) + values.get(f"{TIMING}{control}", 0.0)
 
 
-def carried(name: str, unit: str, width: float) -> Parameter:
+def nuisance_parameter(name: str, unit: str, width: float) -> Parameter:
     """An unknown that no effect is named for, expected at nothing within `width`."""
     return Parameter(name, unit, prior_mean=0.0, prior_std=width, role=ParameterRole.NUISANCE)
 
@@ -121,7 +121,7 @@ def _shown(model: Model, attitude: str, widths: Mapping[str, tuple[str, str, flo
         if follows in symbols and name not in model.parameter_names:
             model = model.plus(
                 outputs={attitude: f"{attitude} + {name}*{follows}"},
-                parameters=[carried(name, unit, width)],
+                parameters=[nuisance_parameter(name, unit, width)],
             )
     return model
 

@@ -12,8 +12,9 @@ from estimation.gap.records.reconstructed import uncertainty
 from estimation.gap.records.sampling import clock_step
 from estimation.models.base import Model
 from groundstation.flight import Flight
+from groundstation.flight.arrays import longest_run
 from groundstation.flight.quality.plausibility import suspicions
-from groundstation.flight.quality.same_record import one_record_twice
+from groundstation.flight.quality.repeats import one_record_twice
 
 
 def sample_notes(flights: Sequence[Flight], columns: Sequence[str], criteria: Criteria) -> list[str]:
@@ -57,15 +58,10 @@ def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
         notes.append(f"{name} repeats its last value in {stuck:.0%} of the samples: stale or coarsely rounded")
         return notes
     for end, word in zip(ends, ("upper", "lower"), strict=True):
-        run = _longest((measured == end).astype(int))
+        run = longest_run(measured == end)
         if run >= criteria.clipped_run:
             notes.append(f"{name} stands at its {word} end {end:.4g} for {run} samples in a row: clipped")
     return notes
-
-
-def _longest(flags: Array) -> int:
-    changes = np.flatnonzero(np.diff(np.concatenate([[0], flags, [0]])))
-    return int((changes[1::2] - changes[::2]).max(initial=0))
 
 
 def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:

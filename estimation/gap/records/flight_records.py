@@ -14,16 +14,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData, prepare
-from estimation.engine.followed import pitches
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
-from estimation.signals.preprocess import noise_level
-from estimation.signals.raw_steps import noise_between_steps, with_raw_steps
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.inputs import has_pitch_rate
+from estimation.prepare.pipeline import prepare
+from estimation.signals.controls import noise_between_steps, with_raw_steps
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 
 NEAR = 0.1  # of a stretch, to either side of an even cut, in which the controls may be at rest
@@ -106,10 +107,10 @@ class FlightRecord:
 
     def start(self, model: Model, base: Model) -> Array:
         """Guess of the initial state of `model`; states the base lacks start where their signal says."""
-        return started(model, dict(zip(base.state_names, self.x0, strict=True)))
+        return starting_state(model, dict(zip(base.state_names, self.x0, strict=True)))
 
 
-def started(model: Model, known: Mapping[str, float]) -> Array:
+def starting_state(model: Model, known: Mapping[str, float]) -> Array:
     """(nx,) initial state of `model` from `known` states; others start where their signal says."""
     values = dict(known)
     for signal in model.states:
@@ -236,7 +237,7 @@ def _raw_steps(
     """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
     the noise that is left there."""
     masks, levels = {}, {}
-    for signal in base.inputs if pitches(base) else ():
+    for signal in base.inputs if has_pitch_rate(base) else ():
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]

@@ -34,7 +34,7 @@ def words_on(control: str) -> str:
 
 def _follows(record: FlightRecord, control: str, criteria: Criteria) -> bool:
     noise = record.input_noise.get(control, 0.0)
-    motion = followed(record)
+    motion = motion_regressors(record)
     if noise <= 0.0 or len(record) < ENOUGH * motion.shape[1]:
         return False
     return own_motion(record.inputs[control], motion) < criteria.own_motion * noise
@@ -48,7 +48,7 @@ def own_motion(values: Array, motion: Array) -> float:
     return float(np.sqrt(residual @ residual / (len(values) - columns.shape[1])))
 
 
-def followed(record: FlightRecord) -> Array:
+def motion_regressors(record: FlightRecord) -> Array:
     """(N, k) what a control may follow: a straight line, the measured states now and a little before, and their integrals."""
     count = len(record)
     line = np.vander(np.linspace(-1.0, 1.0, count), 2)

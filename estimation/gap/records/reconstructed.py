@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.records.candidate_model import carried
+from estimation.gap.records.candidate_model import nuisance_parameter
 from estimation.models.base import InputTransform, Model
 from groundstation.flight import Flight
 
@@ -64,8 +64,8 @@ def with_levels(model: Model, wide: Mapping[str, float]) -> Model:
     return model.plus(
         outputs={s.name: f"{s.name} + bias_{s.name}" for s in outputs},
         parameters=[
-            *(replace(carried(f"{LEVEL}{s.name}", s.unit, wide[s.name]), local=True) for s in inputs),
-            *(replace(carried(f"bias_{s.name}", s.unit, wide[s.name]), local=True) for s in outputs),
+            *(replace(nuisance_parameter(f"{LEVEL}{s.name}", s.unit, wide[s.name]), local=True) for s in inputs),
+            *(replace(nuisance_parameter(f"bias_{s.name}", s.unit, wide[s.name]), local=True) for s in outputs),
         ],
         transforms=[InputTransform("bias", s.name, (f"{LEVEL}{s.name}",)) for s in inputs],
     )

@@ -18,10 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import LONGEST_BRIDGE
 from estimation.gap.criteria import Criteria
+from estimation.prepare.pipeline import LONGEST_BRIDGE
 from groundstation.flight import Flight
-from groundstation.flight.quality.repeats import repeats, runs_of, span_of
+from groundstation.flight.arrays import true_runs
+from groundstation.flight.quality.repeats import repeats, span_of
 
 Array = NDArray[np.float64]
 
@@ -103,7 +104,7 @@ def unseen_moves(control: Array, criteria: Criteria) -> NDArray[np.bool_]:
     if measured.size < 2:
         return unseen
     limit = criteria.surface_step * GAUSSIAN * float(np.median(np.abs(np.diff(measured))))
-    for a, b in runs_of(~np.isfinite(control)):
+    for a, b in true_runs(~np.isfinite(control)):
         bridged = a > 0 and b < control.size and b - a <= LONGEST_BRIDGE
         if bridged and abs(control[b] - control[a - 1]) > limit:
             unseen[a:b] = True
@@ -114,7 +115,7 @@ def unseen_paths(control: Array, draws: int, rng: np.random.Generator, criteria:
     """(draws, N) what may be wrong with straight lines across unseen moves: the step may have been anywhere between the samples
     on either side."""
     errors = np.zeros((draws, control.size))
-    for a, b in runs_of(unseen_moves(control, criteria)):
+    for a, b in true_runs(unseen_moves(control, criteria)):
         samples = np.arange(a, b)
         share = (samples - (a - 1.0)) / (b - (a - 1.0))
         instant = rng.uniform(a - 1.0, b, (draws, 1))
@@ -161,7 +162,7 @@ def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flig
 
 def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
     slow_controls = [
-        s for s in (slow(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control
+        s for s in (find_slow_control(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control
     ]
     if not slow_controls:
         return flight
@@ -194,7 +195,7 @@ def _phase(new: Mask, others: Sequence[Mask], every: int) -> int:
     return max(range(min(every, new.size)), key=kept)
 
 
-def slow(flight: Flight, column: str) -> Slow | None:
+def find_slow_control(flight: Flight, column: str) -> Slow | None:
     """What is known of a control whose values come more rarely than samples; None of one that is new in each."""
     values = flight[column]
     measured = np.isfinite(values)
@@ -251,7 +252,7 @@ def _lines(flight: Flight, values: Array) -> _Lines:
         rest[1:-1] = (np.abs(np.diff(values))[:-1] <= limit) & (np.abs(np.diff(values))[1:] <= limit)
         bend[1:-1] = ~((np.abs(bends) <= limit) & moves[:-1])
     ends, at_ends = np.zeros(values.size, bool), values.copy()
-    for a, b in runs_of(bend & inner):
+    for a, b in true_runs(bend & inner):
         share = 0.0
         if (
             b - a == BETWEEN and bends[a - 1] * bends[a] > 0.0

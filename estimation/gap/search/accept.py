@@ -13,7 +13,7 @@ from estimation.gap.fit.problem import prior_cost
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.search.state import AcceptedEffect, Setting
-from estimation.gap.significance.calibration import Round, by_name
+from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.measure import predictive_cost
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
@@ -64,24 +64,24 @@ def confirmed(
     cross, number = None, round_.screen.hypotheses.index(candidate.hypothesis)
     if not candidate.hypothesis.form.nonlinear:
         cross = round_.screen.cross_gain(number)
-    if not repeats(cross, strong, timing, flight_gains(round_, candidate)):
+    if not repeats_on_flights(cross, strong, timing, flight_gains(round_, candidate)):
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
     estimates = estimates_of(round_, candidate, child)
-    if not known(estimates, none_of(candidate, round_.baseline), criteria):
+    if not size_is_known(estimates, none_of(candidate, round_.baseline), criteria):
         words = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
         return None, f"{words} cannot be told from no effect"
     holdout_gain = held_gain(round_.baseline, child)
     sure = min(candidate.score, float(round_.standardised()[number]))
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
-    if not holds(None if holdout_gain is None else holdout_gain / own_inflation(candidate), spare, criteria):
+    if not holds_on_holdout(None if holdout_gain is None else holdout_gain / own_inflation(candidate), spare, criteria):
         return None, "does not hold on the held-out flights"
     return child, ""
 
 
 def estimates_of(round_: Round, candidate: FittedHypothesis, child: Baseline) -> dict[str, tuple[float, float]]:
     """Unknown of a candidate -> value and bound in the model that has it, as widely as the nulls scatter."""
-    wider, std = float(np.sqrt(by_name(round_).get(candidate.hypothesis.key, 1.0))), child.fit.std()
+    wider, std = float(np.sqrt(inflation_by_hypothesis(round_).get(candidate.hypothesis.key, 1.0))), child.fit.std()
     return {
         p.name: (float(child.fit.values[p.name]), wider * float(std[p.name]))
         for p in candidate.hypothesis.form.parameters
@@ -93,7 +93,7 @@ def none_of(candidate: FittedHypothesis, baseline: Baseline) -> dict[str, float]
     return {p.name: p.null_value(baseline.problem.model) for p in candidate.hypothesis.form.parameters}
 
 
-def known(estimates: Mapping[str, tuple[float, float]], none: Mapping[str, float], criteria: Criteria) -> bool:
+def size_is_known(estimates: Mapping[str, tuple[float, float]], none: Mapping[str, float], criteria: Criteria) -> bool:
     """Whether some unknown is so many bounds from no effect. What is significant is, but for an effect with states: what these
     begin with gains too."""
     return any(abs(value - none[n]) > criteria.known_size * bound for n, (value, bound) in estimates.items())
@@ -121,7 +121,7 @@ def is_strong(score: float, threshold: float, criteria: Criteria) -> bool:
     return score > criteria.strong * threshold
 
 
-def repeats(cross: float | None, strong: bool, timing: bool, gains: Sequence[float]) -> bool:
+def repeats_on_flights(cross: float | None, strong: bool, timing: bool, gains: Sequence[float]) -> bool:
     """Whether an effect shows on more than one training flight.
 
     cross: of effects linear in their unknowns, the gain on each flight with everything fitted to the others, summed, None for
@@ -136,7 +136,7 @@ def repeats(cross: float | None, strong: bool, timing: bool, gains: Sequence[flo
     return timing or len(gains) < 2 or sum(gains) - max(gains) > 0.0
 
 
-def holds(held: float | None, spare: float, criteria: Criteria) -> bool:
+def holds_on_holdout(held: float | None, spare: float, criteria: Criteria) -> bool:
     """Whether an effect holds on the held-out flights, where there are any: significant still with what they say. held: twice the
     log-likelihood gained there, over its inflation; spare: what of it chance may take, at most `held_slack`.
 
@@ -170,10 +170,10 @@ def by_timing(round_: Round, candidate: FittedHypothesis) -> bool:
     """
     problem, names = round_.baseline.problem, round_.baseline.problem.free
     relief = prior_cost(problem, names, round_.baseline.fit.values) - prior_cost(problem, names, candidate.fit.values)
-    return follows(2.0 * relief, candidate.gain, round_.criteria)
+    return followed_by_surfaces(2.0 * relief, candidate.gain, round_.criteria)
 
 
-def follows(freed: float, gain: float, criteria: Criteria) -> bool:
+def followed_by_surfaces(freed: float, gain: float, criteria: Criteria) -> bool:
     """Whether so much of an effect's gain (both twice a log-likelihood) is what surfaces moved in time are freed of."""
     return freed > criteria.followed_gain * gain
 

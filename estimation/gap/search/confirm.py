@@ -15,7 +15,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.fit.fitting import fit
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried, prior_cost
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, prior_cost
 from estimation.gap.fit.spectra import NoiseModel
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.screen import Hypothesis, Screen, equivalent_z, one_sided
@@ -119,7 +119,7 @@ def _begun(
     """The first steps of base and hypothesis together from a start."""
     model = awakened(problem.model, hypothesis.form, start)
     trial = replace(problem, model=model)
-    locals_ = [carried(local, base_fit.model, model) for local in base_fit.locals]
+    locals_ = [carried_local(local, base_fit.model, model) for local in base_fit.locals]
     first = {**model.starts(), **base_fit.values, **start}
     return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 
@@ -234,7 +234,7 @@ def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
     cosines = np.abs(screen.projected().cosines())
     best_span = screen.span(order[0])
     for h in order[len(selected) :]:
-        if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.fitted_tie:
+        if h not in selected and cosines[np.ix_(best_span, screen.span(h))].max() > criteria.tie:
             selected.append(h)
     unjudged = [h for h, x in enumerate(screen.hypotheses) if (x.form.play or x.form.lagging) and h not in selected]
     return [*selected, *unjudged]

@@ -14,15 +14,14 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
-from estimation.gap.fit.baseline import Baseline, deeper, fit_baseline
+from estimation.gap.fit.baseline import Baseline, deeper_fit, fit_baseline
 from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.search.accept import accept, confirmed, own_inflation
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
-from estimation.gap.search.select import Choice, alone, choose, control_noise, material
+from estimation.gap.search.select import Choice, choose, control_noise, individual_inflation, material
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
-from estimation.gap.shapes.places import ModelMotion, places_of
-from estimation.gap.shapes.ranking import rank
-from estimation.gap.significance.calibration import Round, by_name
+from estimation.gap.shapes.places import ModelMotion, places_of, rank
+from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
 from estimation.gap.significance.omnibus import examine
 from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for, linear_gains, linear_guess
 from estimation.gap.significance.tangent import Tangent
@@ -77,7 +76,7 @@ def _rival(
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     rounds = (old.round_, last)
-    scatter = _of_each(screen, *(alone(round_) for round_ in rounds))
+    scatter = _of_each(screen, *(individual_inflation(round_) for round_ in rounds))
     gains = linear_gains(screen, problem)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
     candidates = []
@@ -87,10 +86,10 @@ def _rival(
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
             rival = assess(problem, without.fit, hypothesis, fitted, float(scatter[h]))
             candidates.append(material(rival, interval, noise, criteria))
-    inflation = _of_each(screen, *(by_name(round_) for round_ in rounds))
+    inflation = _of_each(screen, *(inflation_by_hypothesis(round_) for round_ in rounds))
     asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=inflation)
     for rival in better_rivals(candidates, gain / own_inflation(old.candidate), last.threshold, criteria):
-        if deeper(without, rival.fit) is not None:  # its gain is that of another valley
+        if deeper_fit(without, rival.fit) is not None:  # its gain is that of another valley
             continue
         child, _ = confirmed(setting, asked, rival, nameless=0.0)
         if child is not None:
@@ -131,7 +130,7 @@ def _better_base(setting: Setting, round_: Round, choice: Choice) -> Baseline | 
     candidate = choice.best
     if candidate is None or candidate.score < round_.threshold:
         return None
-    model_fit, base = deeper(round_.baseline, candidate.fit), round_.baseline
+    model_fit, base = deeper_fit(round_.baseline, candidate.fit), round_.baseline
     if model_fit is None:
         return None
     try:

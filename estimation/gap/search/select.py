@@ -51,7 +51,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     criteria = round_.criteria
     if not screen.hypotheses:
         return Choice((), {}, ())
-    inflation, individual = comparable(round_), alone(round_)
+    inflation, individual = shared_inflation(round_), individual_inflation(round_)
     interval, noise = sample_interval(problem.records), control_noise(problem.records)
     judged: list[FittedHypothesis] = []
     cost_limit = np.inf
@@ -102,7 +102,7 @@ def moved_in_time(round_: Round) -> float:
     return 2.0 * prior_cost(problem, shifts, values)
 
 
-def comparable(round_: Round) -> dict[tuple[str, str], float]:
+def shared_inflation(round_: Round) -> dict[tuple[str, str], float]:
     """Inflation by which the gains of the hypotheses are divided when they are weighed against each other.
 
     Rivals with nearly the same signature must be divided by the same number, or its chance differences decide between
@@ -122,10 +122,10 @@ def comparable(round_: Round) -> dict[tuple[str, str], float]:
     }
 
 
-def alone(round_: Round) -> dict[tuple[str, str], float]:
+def individual_inflation(round_: Round) -> dict[tuple[str, str], float]:
     """Inflation by which a hypothesis' gain is divided when it is held against the null threshold: its own. Delays, lags and
     plays, for which the nulls know only the small step, take the one that rivals share where that is larger."""
-    shared = comparable(round_)
+    shared = shared_inflation(round_)
     return {
         h.key: max(1.0, shared[h.key]) if h.form.nonlinear else float(inflation)
         for h, inflation in zip(round_.screen.hypotheses, round_.inflation, strict=True)

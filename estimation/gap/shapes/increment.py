@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
@@ -26,7 +26,6 @@ from estimation.models.base import Model, Parameter
 TAG = "form"
 EDGES = ("low", "high", "middle", "half")
 POINTS = 61  # of the curve in the answer
-ACROSS = 5  # values of the second variable in the answer
 NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
 
 
@@ -140,7 +139,7 @@ class HoldoutPrediction:
     gain: float
 
 
-def left_out(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[HoldoutPrediction]:
+def holdout_predictions(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) -> list[HoldoutPrediction]:
     """Every training flight predicted from the others, with and without the increment."""
     flights = [r.flight for r in baseline.problem.records]
     predictions = []
@@ -152,8 +151,8 @@ def left_out(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) ->
         variable = fitted.increment.place.variable
         limits = Range.of([flown.courses[i][variable] for i in training])
         share = float(np.mean([limits.inside(flown.courses[i][variable]) for i in holdout]))
-        base_cost = predicted(baseline.problem, baseline.fit, training, holdout, {})
-        increment_cost = predicted(fitted.problem, fitted.fit, training, holdout, fitted.increment.edges(limits))
+        base_cost = holdout_cost(baseline.problem, baseline.fit, training, holdout, {})
+        increment_cost = holdout_cost(fitted.problem, fitted.fit, training, holdout, fitted.increment.edges(limits))
         gain = (
             -np.inf if increment_cost is None else np.inf if base_cost is None else 2.0 * (base_cost - increment_cost)
         )
@@ -161,18 +160,18 @@ def left_out(baseline: Baseline, fitted: FittedIncrement, flown: ModelMotion) ->
     return predictions
 
 
-def predicted(
+def holdout_cost(
     problem: LikelihoodProblem, found: ModelFit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
 ) -> float | None:
     """Whitened cost of the records `own` with what the records `others` tell; None where the motion runs away."""
-    trained = fit(only(problem, others), found.values, [found.locals[i] for i in others])
+    trained = fit(of_records(problem, others), found.values, [found.locals[i] for i in others])
     if trained.diverged:
         return None
-    tested = fit(only(problem, own), {**trained.values, **edges}, [found.locals[i] for i in own], frozen=True)
+    tested = fit(of_records(problem, own), {**trained.values, **edges}, [found.locals[i] for i in own], frozen=True)
     return None if tested.diverged else tested.cost
 
 
-def only(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProblem:
+def of_records(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProblem:
     """The problem of some of its records."""
     return replace(
         problem,
@@ -181,7 +180,7 @@ def only(problem: LikelihoodProblem, records: Sequence[int]) -> LikelihoodProble
     )
 
 
-def confirmed(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
+def predicts_every_flight(found: Sequence[HoldoutPrediction], criteria: Criteria) -> bool:
     """Whether every flight that lies in the range of the others is predicted better, and there is one."""
     testable = [f for f in found if f.inside >= criteria.form_inside]
     return bool(testable) and all(f.gain > 0.0 for f in testable)
@@ -194,7 +193,7 @@ def closed(before: float, after: float, floor: float) -> float:
     return float(np.clip(1.0 - (after - floor) / (before - floor), 0.0, 1.0))
 
 
-def asked(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
+def holdout_energy(problem: LikelihoodProblem, found: ModelFit, baseline: Baseline, noise: NoiseModel) -> float:
     """Whitened energy of a fitted model on the held-out flights, shared parameters frozen; on the training flights where there
     are none. problem, found: on the training flights; noise: by which it is weighed."""
     held_out = replace(baseline, problem=problem, fit=found, noise=noise).held_out

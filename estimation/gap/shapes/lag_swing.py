@@ -15,11 +15,10 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.answer.shape import LaggedTerm, SwingingTerm
 from estimation.gap.criteria import Criteria
-from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place
-from estimation.gap.shapes.ranking import ranked
+from estimation.gap.shapes.places import ACCELERATIONS, ModelMotion, Place, ranked
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent
@@ -34,7 +33,7 @@ DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more unknown
 
 
-def late(course: Array, time: Array, memory: float) -> Array:
+def lag_behind(course: Array, time: Array, memory: float) -> Array:
     """(N,) how far a first-order lag [s] of a course (N,) is behind it, begun at rest."""
     keep = float(np.exp(-np.median(np.diff(time)) / memory))
     follower, _ = lfilter([1.0 - keep], [1.0, -keep], course, zi=[keep * course[0]])
@@ -47,7 +46,7 @@ def find_memory(flown: ModelMotion, round_: Round, places: Sequence[Place]) -> L
 
     def changes(i: int) -> Iterator[Array]:
         courses, time = flown.courses[i], flown.segments[i].time
-        lags = [(p.line, late(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in candidates]
+        lags = [(p.line, lag_behind(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in candidates]
         return flown.changes(i, lags)
 
     gram = gram_of(round_.tangent, changes)

@@ -15,17 +15,16 @@ from estimation.gap.shapes.increment import (
     FittedIncrement,
     HoldoutPrediction,
     Increment,
-    asked,
     closed,
-    confirmed,
     fit_increment,
     floor_energy,
-    left_out,
+    holdout_energy,
+    holdout_predictions,
+    predicts_every_flight,
     refitted_with,
 )
 from estimation.gap.shapes.lag_swing import find_memory, find_swing
-from estimation.gap.shapes.places import ModelMotion, Place, places_of, products_of
-from estimation.gap.shapes.ranking import Ranked, rank
+from estimation.gap.shapes.places import ModelMotion, Place, Ranked, places_of, products_of, rank
 from estimation.gap.significance.calibration import Round
 from estimation.gap.significance.measure import Floors, gaps
 from estimation.gap.significance.measured_again import MeasuredAgain
@@ -90,7 +89,7 @@ class Measured:
         problem, model_fit = refitted_with(plain.problem, plain.fit, self.child)
         if model_fit.diverged:
             return 0.0
-        return closed(self.before, asked(problem, model_fit, self.child, self.child.noise), self.floor)
+        return closed(self.before, holdout_energy(problem, model_fit, self.child, self.child.noise), self.floor)
 
 
 @dataclass(frozen=True)
@@ -166,8 +165,8 @@ def _best(
             reason = "gains nearly as much where only the controls are measured again"
             attempts.append(Tried(ranking.places[i], fitted.gain, reason))
             continue
-        predictions = left_out(baseline, fitted, flown)
-        if not confirmed(predictions, criteria):
+        predictions = holdout_predictions(baseline, fitted, flown)
+        if not predicts_every_flight(predictions, criteria):
             reason = "does not predict every training flight better than the base where that is left out"
             attempts.append(Tried(ranking.places[i], fitted.gain, reason))
             continue
@@ -238,8 +237,8 @@ def _measure(task: SearchTask, baseline: Baseline, fitted: FittedIncrement) -> M
         child,
         child_round,
         *gaps(baseline, child, floor),
-        asked(*reweighted, baseline, child.noise),
-        asked(child.problem, child.fit, child, child.noise),
+        holdout_energy(*reweighted, baseline, child.noise),
+        holdout_energy(child.problem, child.fit, child, child.noise),
         floor_energy(child, task.errors, task.seed),
         floor.highest,
     )

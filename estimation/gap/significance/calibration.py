@@ -49,7 +49,7 @@ class Round:
         return np.sqrt(self.gains / self.inflation)
 
 
-def by_name(round_: Round) -> dict[tuple[str, str], float]:
+def inflation_by_hypothesis(round_: Round) -> dict[tuple[str, str], float]:
     """Hypothesis -> its own inflation on the nulls, that of a small step."""
     return {h.key: float(v) for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
 

@@ -24,7 +24,7 @@ from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.significance.calibration import Round, kinematic_threshold, screen_round
 from estimation.gap.significance.nulls import input_errors
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
-from estimation.models.driven import force_states
+from estimation.models.dependence import force_states
 from groundstation.flight import Flight
 
 NEEDED_TO_PITCH = ("V", "alpha", "theta", "q", "ax", "az")
@@ -169,7 +169,7 @@ def _checked(
     count = null_count(nulls, criteria)
     try:
         baseline = fit_baseline(working, clean, prepared, scatter)
-        return judged(
+        return origin_of_error(
             screen_round(baseline, prepared, instruments, errors, count, seed + KINEMATIC, kinematic_threshold)
         )
     except GapError as error:  # the check alone cannot say: the search among the hypotheses goes on without it
@@ -181,7 +181,7 @@ def null_count(wanted: int, criteria: Criteria) -> int:
     return min(wanted, criteria.kinematic_nulls)
 
 
-def judged(round_: Round) -> KinematicCheck:
+def origin_of_error(round_: Round) -> KinematicCheck:
     """Sensor where an instrument error stands out of the nulls, physics where none does."""
     scores = round_.standardised()
     if not scores.size:

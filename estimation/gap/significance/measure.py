@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import eliminated, solved
+from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.answer.result import Gap
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError

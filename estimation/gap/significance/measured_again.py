@@ -26,8 +26,8 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
-from estimation.signals.preprocess import denoise_many
-from estimation.signals.raw_steps import with_raw_steps
+from estimation.signals.controls import with_raw_steps
+from estimation.signals.denoise import denoise_many
 
 REPEATS = 16  # flights made anew: their mean gain is known to a quarter of its scatter, some 4 of a gain of 40
 

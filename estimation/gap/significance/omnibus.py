@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import solved
+from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.surface_steps import jumping_outputs
@@ -229,7 +229,7 @@ def scatter_with_activity(
                 continue
             for c in (c for c, output in enumerate(problem.model.output_names) if output not in jumping):
                 key = (c, f"|{name}|" if shape == "even" else f"|d{name}/dt|")
-                total[key] = total.get(key, 0.0) + follows(values, series[:, c], problem.criteria)
+                total[key] = total.get(key, 0.0) + energy_with_activity(values, series[:, c], problem.criteria)
     signals = []
     largest = np.zeros(nulls)
     for (c, words), values in total.items():
@@ -241,7 +241,7 @@ def scatter_with_activity(
     return signals, largest
 
 
-def follows(activity: Array, white: Array, criteria: Criteria) -> Array:
+def energy_with_activity(activity: Array, white: Array, criteria: Criteria) -> Array:
     """(1 + nulls,) how much of the energy of whitened series (N, 1 + nulls) comes with an activity (N,) of unit rms."""
     weight = np.minimum(np.abs(activity), criteria.activity_cap)
     return np.asarray((weight - weight.mean()) @ np.minimum(white**2, criteria.energy_cap))

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
-from estimation.estimators.arrow import eliminated, solved
+from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form
-from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried, prior_terms
+from estimation.gap.fit.problem import LikelihoodProblem, ModelFit, carried_local, prior_terms
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
@@ -71,7 +71,7 @@ def sensitivity(
     for i in range(len(problem.records)):
         outputs = []
         for step in steps:
-            local = carried(fit.locals[i], fit.model, model)
+            local = carried_local(fit.locals[i], fit.model, model)
             residual = trial.residual(i, {**model.starts(), **fit.values, column.name: none + step}, local)
             if residual is None:
                 return None

@@ -8,9 +8,20 @@ import numpy as np
 from estimation.estimators.result import FlightFit, Result
 from estimation.models.base import ParameterRole
 from estimation.report import published
-from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, look, picture, styled
+from estimation.report.drawing.figures import (
+    ABOVE,
+    MEASURED,
+    Picture,
+    broken_at_gaps,
+    legend_above,
+    look,
+    panels,
+    picture,
+    styled,
+)
 from estimation.report.estimate_tables import is_published
 from estimation.report.names import axis_label, face, literal, tex
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
@@ -23,20 +34,13 @@ PUBLISHED = "#8b95a1"
 
 def scatter_figure(session: "EstimationSession") -> Picture:
     """Figure 8: each derivative over flights and methods, joint band, wind tunnel, published flights."""
-    from matplotlib.figure import Figure
-
     trims = session.model.free_of(ParameterRole.CONSTANT)
     names = [n for n in session.model.free_names if n not in trims] or list(trims)
-    rows = -(-len(names) // ACROSS)
     with styled():
-        figure = Figure(figsize=(11.6, 2.05 * rows + 0.9), layout="constrained")
-        axes = figure.subplots(rows, ACROSS, squeeze=False)
-        for axis, name in zip(axes.flat, names, strict=False):
+        figure, axes = panels(len(names), ACROSS, 2.05, 0.9)
+        for axis, name in zip(axes, names, strict=True):
             _scatter_panel(axis, session, name)
-        for axis in axes.flat[len(names) :]:
-            axis.set_visible(False)
-        handles = {h: line for axis in axes.flat for line, h in zip(*axis.get_legend_handles_labels(), strict=True)}
-        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=6)
+        legend_above(figure, axes, 6)
     caption = (
         "Each derivative over flights and methods, bars of one corrected bound; a flight that cannot tell has no mark. "
         "Dashed: believed before flying. Band: joint estimate, ± one corrected bound."
@@ -49,16 +53,19 @@ def scatter_figure(session: "EstimationSession") -> Picture:
 def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
     width = 0.6 / max(1, len(session.methods))
     for k, method in enumerate(session.methods):
-        at = [
+        placed_estimates = [
             (i + (k + 0.5) * width - 0.3, f.results[method].parameters.get(name))
             for i, f in enumerate(session.flights)
             if method in f.results
         ]
-        told = [(x, e) for x, e in at if e is not None and e.identifiable and np.isfinite(e.std_coloured)]
-        if told:
-            axis.errorbar([x for x, _ in told], [e.estimate for _, e in told], [e.std_coloured for _, e in told],
-                          fmt=look(method).marker, color=look(method).colour, ms=3.6, lw=0.9, capsize=1.8,
-                          label=method)  # fmt: skip
+        identifiable = [
+            (x, e) for x, e in placed_estimates if e is not None and e.identifiable and np.isfinite(e.std_coloured)
+        ]
+        if identifiable:
+            across, estimates = [x for x, _ in identifiable], [e.estimate for _, e in identifiable]
+            bounds, style = [e.std_coloured for _, e in identifiable], look(method)
+            errorbar = {"fmt": style.marker, "color": style.colour, "ms": 3.6, "lw": 0.9, "capsize": 1.8}
+            axis.errorbar(across, estimates, bounds, label=method, **errorbar)
     labels = [f.flight.name.removeprefix("cdfp_") for f in session.flights]
     count = len(labels)
     joint = session.leading
@@ -73,8 +80,8 @@ def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
     if is_published(session):
         axis.axvline(count - 0.5, color="0.8", lw=0.8)
         for m, shift in (("ml", -0.12), ("ngn", 0.12)):
-            said = [published.estimate(f, m, name) for f in published.published_flights()]
-            places = [(count + i + shift, v) for i, v in enumerate(said) if v is not None]
+            published_estimates = [published.estimate(f, m, name) for f in published.published_flights()]
+            places = [(count + i + shift, v) for i, v in enumerate(published_estimates) if v is not None]
             axis.errorbar([x for x, _ in places], [v[0] for _, v in places], [v[1] for _, v in places],
                           fmt=look(m).marker, color=PUBLISHED, mfc="none", ms=3.4, lw=0.8, label=f"published {m}")  # fmt: skip
         labels += [f.removeprefix("UFP_") for f in published.published_flights()]
@@ -112,8 +119,8 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
         figure.align_ylabels()
     points = first.time.size * rows * (1 + len(fits))
     caption = f"{f.flight.name}: measured and estimated motion with the controls{' (Figure 9 of the paper)' if of_paper else ''}"
-    how = ". All methods' curves are simulated from their estimates." if len(fits) > 1 else "."
-    return picture(figure, f"figure9_{f.flight.name}", caption + how, points)
+    simulation_note = ". All methods' curves are simulated from their estimates." if len(fits) > 1 else "."
+    return picture(figure, f"figure9_{f.flight.name}", caption + simulation_note, points)
 
 
 def _channels(axes: Any, model: "Model", first: "FlightFit | ProofOfMatch", curves: Mapping[str, Any]) -> None:
@@ -141,7 +148,7 @@ def correlation_figure(result: Result, whose: str) -> Picture:
     with styled():
         figure = Figure(figsize=(size + 1.2, size), layout="constrained")
         axis = figure.subplots()
-        drawn = axis.imshow(rho, vmin=-1, vmax=1, cmap="RdBu_r")
+        image = axis.imshow(rho, vmin=-1, vmax=1, cmap="RdBu_r")
         axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names], rotation=90)
         axis.set_yticks(range(len(names)), [f"${tex(n)}$" for n in names])
         axis.grid(visible=False)
@@ -156,7 +163,7 @@ def correlation_figure(result: Result, whose: str) -> Picture:
                     fontsize=6,
                     color="w" if abs(rho[i, j]) > 0.75 else "k",
                 )
-        figure.colorbar(drawn, ax=axis, shrink=0.8)
+        figure.colorbar(image, ax=axis, shrink=0.8)
     return picture(figure, "correlations", f"Correlation of the estimates, {whose}; numbers from 0.5.")
 
 
@@ -169,12 +176,74 @@ def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of
     with styled():
         figure = Figure(figsize=(11.6, 1.25 * rows + 0.8), layout="constrained")
         axes = figure.subplots(rows, len(proofs), squeeze=False, sharex="col")
-        for j, (whose, proof) in enumerate(proofs):
+        for j, (donor, proof) in enumerate(proofs):
             _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
-            axes[0][j].set_title(literal(f"{proof.name} predicted by {whose}"), loc="left")
+            axes[0][j].set_title(literal(f"{proof.name} predicted by {donor}"), loc="left")
             axes[-1][j].set_xlabel("time [s]")
         figure.align_ylabels()
     points = sum(2 * p.time.size * rows for _, p in proofs)
     caption = "Proof of match: measured and predicted, derivatives frozen at another flight's estimates, "
     caption += f"{refitted} refitted{' (Figure 10 of the paper)' if of_paper else ''}."
     return picture(figure, "figure10", caption, points)
+
+
+SHOWN = 8
+TWO_AT_95 = 5.991
+"""95 % point of chi-square with two degrees of freedom, -2 ln 0.05: the square of an ellipse's radius in standard deviations."""
+
+
+def ellipse(centre: tuple[float, float], covariance: Array, points: int = 90) -> Array:
+    """(points, 2) border of the 95 % region of two estimates with this (2, 2) covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    turn = np.linspace(0.0, 2.0 * np.pi, points)
+    circle = np.sqrt(np.maximum(values, 0.0) * TWO_AT_95)[:, None] * np.array([np.cos(turn), np.sin(turn)])
+    return np.asarray(np.asarray(centre) + (vectors @ circle).T)
+
+
+def most_correlated(result: Result, count: int = SHOWN) -> list[tuple[str, str]]:
+    """Pairs of estimates that the data could tell, the most correlated first."""
+    identifiable = [
+        n for n in result.names if result.parameters[n].identifiable and np.isfinite(result.std_coloured[n])
+    ]
+    index_by_name = {n: i for i, n in enumerate(result.names)}
+    rho = np.abs(result.correlation)
+    pairs = [(a, b) for i, a in enumerate(identifiable) for b in identifiable[i + 1 :]]
+    return sorted(pairs, key=lambda p: -float(np.nan_to_num(rho[index_by_name[p[0]], index_by_name[p[1]]])))[:count]
+
+
+def ellipse_figure(results: Sequence[Result], whose: str, truth: Mapping[str, float]) -> Picture | None:
+    """95 % ellipses of the most correlated pairs, one curve a method. results: of the same flights, the leading one first."""
+    pairs = most_correlated(results[0]) if results else []
+    if not pairs:
+        return None
+    with styled():
+        figure, axes = panels(len(pairs), ACROSS, 2.5, 0.5)
+        for axis, parameter_pair in zip(axes, pairs, strict=True):
+            _panel(axis, results, parameter_pair, truth)
+        legend_above(figure, axes, 6)
+    caption = f"95 % confidence ellipses of the {len(pairs)} most correlated pairs, {whose}; "
+    caption += "from the covariance corrected for coloured residuals."
+    return picture(figure, "ellipses", caption)
+
+
+def _panel(axis: Any, results: Sequence[Result], both: tuple[str, str], truth: Mapping[str, float]) -> None:
+    a, b = both
+    for result in results:
+        if not all(n in result.names and result.parameters[n].identifiable for n in both):
+            continue
+        indices = [result.names.index(n) for n in both]
+        covariance = result.covariance_coloured[np.ix_(indices, indices)]
+        if not np.all(np.isfinite(covariance)):
+            continue
+        centre = (result.parameters[a].estimate, result.parameters[b].estimate)
+        edge, method_look = ellipse(centre, covariance), look(result.method)
+        axis.plot(*edge.T, color=method_look.colour, lw=1.1, label=result.method)
+        axis.plot(*centre, method_look.marker, color=method_look.colour, ms=4)
+    references = [results[0].parameters[n].reference for n in both]
+    if None not in references:
+        axis.plot(*references, "x", color="k", ms=5, label="before flying")
+    if a in truth and b in truth:
+        axis.plot(truth[a], truth[b], "*", color="k", ms=8, label="truth")
+    axis.set_xlabel(f"${tex(a)}$")
+    axis.set_ylabel(f"${tex(b)}$")
+    axis.locator_params(nbins=4)

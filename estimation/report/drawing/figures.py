@@ -4,7 +4,7 @@ import base64
 import io
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
@@ -12,17 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.durable import make_directories, whole, write_bytes
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Look
-from estimation.estimators.registry import find, names
+from estimation.estimators.registry import estimator_names, find_estimator
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 MEASURED = "#9aa3ad"
 SPARE = Look("#000000", "P")  # of an estimator that brings none; Okabe and Ito's colours are told apart by all readers
@@ -63,13 +62,13 @@ class Picture:
         return f"<Picture {self.name}: {self.caption}>"
 
     def _repr_html_(self) -> str:
-        shown = f'<img src="{self.uri}" alt="{escape(self.name)}" style="max-width:100%;height:auto;background:#fff">'
-        return f"<figure>{shown}<figcaption>{escape(self.caption)}</figcaption></figure>"
+        image = f'<img src="{self.uri}" alt="{escape(self.name)}" style="max-width:100%;height:auto;background:#fff">'
+        return f"<figure>{image}<figcaption>{escape(self.caption)}</figcaption></figure>"
 
 
 def look(method: str) -> Look:
     """Colour and marker of a method, the same in every figure."""
-    return (find(method).look if method in names() else None) or SPARE
+    return (find_estimator(method).look if method in estimator_names() else None) or SPARE
 
 
 @contextmanager
@@ -81,16 +80,35 @@ def styled() -> Iterator[None]:
         yield
 
 
+def panels(count: int, across: int, height: float, margin: float) -> "tuple[Figure, list[Any]]":
+    """(figure, axes of `count` panels), `across` beside each other. height: of a row, margin: beside all rows [inches]."""
+    from matplotlib.figure import Figure
+
+    rows = -(-count // across)
+    figure = Figure(figsize=(11.6, height * rows + margin), layout="constrained")
+    axes = figure.subplots(rows, across, squeeze=False).ravel().tolist()
+    for spare in axes[count:]:
+        spare.set_visible(False)
+    return figure, axes[:count]
+
+
+def legend_above(figure: "Figure", axes: Iterable[Any], columns: int) -> None:
+    """Each symbol of any panel once, above them all."""
+    handles = {label: h for axis in axes for h, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    if handles:
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)
+
+
 def save_figure(figure: "Figure", path: Path, dpi: int) -> None:
     """Write a figure as a file whose ending chooses the format, whole or not at all; its folder is made.
 
     Raises EstimationError for an ending that matplotlib knows no format of.
     """
     kind = path.suffix.lower().removeprefix(".")
-    known = figure.canvas.get_supported_filetypes()
-    if kind not in known:
+    formats = figure.canvas.get_supported_filetypes()
+    if kind not in formats:
         raise EstimationError(
-            f"{path}: no known format of a figure; end the name in one of {' '.join('.' + k for k in known)}"
+            f"{path}: no known format of a figure; end the name in one of {' '.join('.' + k for k in formats)}"
         )
     make_directories(path.parent)
     with whole(path) as new:
@@ -115,8 +133,8 @@ def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Pictu
 
 def broken_at_gaps(time: Array, values: Array) -> Array:
     """Values with NaN after each gap, so that no line is drawn across it."""
-    known = np.isfinite(time)
-    if known.sum() < 3:
+    finite = np.isfinite(time)
+    if finite.sum() < 3:
         return values
     steps = np.diff(time, prepend=time[:1])
     gaps = steps > 4.5 * np.nanmedian(steps[1:])
@@ -134,6 +152,6 @@ def file_picture(path: Path, name: str, caption: str) -> Picture:
 
 def _svg_size(data: bytes) -> tuple[int, int]:
     """Width and height [CSS pixels] that the head of an SVG file gives in points."""
-    found = [re.search(rb'\b%s="([0-9.]+)pt"' % side, data[:2000]) for side in (b"width", b"height")]
-    width, height = (round(float(f.group(1)) * 96 / 72) if f else 0 for f in found)
+    side_matches = [re.search(rb'\b%s="([0-9.]+)pt"' % side, data[:2000]) for side in (b"width", b"height")]
+    width, height = (round(float(f.group(1)) * 96 / 72) if f else 0 for f in side_matches)
     return width, height

@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daq.contract.constants import RADIAN
 from estimation.report.drawing.figures import save_figure
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
@@ -16,8 +14,6 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import ProofOfMatch
     from estimation.session.session import EstimationSession
     from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
 
 
 def write_histories(session: "EstimationSession", path: Path) -> None:
@@ -33,23 +29,22 @@ def write_histories(session: "EstimationSession", path: Path) -> None:
 
 
 def write_proof(proofs: Sequence["ProofOfMatch"], path: Path) -> None:
-    """Measured and predicted outputs of every flight."""
     columns = [(p.name, p.time, p.measured, {"predicted": p.predicted}) for p in proofs]
     _draw(proofs[0].result.model, columns, path)
 
 
 def write_flights(session: "EstimationSession", folder: Path, most: int | None = None) -> list[Path]:
     """Each flight (the first `most`) with the outputs of its first method beside the measured ones; returns the files."""
-    used = [f for f in session.flights if f.results][:most]
-    return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in used]
+    estimated_flights = [f for f in session.flights if f.results][:most]
+    return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in estimated_flights]
 
 
 def write_beside(flight: "Flight", result: "Result", folder: Path) -> Path:
     """folder/<name>.mcap: the flight with a column `<column>_model` for every output of the model."""
     from groundstation.flight import write_flight
 
-    shown = result.flights[0].outputs
-    columns = {f"{signal.source}_model": shown[:, i] for i, signal in enumerate(result.model.outputs)}
+    model_outputs = result.flights[0].outputs
+    columns = {f"{signal.source}_model": model_outputs[:, i] for i, signal in enumerate(result.model.outputs)}
     path = folder / f"{flight.name}.mcap"
     write_flight(flight.with_columns(**columns), path)
     return path

@@ -3,18 +3,17 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from estimation.estimators.result import FlightFit, Result
 from estimation.report.drawing.figures import LARGE, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.names import axis_label, face, tex
 from estimation.signals.goodness_of_fit import autocorrelation
+from groundstation.flight import Array
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
     from groundstation.flight import Flight
 
-Array = NDArray[np.float64]
 AGAINST = ("alpha", "beta", "delta_e", "delta_a", "delta_r")
 BINS = 10  # equally filled: enough to show a bend, and each mean is over a tenth of the flight
 FEWEST = 8  # samples from which a spectrum, a correlation or a bin says anything
@@ -38,12 +37,12 @@ def residual_figure(model: "Model", result: Result) -> Picture:
             axes[i][0].plot(fit.time, broken_at_gaps(fit.time, residual), color=colour, lw=0.8)
             axes[i][0].axhline(0, color="k", lw=0.5)
             axes[i][0].set_ylabel(axis_label(signal.name, unit))
-            known = residual[np.isfinite(residual)]
-            if known.size > FEWEST:
-                _correlation(axes[i][1], known, step, colour)
-                _spectrum(axes[i][2], known, step, colour)
+            finite_residual = residual[np.isfinite(residual)]
+            if finite_residual.size > FEWEST:
+                _correlation(axes[i][1], finite_residual, step, colour)
+                _spectrum(axes[i][2], finite_residual, step, colour)
             axes[i][1].set_ylim(-0.6, 1.05)
-        for column, (title, below) in enumerate(
+        for column, (title, axis_text) in enumerate(
             (
                 ("residual", "time [s]"),
                 ("autocorrelation", "lag [s]"),
@@ -51,7 +50,7 @@ def residual_figure(model: "Model", result: Result) -> Picture:
             )
         ):
             axes[0][column].set_title(title)
-            axes[-1][column].set_xlabel(below)
+            axes[-1][column].set_xlabel(axis_text)
         figure.align_ylabels()
     return picture(
         figure,
@@ -66,26 +65,26 @@ def _residual(fit: FlightFit, i: int) -> Array:
     return fit.residuals[:, i] if i < fit.residuals.shape[1] else np.full(fit.time.size, np.nan)
 
 
-def _correlation(axis: Any, known: Array, step: float, colour: str) -> None:
-    lags = min(known.size // 4, 100)
-    axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(known, lags), color=colour, lw=1.0)
-    band = 1.96 / np.sqrt(known.size)
+def _correlation(axis: Any, residual: Array, step: float, colour: str) -> None:
+    lags = min(residual.size // 4, 100)
+    axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(residual, lags), color=colour, lw=1.0)
+    band = 1.96 / np.sqrt(residual.size)
     axis.axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
 
 
-def spectrum(known: Array, step: float) -> tuple[Array, Array]:
+def spectrum(residual: Array, step: float) -> tuple[Array, Array]:
     """(frequency [Hz], power spectral density over its mean) of evenly sampled residuals (N,), `step` apart [s]; by Welch's
     method without the frequency nought. White noise is one everywhere.
     """
     from scipy.signal import welch
 
-    frequency, density = welch(known, 1.0 / step, nperseg=min(SPECTRUM, known.size))
+    frequency, density = welch(residual, 1.0 / step, nperseg=min(SPECTRUM, residual.size))
     mean = float(np.mean(density[1:]))
     return frequency[1:], density[1:] / mean if mean > 0.0 else density[1:]
 
 
-def _spectrum(axis: Any, known: Array, step: float, colour: str) -> None:
-    frequency, density = spectrum(known, step)
+def _spectrum(axis: Any, residual: Array, step: float, colour: str) -> None:
+    frequency, density = spectrum(residual, step)
     axis.plot(frequency, density, color=colour, lw=0.9)
     axis.axhline(1.0, color="0.4", lw=0.8, ls="--")
     axis.set_yscale("log")
@@ -99,17 +98,17 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     from matplotlib.figure import Figure
 
     fit = result.flights[0]
-    shown = moved(result, flight)
-    if not shown:
+    moved_columns = moved_quantities(result, flight)
+    if not moved_columns:
         return None
     colour = look(result.method).colour
-    points = fit.time.size * len(model.outputs) * len(shown)
+    points = fit.time.size * len(model.outputs) * len(moved_columns)
     with styled():
         figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
-        axes = figure.subplots(len(model.outputs), len(shown), squeeze=False, sharex="col", sharey="row")
+        axes = figure.subplots(len(model.outputs), len(moved_columns), squeeze=False, sharex="col", sharey="row")
         for i, signal in enumerate(model.outputs):
             factor, unit = face(signal.name, signal.unit)
-            for j, column in enumerate(shown):
+            for j, column in enumerate(moved_columns):
                 x = np.degrees(flight[column])
                 axes[i][j].plot(x, factor * _residual(fit, i), ".", color=colour, ms=1.6, alpha=0.35)
                 axes[i][j].errorbar(*binned(x, factor * _residual(fit, i)), color="k", fmt="o-", ms=2.4, lw=0.8)
@@ -124,17 +123,17 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     return picture(figure, f"against_{fit.name}", caption, points if points > LARGE else 0)
 
 
-def moved(result: Result, flight: "Flight") -> list[str]:
+def moved_quantities(result: Result, flight: "Flight") -> list[str]:
     """Which of incidence, sideslip and surfaces were measured and moved, at the samples of the fit."""
-    here = len(flight) == result.flights[0].time.size
-    return [c for c in AGAINST if here and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
+    same_samples = len(flight) == result.flights[0].time.size
+    return [c for c in AGAINST if same_samples and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
 
 
 def binned(x: Array, residual: Array) -> tuple[Array, Array, Array]:
     """(centres, means, 1.96 standard errors) of `residual` in equally filled bins of `x`; (N,) each, NaN left out."""
-    known = np.isfinite(x) & np.isfinite(residual)
-    order = np.argsort(x[known])
-    x, residual = x[known][order], residual[known][order]
+    finite = np.isfinite(x) & np.isfinite(residual)
+    order = np.argsort(x[finite])
+    x, residual = x[finite][order], residual[finite][order]
     parts = [p for p in np.array_split(np.arange(x.size), BINS) if p.size >= FEWEST]
     centres = np.array([x[p].mean() for p in parts])
     means = np.array([residual[p].mean() for p in parts])

@@ -13,13 +13,25 @@ from estimation.aircraft import Aircraft
 from estimation.models.expressions import evaluate, names_in
 from estimation.models.numeric import FUNCTIONS
 from estimation.simulation.autopilot import ardupilot, gazebo
-from estimation.simulation.autopilot.ardupilot_equations import SitlPlane, sitl_accelerations
-from estimation.simulation.autopilot.ardupilot_equations import air_of as air_of_sitl
-from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
-from estimation.simulation.autopilot.gazebo_equations import air_of as air_of_gazebo
-from estimation.simulation.autopilot.linear import AXES, FlightStates, LinearAircraft, accelerations, forces, gyroscopic
+from estimation.simulation.autopilot.equations import (
+    GazeboPlane,
+    SitlPlane,
+    air_of_gazebo,
+    air_of_sitl,
+    gazebo_forces,
+    sitl_accelerations,
+)
+from estimation.simulation.autopilot.linear import (
+    ALPHAS,
+    AXES,
+    FlightStates,
+    LinearAircraft,
+    accelerations,
+    forces,
+    gyroscopic,
+    random_motion,
+)
 from estimation.simulation.autopilot.neutral import BuildUp, evaluated
-from estimation.simulation.autopilot.states import ALPHAS, random_motion
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array
 
 SITL_LIMIT, GAZEBO_LIMIT, TEXT_LIMIT = (
@@ -60,22 +72,20 @@ class SimulatorProof:
         return tuple(n for n, v in self.deviation.items() if not v <= self.limit)
 
     def sentence(self) -> str:
-        """How the proof ended."""
-        worst = max(
+        worst_axis = max(
             self.deviation, key=lambda n: self.deviation[n] if self.deviation[n] == self.deviation[n] else np.inf
         )
         if not self.failed:
             return (
-                f"proof: at {self.states} random states every axis is the model's without what is left out, {worst} to"
-                f" {self.deviation[worst]:.1g} of its largest value (limit {self.limit:g})"
+                f"proof: at {self.states} random states every axis is the model's without what is left out, {worst_axis} to"
+                f" {self.deviation[worst_axis]:.1g} of its largest value (limit {self.limit:g})"
             )
         return (
-            f"proof failed: at {self.states} random states {', '.join(self.failed)} differ from the model, {worst} by"
-            f" {self.deviation[worst]:.3g} of its largest value, and {self.limit:g} is allowed; do not fly this file"
+            f"proof failed: at {self.states} random states {', '.join(self.failed)} differ from the model, {worst_axis} by"
+            f" {self.deviation[worst_axis]:.3g} of its largest value, and {self.limit:g} is allowed; do not fly this file"
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As `export --json` has it."""
         return {
             "states": self.states,
             "deviation": dict(self.deviation),
@@ -89,20 +99,22 @@ class SimulatorProof:
 def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()) -> SimulatorProof:
     """SITL's accelerations by a file against the model's, both at sea level."""
     stall = plane.values["alpha_stall"]
-    near = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
-    motion = random_motion(craft, near)
-    without = ardupilot.left_out(craft)
-    told = _told(craft, motion, without, ardupilot.INDUCED, air_of_sitl)
-    told += _gyroscopic(craft, motion)
+    alpha_range = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
+    motion = random_motion(craft, alpha_range)
+    omitted = ardupilot.left_out(craft)
+    omitted_terms = _omitted_terms(craft, motion, omitted, ardupilot.INDUCED, air_of_sitl)
+    omitted_terms += _gyroscopic(craft, motion)
 
     def model(m: FlightStates) -> Axes:
         return accelerations(
-            craft.aircraft, forces(craft.without(without), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
+            craft.aircraft, forces(craft.without(omitted), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
         )
 
-    told += _blend(lambda m: sitl_accelerations(plane, m), model, random_motion(craft), near[1] < ALPHAS[1])
-    off = _off(sitl_accelerations(plane, motion), model(motion))
-    return SimulatorProof(len(motion), off, (*told, *_beyond(beyond)), SITL_LIMIT)
+    omitted_terms += _blend(
+        lambda m: sitl_accelerations(plane, m), model, random_motion(craft), alpha_range[1] < ALPHAS[1]
+    )
+    deviation = _axis_deviations(sitl_accelerations(plane, motion), model(motion))
+    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), SITL_LIMIT)
 
 
 def against_gazebo(
@@ -111,24 +123,29 @@ def against_gazebo(
     """Gazebo's forces and moments by a model against the model's; mass and inertia of all links together."""
     density = plane.values["air_density"]
     motion = random_motion(craft, rho=density)
-    without = gazebo.left_out(craft)
-    far = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
-    told = _told(craft, motion, without, gazebo.INDUCED, air_of_gazebo)
+    omitted = gazebo.left_out(craft)
+    unstalled_plane = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
+    omitted_terms = _omitted_terms(craft, motion, omitted, gazebo.INDUCED, air_of_gazebo)
 
     def model(m: FlightStates) -> Axes:
-        return forces(craft.without(without), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
+        return forces(craft.without(omitted), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
 
-    told += _blend(lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL)
-    off = {**_off(gazebo_forces(far, motion), model(motion)), **_off_of_body(plane, craft)}
-    return SimulatorProof(len(motion), off, (*told, *_beyond(beyond)), GAZEBO_LIMIT)
+    omitted_terms += _blend(
+        lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL
+    )
+    deviation = {
+        **_axis_deviations(gazebo_forces(unstalled_plane, motion), model(motion)),
+        **_off_of_body(plane, craft),
+    }
+    return SimulatorProof(len(motion), deviation, (*omitted_terms, *_beyond_terms(beyond)), GAZEBO_LIMIT)
 
 
 def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> SimulatorProof:
     """The trees of a neutral file against the text of the model, coefficient by coefficient; nothing is left out."""
     motion = random_motion(LinearAircraft(model.name, model.title, body, {}))
     rng = np.random.default_rng(len(motion))
-    more = {"thrust": rng.uniform(0.0, 10.0, len(motion)), ALPHA_RATE: rng.uniform(-0.5, 0.5, len(motion))}
-    states = {**motion.values, **more}
+    extra_states = {"thrust": rng.uniform(0.0, 10.0, len(motion)), ALPHA_RATE: rng.uniform(-0.5, 0.5, len(motion))}
+    states = {**motion.values, **extra_states}
     read = evaluated(content, states)
     symbols: dict[str, Any] = {**model.numbers, **states}
 
@@ -139,16 +156,18 @@ def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> 
             )
         return symbols[name]
 
-    off = {axis: _share(read[c] - text(c), np.atleast_1d(text(c))) for axis, c in zip(AXES, COEFFICIENTS, strict=True)}
-    return SimulatorProof(len(motion), off, (), TEXT_LIMIT)
+    deviation = {
+        axis: _share(read[c] - text(c), np.atleast_1d(text(c))) for axis, c in zip(AXES, COEFFICIENTS, strict=True)
+    }
+    return SimulatorProof(len(motion), deviation, (), TEXT_LIMIT)
 
 
-def _off(flown: Axes, model: Axes) -> dict[str, float]:
-    return {axis: _share(flown[axis] - model[axis], model[axis]) for axis in AXES}
+def _axis_deviations(measured: Axes, model: Axes) -> dict[str, float]:
+    return {axis: _share(measured[axis] - model[axis], model[axis]) for axis in AXES}
 
 
-def _share(difference: Array, of: Array) -> float:
-    largest = float(np.max(np.abs(of)))
+def _share(difference: Array, reference: Array) -> float:
+    largest = float(np.max(np.abs(reference)))
     return float(np.max(np.abs(difference))) / largest if largest > 0.0 else float(np.max(np.abs(difference)))
 
 
@@ -159,35 +178,39 @@ def _off_of_body(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
     return {"mass": abs(a.mass / b.mass - 1.0), "inertia": inertia}
 
 
-def _told(
+def _omitted_terms(
     craft: LinearAircraft,
     motion: FlightStates,
-    without: tuple[str, ...],
+    omitted: tuple[str, ...],
     induced: tuple[str, ...],
     air: Callable[[FlightStates], tuple[Array, Array, Array]],
 ) -> list[OmittedTerm]:
     """Derivatives without a key, parts of induced drag, and air data that are defined otherwise, each with what it weighs."""
-    whole = accelerations(craft.aircraft, forces(craft, motion))
-    found = []
-    for name in without:
-        less = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
-        found.append(_largest(name, craft[name], whole, less))
-    said = craft.without(without)
+    full_axes = accelerations(craft.aircraft, forces(craft, motion))
+    terms = []
+    for name in omitted:
+        reduced_axes = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
+        terms.append(_largest(name, craft[name], full_axes, reduced_axes))
+    expressible = craft.without(omitted)
     for ending in ("beta", "p", "q", "r", "de", "da", "dr"):
-        if ending not in induced and said[f"CL_{ending}"] != 0.0 and said["CD_k"] != 0.0:
-            more = accelerations(craft.aircraft, forces(said, motion, (*induced, ending)))
-            less = accelerations(craft.aircraft, forces(said, motion, induced))
-            found.append(_largest(f"induced drag of CL_{ending}", np.nan, more, less))
-    own = accelerations(craft.aircraft, forces(said, motion, induced))
-    theirs = accelerations(craft.aircraft, forces(said, motion.with_air(*air(motion)), induced))
-    found.append(_largest("sideslip taken as atan2(v, u)", np.nan, own, theirs))
-    return [t for t in found if t.share > LEAST_SHARE]
+        if ending not in induced and expressible[f"CL_{ending}"] != 0.0 and expressible["CD_k"] != 0.0:
+            full_drag = accelerations(craft.aircraft, forces(expressible, motion, (*induced, ending)))
+            reduced_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
+            terms.append(_largest(f"induced drag of CL_{ending}", np.nan, full_drag, reduced_axes))
+    model_axes = accelerations(craft.aircraft, forces(expressible, motion, induced))
+    theirs = accelerations(craft.aircraft, forces(expressible, motion.with_air(*air(motion)), induced))
+    terms.append(_largest("sideslip taken as atan2(v, u)", np.nan, model_axes, theirs))
+    return [t for t in terms if t.share > LEAST_SHARE]
 
 
 def _gyroscopic(craft: LinearAircraft, motion: FlightStates) -> list[OmittedTerm]:
-    whole = accelerations(craft.aircraft, forces(craft, motion))
+    full_axes = accelerations(craft.aircraft, forces(craft, motion))
     turning = gyroscopic(craft.aircraft, motion)
-    return [_largest("gyroscopic terms", np.nan, whole, {**whole, **{n: whole[n] + v for n, v in turning.items()}})]
+    return [
+        _largest(
+            "gyroscopic terms", np.nan, full_axes, {**full_axes, **{n: full_axes[n] + v for n, v in turning.items()}}
+        )
+    ]
 
 
 def _blend(
@@ -197,12 +220,12 @@ def _blend(
     return [_largest("blend into the stall", np.nan, model(motion), flown(motion))] if wanted else []
 
 
-def _largest(name: str, value: float, whole: Axes, less: Axes) -> OmittedTerm:
-    shares = {axis: _share(whole[axis] - less[axis], whole[axis]) for axis in AXES}
+def _largest(name: str, value: float, full: Axes, reduced: Axes) -> OmittedTerm:
+    shares = {axis: _share(full[axis] - reduced[axis], full[axis]) for axis in AXES}
     axis = max(shares, key=lambda n: shares[n])
     return OmittedTerm(name, value, shares[axis], axis)
 
 
-def _beyond(beyond: tuple[tuple[str, float], ...]) -> list[OmittedTerm]:
+def _beyond_terms(beyond: tuple[tuple[str, float], ...]) -> list[OmittedTerm]:
     """What of the model is in none of its coefficients: nothing more is known than its size."""
     return [OmittedTerm(name, size, np.nan, "") for name, size in beyond]

@@ -5,11 +5,16 @@ With k = 2 kg / m the area is k S; rolling and yawing moments are solved for acc
 then k times the real ones.
 """
 
+import json
 import math
+import re
 import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from estimation.simulation.autopilot.ardupilot_equations import MASS
+from daq.contract.input_files import DEEPEST, LARGEST_TEXT, read_bytes
+from estimation.simulation.autopilot.equations import BUILT_IN, CLAMP, FULL, MASS, OFFSET, SitlPlane
 from estimation.simulation.autopilot.gathering import symmetric_throws
 from estimation.simulation.autopilot.linear import LINES, SLOPES, LinearAircraft
 from estimation.simulation.oracle import SimulationError
@@ -40,25 +45,25 @@ def sitl_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
     a, throw = craft.aircraft, symmetric_throws(craft, "ArduPilot's SITL")
     share = MASS / a.mass
     inertia = a.Ixx * a.Izz - a.Ixz**2
-    at = STALL if stall is None else stall
+    stall_angle = STALL if stall is None else stall
     polar = share * a.area / (math.pi * a.span**2 * craft["CD_k"]) if craft["CD_k"] else POLAR_FAR
     lift = {"c_lift_0": craft["CL_0"], "c_lift_deltae": -craft["CL_de"] * throw["delta_e"],
             "c_lift_a": craft["CL_alpha"], "c_lift_q": craft["CL_q"]}  # fmt: skip
     drag = {"c_drag_q": craft["CD_q"], "c_drag_deltae": 0.0, "c_drag_p": craft["CD_0"]}
     scale = {"0": 1.0, "b": 1.0, "p": 1.0, "r": 1.0, "deltaa": -throw["delta_a"], "deltar": -throw["delta_r"]}
-    named = {"0": "0", "b": "beta", "p": "p", "r": "r", "deltaa": "da", "deltar": "dr"}
+    ending_by_key = {"0": "0", "b": "beta", "p": "p", "r": "r", "deltaa": "da", "deltar": "dr"}
     side, roll, yaw = {}, {}, {}
-    for key, ending in named.items():
+    for key, ending in ending_by_key.items():
         CY, Cl, Cn = (craft[f"{c}_{ending}"] for c in ("CY", "Cl", "Cn"))
         side[f"c_y_{key}"] = CY * scale[key]
         roll[f"c_l_{key}"] = (a.Izz * Cl + a.Ixz * Cn) / (share * inertia) * scale[key]
         yaw[f"c_n_{key}"] = (a.Ixx * Cn + a.Ixz * Cl) / (share * inertia) * scale[key]
-    own = {"c_m_0": craft["Cm_0"], "c_m_a": craft["Cm_alpha"], "c_m_q": craft["Cm_q"],
+    pitch_values = {"c_m_0": craft["Cm_0"], "c_m_a": craft["Cm_alpha"], "c_m_q": craft["Cm_q"],
            "c_m_deltae": -craft["Cm_de"] * throw["delta_e"]}  # fmt: skip
-    pitch = {key: value / (share * a.Iyy) for key, value in own.items()}
+    pitch = {key: value / (share * a.Iyy) for key, value in pitch_values.items()}
     return {
-        "s": share * a.area, "b": a.span, "c": a.chord, **lift, "mcoeff": min(SHARPEST, OVERFLOW / (2.0 * at + 0.8)),
-        "oswald": polar, "alpha_stall": at, **drag, **side, **roll, **pitch, **yaw,
+        "s": share * a.area, "b": a.span, "c": a.chord, **lift, "mcoeff": min(SHARPEST, OVERFLOW / (2.0 * stall_angle + 0.8)),
+        "oswald": polar, "alpha_stall": stall_angle, **drag, **side, **roll, **pitch, **yaw,
         "deltaa_max": throw["delta_a"], "deltae_max": throw["delta_e"], "deltar_max": throw["delta_r"],
     }  # fmt: skip
 
@@ -84,10 +89,11 @@ def check_name(path: Path) -> None:
             f"{path}: SITL flies its built-in aircraft unless the name ends in .json; give such a name"
         )
     read = f"{path.parent.name}/{path.name}" if path.is_absolute() else str(path)
-    found = [option for option in OPTIONS if option in read]
-    if found:
+    options_in_name = [option for option in OPTIONS if option in read]
+    if options_in_name:
         raise SimulationError(
-            f"{path}: SITL would read the option {found[0]} in this name and fly another aircraft; give a name without it"
+            f"{path}: SITL would read the option {options_in_name[0]} in this name and fly another aircraft; give a"
+            " name without it"
         )
     if any(mark in path.name for mark in "'\"\\ \t\n"):
         raise SimulationError(f"{path}: SITL's scripts take such a name apart; leave out blanks and quotes")
@@ -112,9 +118,9 @@ def command_lines(path: Path, thrust: float | None, mass: float) -> list[str]:
                      " full throttle; --thrust N tells what to limit it to")  # fmt: skip
     else:
         share = thrust / (FULL_THROTTLE * mass)
-        told = (f"limit the throttle to {share:.3f} of its range (THR_MAX {100.0 * share:.0f})" if share <= 1.0
+        throttle_advice = (f"limit the throttle to {share:.3f} of its range (THR_MAX {100.0 * share:.0f})" if share <= 1.0
                 else f"more than SITL has at any throttle ({FULL_THROTTLE * mass:.3g} N); it will fly weaker")  # fmt: skip
-        lines.append(f"  thrust {thrust:g} N of {mass:g} kg: {told}")
+        lines.append(f"  thrust {thrust:g} N of {mass:g} kg: {throttle_advice}")
     return lines
 
 
@@ -137,3 +143,126 @@ def comments(craft: LinearAircraft, origin: str, left: list[tuple[str, float]], 
         *values, *(f"left out: {n} ({v:.4g})" for n, v in left), f"alpha_stall: {note}",
         *craft.notes,
     ]  # fmt: skip
+
+
+# The coefficient file of ArduPilot's SITL model `plane`: written with the real values as comments, and read within bounds.
+#
+# SITL takes JSON between the first `{` and the last `}` of a file, in which `#` begins a comment. A brace in a comment before the
+# object makes it stop, so that ours have none.
+
+FLOAT_EXPONENT = 88.0  # beyond it a float is infinite; SITL's own file has 87
+UNUSED = ("aero_moment_inertia",)  # read by nobody before ArduPilot's pull 34011
+MULTICOPTER = ("mass", "moment_inertia")  # of a quadplane's frame, in the same file
+ABOVE_ZERO = ("s", "b", "c", "mcoeff", *FULL.values())
+REAL = ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")
+_REAL_LINE = re.compile(r"^# real (\w+) = (\S+)", re.MULTILINE)
+NUMBER_LIMIT = 1e9  # of a coefficient: SITL reads floats, and one beyond is a mistake
+SIZES = (1e-6, 1e6)  # of an area, length, sharpness or throw
+
+
+def file_text(values: Mapping[str, float], comments: Sequence[str]) -> str:
+    """The text of a file: comments above, one key a line; CGOffset at the centre of gravity."""
+    safe_comments = [re.sub(r"[{}\r\n]", " ", line).strip() for line in comments]
+    rows = [f'    "{key}": {_number(value)}' for key, value in values.items()]
+    rows.append('    "CGOffset": [0.0, 0.0, 0.0]')
+    return "\n".join([*(f"# {line}".rstrip() for line in safe_comments), "{", ",\n".join(rows), "}", ""])
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        raise SimulationError(f"{value} is no coefficient that SITL can fly with")
+    return repr(float(value))
+
+
+def read_sitl_plane(path: Path) -> SitlPlane:
+    """A file as SITL takes it. Raises SimulationError where SITL would stop, or where it is longer or deeper than is read."""
+    text = read_bytes(path, "file of coefficients", SimulationError, LARGEST_TEXT).decode("utf-8", errors="replace")
+    content = _object(text, path)
+    unknown = [k for k in content if k not in BUILT_IN and k not in (*UNUSED, *MULTICOPTER, "CGOffset")]
+    notes = [] if not unknown else [f"{path.name}: SITL does not read {', '.join(map(_short, unknown))}"]
+    file_values = {k: _value(k, content[k], path) for k in BUILT_IN if k in content}
+    absent = [k for k in BUILT_IN if k not in content]
+    if len(absent) == len(BUILT_IN):
+        raise SimulationError(
+            f"{path}: has none of the keys of SITL's plane (s, b, c, c_lift_a, ...); is it another file?"
+        )
+    throws = [k for k in FULL.values() if k in absent]
+    absent_coefficients = [k for k in absent if k not in throws]
+    if absent_coefficients:
+        notes.append(f"{path.name} does not say {', '.join(absent_coefficients)}: SITL's own values stand")
+    if throws:
+        notes.append(
+            f"{path.name} does not say {', '.join(throws)}: throws of 20 deg are taken, as SITL's own file says"
+        )
+    offset = _offset(content.get("CGOffset"), path)
+    plane = SitlPlane({**BUILT_IN, **file_values}, offset, _real(text), tuple(notes))
+    k = plane.values
+    if abs(k["oswald"]) < SIZES[0]:
+        raise SimulationError(f"{path}: oswald is {k['oswald']:g}, by which SITL divides; give a number")
+    exponent = k["mcoeff"] * (2.0 * abs(k["alpha_stall"]) + CLAMP)
+    if exponent > FLOAT_EXPONENT:
+        raise SimulationError(
+            f"{path}: mcoeff {k['mcoeff']:g} with alpha_stall {k['alpha_stall']:g} is beyond a float in SITL's blend (exp of"
+            f" {exponent:.0f}); give a smaller mcoeff"
+        )
+    return plane
+
+
+def _object(text: str, path: Path) -> dict[str, Any]:
+    first, last = text.find("{"), text.rfind("}")
+    if first < 0 or last < first:
+        raise SimulationError(f"{path}: no JSON object between braces; SITL's plane is described by one")
+    body = re.sub(r"#[^\n]*", "", text[first : last + 1])
+    depth = deepest = 0
+    for mark in re.findall(r"[\[\]{}]", body):
+        depth += 1 if mark in "[{" else -1
+        deepest = max(deepest, depth)
+    if deepest > DEEPEST:
+        raise SimulationError(
+            f"{path}: nested {deepest} deep, at most {DEEPEST} are read; SITL's keys stand side by side"
+        )
+    try:
+        content = json.loads(body, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise SimulationError(f"{path}: no JSON, and SITL would stop here ({error}); correct it") from error
+    assert isinstance(content, dict)
+    return content
+
+
+def _refuse_constant(word: str) -> float:
+    raise ValueError(f"{word} is no number")
+
+
+def _value(key: str, value: Any, path: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < NUMBER_LIMIT:
+        raise SimulationError(f"{path}: {key} is {_short(value)}, and SITL stops at anything but a number; correct it")
+    if key in ABOVE_ZERO and not SIZES[0] <= value <= SIZES[1]:
+        raise SimulationError(f"{path}: {key} is {value:g}; give a number above zero, {SIZES[1]:g} at most")
+    return float(value)
+
+
+def _offset(value: Any, path: Path) -> tuple[float, float, float]:
+    if value is None:
+        return OFFSET
+    if not isinstance(value, list) or len(value) != len(OFFSET):
+        raise SimulationError(f"{path}: CGOffset is {_short(value)}, and SITL stops at anything but three numbers")
+    x, y, z = (_value("CGOffset", v, path) for v in value)
+    return x, y, z
+
+
+def _real(text: str) -> dict[str, float]:
+    """Mass, geometry and inertia of the real aircraft, of comments that we wrote; nothing where they are not all there."""
+    real_values: dict[str, float] = {}
+    for name, number in _REAL_LINE.findall(text):
+        try:
+            real_values[name] = float(number)
+        except ValueError:
+            continue
+    above_zero = all(0.0 < real_values.get(n, math.nan) < NUMBER_LIMIT for n in REAL if n != "Ixz")
+    possible = above_zero and real_values.get("Ixz", math.nan) ** 2 < real_values["Ixx"] * real_values["Izz"]
+    return {n: real_values[n] for n in REAL} if possible else {}
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

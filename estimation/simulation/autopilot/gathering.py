@@ -61,17 +61,19 @@ def source_of(path: Path) -> Model | Aircraft:
     return read_model(path)
 
 
-def gathered(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
+def gather_aircraft(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
     """The aircraft of a model or aircraft file, whole. Raises MissingPartsError with the list of what is missing, SimulationError
     for a model that is not linear."""
     source = source_of(path)
-    beside = source if isinstance(source, Aircraft) else load_aircraft(stated.aircraft) if stated.aircraft else None
+    stated_aircraft = (
+        source if isinstance(source, Aircraft) else load_aircraft(stated.aircraft) if stated.aircraft else None
+    )
     if isinstance(source, Aircraft):
         if stated.aircraft is not None:
             raise EstimationError(f"{path}: is an aircraft file itself; leave --aircraft {stated.aircraft} away")
         model, body = None, source
     else:
-        model, body = source, body_of(source, beside)
+        model, body = source, body_of(source, stated_aircraft)
     missing = [key for key, field_ in zip(KEYS, FIELDS, strict=True) if math.isnan(getattr(body, field_))]
     frame = LinearAircraft(body.name, body.title or body.name, body, {})
     lines = () if model is None else lines_named(path, model)
@@ -79,16 +81,20 @@ def gathered(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> 
     if model is not None and not missing:
         derivatives = derivatives_of(model, frame)
         sources = dict.fromkeys(derivatives, f"model {model.name}")
-    notes = _added(beside, [c for c in LINES if c not in lines], derivatives, sources, missing)
-    throws = _throws(beside, stated, missing)
-    thrust = stated.thrust if stated.thrust is not None else _thrust(beside)
+    notes = _add_beliefs(stated_aircraft, [c for c in LINES if c not in lines], derivatives, sources, missing)
+    throws = _throws(stated_aircraft, stated, missing)
+    thrust = stated.thrust if stated.thrust is not None else _thrust(stated_aircraft)
     if thrust is None and needs_thrust:
         missing.append("static thrust ([engine] static_thrust, or --thrust; 0 for a glider)")
     if missing:
-        raise MissingPartsError(asked_for(path, target, missing, beside))
+        raise MissingPartsError(asked_for(path, target, missing, stated_aircraft))
     craft = replace(frame, derivatives=derivatives, sources=sources, throws=throws, thrust=thrust, notes=tuple(notes))
-    unknown = [] if beside is None else [(n, d.value) for n, d in beside.derivatives.items() if n not in STANDARD]
-    return Gathered(craft, tuple(unknown) if model is None else _beyond(model, craft))
+    unknown = (
+        []
+        if stated_aircraft is None
+        else [(n, d.value) for n, d in stated_aircraft.derivatives.items() if n not in STANDARD]
+    )
+    return Gathered(craft, tuple(unknown) if model is None else _beyond_coefficients(model, craft))
 
 
 def lines_named(path: Path, model: Model) -> tuple[str, ...]:
@@ -101,88 +107,92 @@ def lines_named(path: Path, model: Model) -> tuple[str, ...]:
     return lines
 
 
-def body_of(model: Model, beside: Aircraft | None) -> Aircraft:
+def body_of(model: Model, stated_aircraft: Aircraft | None) -> Aircraft:
     """Geometry, mass and inertia: the model's own numbers, before those of the aircraft file."""
     numbers = {**model.constants, **model.starts()}
-    frame = beside or unknown_aircraft(model.name)
-    own = {f: float(numbers[n]) for n, f in zip(BODY, FIELDS, strict=True) if n in numbers}
-    if math.isnan(frame.Ixz) and "Ixz" not in own and not math.isnan(own.get("Ixx", math.nan)):
-        own["Ixz"] = 0.0  # as in an aircraft file that does not state it
-    return replace(frame.with_values(**own), name=model.name, title=model.title)
+    frame = stated_aircraft or unknown_aircraft(model.name)
+    model_values = {f: float(numbers[n]) for n, f in zip(BODY, FIELDS, strict=True) if n in numbers}
+    if math.isnan(frame.Ixz) and "Ixz" not in model_values and not math.isnan(model_values.get("Ixx", math.nan)):
+        model_values["Ixz"] = 0.0  # as in an aircraft file that does not state it
+    return replace(frame.with_values(**model_values), name=model.name, title=model.title)
 
 
-def _added(
-    beside: Aircraft | None,
+def _add_beliefs(
+    stated_aircraft: Aircraft | None,
     lines: list[str],
     derivatives: dict[str, float],
     sources: dict[str, str],
     missing: list[str],
 ) -> list[str]:
     """Take coefficients that the model has no line for from the beliefs of the aircraft file; what was assumed."""
-    beliefs = beside.derivatives if beside is not None else {}
-    lacking = [n for line in lines for n in NEEDED[line] if n not in beliefs]
-    missing += lacking
+    beliefs = stated_aircraft.derivatives if stated_aircraft is not None else {}
+    missing_beliefs = [n for line in lines for n in NEEDED[line] if n not in beliefs]
+    missing += missing_beliefs
     for name, belief in beliefs.items():
         if name.split("_")[0] in lines and name in STANDARD:
             derivatives[name], sources[name] = belief.value, belief.source
-    if lacking:
+    if missing_beliefs:
         return []
-    taken = [n for n in derivatives if n.split("_")[0] in lines]
+    believed_names = [n for n in derivatives if n.split("_")[0] in lines]
     zero = [n for line in lines for n in MINOR[line] if n not in beliefs]
     notes = []
-    if taken and len(lines) < len(LINES):
-        told = ", ".join(f"{n} = {derivatives[n]:.4g} ({sources[n]})" for n in taken)
-        notes.append(f"not in the model, from the aircraft file: {told}")
+    if believed_names and len(lines) < len(LINES):
+        belief_list = ", ".join(f"{n} = {derivatives[n]:.4g} ({sources[n]})" for n in believed_names)
+        notes.append(f"not in the model, from the aircraft file: {belief_list}")
     if zero:
         notes.append(f"nobody states, so zero: {', '.join(zero)}")
     return notes
 
 
-def _throws(beside: Aircraft | None, stated: Stated, missing: list[str]) -> dict[str, tuple[float, float]]:
-    throws = {**_servo_limits(beside), **(beside.throws if beside is not None else {}), **stated.throws}
-    lacking = [n for n in SURFACES if n not in throws]
-    if lacking:
-        missing.append(f"throws of {', '.join(lacking)} ([throws], or --throw {lacking[0]}=25deg)")
+def _throws(stated_aircraft: Aircraft | None, stated: Stated, missing: list[str]) -> dict[str, tuple[float, float]]:
+    throws = {
+        **_servo_limits(stated_aircraft),
+        **(stated_aircraft.throws if stated_aircraft is not None else {}),
+        **stated.throws,
+    }
+    missing_throws = [n for n in SURFACES if n not in throws]
+    if missing_throws:
+        missing.append(f"throws of {', '.join(missing_throws)} ([throws], or --throw {missing_throws[0]}=25deg)")
     return throws
 
 
-def _servo_limits(beside: Aircraft | None) -> dict[str, tuple[float, float]]:
-    if beside is None or beside.servos is None:
+def _servo_limits(stated_aircraft: Aircraft | None) -> dict[str, tuple[float, float]]:
+    if stated_aircraft is None or stated_aircraft.servos is None:
         return {}
-    elevon, rudder = beside.servos.elevon_limit, beside.servos.rudder_limit
+    elevon, rudder = stated_aircraft.servos.elevon_limit, stated_aircraft.servos.rudder_limit
     return {"delta_e": (-elevon, elevon), "delta_a": (-elevon, elevon), "delta_r": (-rudder, rudder)}
 
 
-def _thrust(beside: Aircraft | None) -> float | None:
-    return None if beside is None or beside.engine is None else beside.engine.static_thrust
+def _thrust(stated_aircraft: Aircraft | None) -> float | None:
+    return None if stated_aircraft is None or stated_aircraft.engine is None else stated_aircraft.engine.static_thrust
 
 
-def asked_for(path: Path, target: str, missing: list[str], beside: Aircraft | None) -> str:
-    where = "its file" if beside is not None else "an aircraft file and give it with --aircraft FILE"
+def asked_for(path: Path, target: str, missing: list[str], stated_aircraft: Aircraft | None) -> str:
+    place = "its file" if stated_aircraft is not None else "an aircraft file and give it with --aircraft FILE"
     return (
-        f"{path}: {target} needs what nobody states: {', '.join(missing)}; nothing is invented, so state them in {where}"
+        f"{path}: {target} needs what nobody states: {', '.join(missing)}; nothing is invented, so state them in {place}"
         " (docs/aircraft.md), a derivative as 0 where the aircraft has none"
     )
 
 
-def _beyond(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
+def _beyond_coefficients(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
     try:
         accelerations = beyond_coefficients(model, craft)
     except SimulationError as error:
         raise SimulationError(f"{error}, and no simulator of an autopilot has that") from error
-    found = [(f"{line} beyond coefficients", share) for line, share in accelerations.items()]
+    beyond_terms = [(f"{line} beyond coefficients", share) for line, share in accelerations.items()]
     numbers = model.starts()
-    found += [(f"{t.kind} of {t.input}", numbers.get(t.parameters[0], math.nan)) for t in model.transforms]
-    return tuple(found)
+    beyond_terms += [(f"{t.kind} of {t.input}", numbers.get(t.parameters[0], math.nan)) for t in model.transforms]
+    return tuple(beyond_terms)
 
 
 def symmetric_throws(craft: LinearAircraft, target: str) -> dict[str, float]:
     """Surface -> throw [rad]. Raises SimulationError for one that differs both ways."""
-    for name, (least, greatest) in craft.throws.items():
-        if not math.isclose(-least, greatest, rel_tol=1e-6):
+    for name, (lowest, greatest) in craft.throws.items():
+        if not math.isclose(-lowest, greatest, rel_tol=1e-6):
             raise SimulationError(
-                f"{craft.name}: {name} goes from {math.degrees(least):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
+                f"{craft.name}: {name} goes from {math.degrees(lowest):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
                 " a throw is the same both ways; limit it in the autopilot to the smaller one and state that,"
-                f" --throw {name}={min(-least, greatest):.4g}"
+                f" --throw {name}={min(-lowest, greatest):.4g}"
             )
     return {name: greatest for name, (_, greatest) in craft.throws.items()}

@@ -13,9 +13,8 @@ import numpy as np
 
 from daq.contract.constants import DEGREE
 from daq.contract.constants import SEA_LEVEL_DENSITY as DENSITY
-from estimation.simulation.autopilot.bodies import Body, rest_of, turned
 from estimation.simulation.autopilot.gathering import symmetric_throws
-from estimation.simulation.autopilot.linear import LINES, SLOPES, LinearAircraft
+from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, remaining_body, rotated_body
 from estimation.simulation.oracle import Array
 
 STALL = 2.0  # rad, where nobody says: so far that the blend, of fixed width, changes nothing at which an aircraft flies
@@ -112,10 +111,10 @@ def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Eleme
     root = ET.Element("sdf", version="1.9")
     model = ET.SubElement(root, "model", name=name)
     a = craft.aircraft
-    _text(model, "pose", f"0 0 {_n(0.1 * a.span)} 0 0 0")
+    _text_element(model, "pose", f"0 0 {_number_text(0.1 * a.span)} 0 0 0")
     parts = [Body(SURFACE.mass, a.span * np.array(f.place), SURFACE.inertia) for f in FLAPS]
     propeller = _propeller(craft)
-    base = rest_of(inertia_of(craft), [*parts, *([propeller] if thrust else [])])
+    base = remaining_body(inertia_of(craft), [*parts, *([propeller] if thrust else [])])
     model.append(_base_link(base, a.span, a.chord))
     for flap, body in zip(FLAPS, parts, strict=True):
         size = (
@@ -124,22 +123,23 @@ def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Eleme
             else (0.1 * a.chord, 0.01 * a.span, 0.1 * a.span)
         )
         model.append(_link(flap.link, Body(body.mass, np.zeros(3), body.inertia), size, body.centre))
-        model.append(_hinge(flap, throws[flap.delta]))
+        throw = throws[flap.delta]
+        model.append(_joint(flap.joint, flap.link, flap.axis, -throw, throw, SERVO_DAMPING))
         model.append(_servo(flap.joint))
     if thrust:
         model.append(_rotor(propeller, a.span))
-        model.append(_shaft())
+        model.append(_joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -1e16, 1e16, 0.0))
         model.append(_motor(thrust))
     model.append(_aerodynamics(craft, stall))
     ET.indent(root)
     return root
 
 
-def _n(value: float) -> str:
+def _number_text(value: float) -> str:
     return repr(float(value))
 
 
-def _text(parent: ET.Element, tag: str, text: str, **attributes: str) -> ET.Element:
+def _text_element(parent: ET.Element, tag: str, text: str, **attributes: str) -> ET.Element:
     element = ET.SubElement(parent, tag, attributes)
     element.text = text
     return element
@@ -147,16 +147,16 @@ def _text(parent: ET.Element, tag: str, text: str, **attributes: str) -> ET.Elem
 
 def _inertial(parent: ET.Element, body: Body) -> None:
     inertial = ET.SubElement(parent, "inertial")
-    _text(inertial, "pose", " ".join(_n(v) for v in body.centre) + " 0 0 0")
-    _text(inertial, "mass", _n(body.mass))
+    _text_element(inertial, "pose", " ".join(_number_text(v) for v in body.centre) + " 0 0 0")
+    _text_element(inertial, "mass", _number_text(body.mass))
     inertia = ET.SubElement(inertial, "inertia")
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        _text(inertia, f"i{'xyz'[i]}{'xyz'[j]}", _n(body.inertia[i, j]))
+        _text_element(inertia, f"i{'xyz'[i]}{'xyz'[j]}", _number_text(body.inertia[i, j]))
 
 
 def _box(parent: ET.Element, tag: str, name: str, size: tuple[float, float, float]) -> None:
     geometry = ET.SubElement(ET.SubElement(parent, tag, name=name), "geometry")
-    _text(ET.SubElement(geometry, "box"), "size", " ".join(_n(v) for v in size))
+    _text_element(ET.SubElement(geometry, "box"), "size", " ".join(_number_text(v) for v in size))
 
 
 def _link(
@@ -168,7 +168,7 @@ def _link(
 ) -> ET.Element:
     link = ET.Element("link", name=name)
     if place is not None:
-        _text(link, "pose", " ".join(_n(v) for v in (*place, *angles)))
+        _text_element(link, "pose", " ".join(_number_text(v) for v in (*place, *angles)))
     _inertial(link, body)
     _box(link, "visual", f"{name}_visual", size)
     return link
@@ -183,38 +183,34 @@ def _base_link(body: Body, span: float, chord: float) -> ET.Element:
         ("navsat_sensor", "navsat", 30),
     ):
         sensor = ET.SubElement(link, "sensor", name=name, type=kind)
-        _text(sensor, "always_on", "1")
-        _text(sensor, "update_rate", str(rate))
+        _text_element(sensor, "always_on", "1")
+        _text_element(sensor, "update_rate", str(rate))
     return link
 
 
 def _joint(name: str, child: str, axis: tuple[int, int, int], low: float, high: float, damping: float) -> ET.Element:
     joint = ET.Element("joint", name=name, type="revolute")
-    _text(joint, "parent", "base_link")
-    _text(joint, "child", child)
+    _text_element(joint, "parent", "base_link")
+    _text_element(joint, "child", child)
     turning = ET.SubElement(joint, "axis")
-    _text(turning, "xyz", " ".join(map(str, axis)))
+    _text_element(turning, "xyz", " ".join(map(str, axis)))
     limit = ET.SubElement(turning, "limit")
-    _text(limit, "lower", _n(low))
-    _text(limit, "upper", _n(high))
-    _text(ET.SubElement(turning, "dynamics"), "damping", _n(damping))
+    _text_element(limit, "lower", _number_text(low))
+    _text_element(limit, "upper", _number_text(high))
+    _text_element(ET.SubElement(turning, "dynamics"), "damping", _number_text(damping))
     return joint
-
-
-def _hinge(flap: Flap, throw: float) -> ET.Element:
-    return _joint(flap.joint, flap.link, flap.axis, -throw, throw, SERVO_DAMPING)
 
 
 def _plugin(system: str, words: Mapping[str, str]) -> ET.Element:
     file = "".join(f"-{c.lower()}" if c.isupper() else c for c in system)
     plugin = ET.Element("plugin", filename=f"gz-sim{file}-system", name=f"gz::sim::systems::{system}")
     for tag, text in words.items():
-        _text(plugin, tag, text)
+        _text_element(plugin, tag, text)
     return plugin
 
 
 def _servo(joint: str) -> ET.Element:
-    gains = {"p_gain": _n(SERVO_GAIN), "i_gain": "0", "d_gain": "0"}
+    gains = {"p_gain": _number_text(SERVO_GAIN), "i_gain": "0", "d_gain": "0"}
     return _plugin("JointPositionController", {"joint_name": joint, "sub_topic": joint, **gains})
 
 
@@ -227,33 +223,29 @@ def _propeller(craft: LinearAircraft) -> Body:
 
 def _rotor(propeller: Body, span: float) -> ET.Element:
     """The link of the propeller, z along its shaft, as the plugin of the motor pushes."""
-    upright = turned(*FORWARD)
-    own = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
-    return _link("rotor_puller", own, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
-
-
-def _shaft() -> ET.Element:
-    return _joint("rotor_puller_joint", "rotor_puller", (0, 0, 1), -1e16, 1e16, 0.0)
+    upright = rotated_body(*FORWARD)
+    turned_body = Body(propeller.mass, np.zeros(3), upright.T @ propeller.inertia @ upright)
+    return _link("rotor_puller", turned_body, (0.15 * span, 0.02 * span, 0.01 * span), propeller.centre, FORWARD)
 
 
 def _motor(thrust: float) -> ET.Element:
     """Thrust along x at the centre of gravity's height, as the model has it: neither torque nor drag of its own."""
     return _plugin("MulticopterMotorModel", {
         "jointName": "rotor_puller_joint", "linkName": "rotor_puller", "turningDirection": "cw", "timeConstantUp": "0.0125",
-        "timeConstantDown": "0.025", "maxRotVelocity": _n(FASTEST), "motorConstant": _n(thrust / FASTEST**2),
+        "timeConstantDown": "0.025", "maxRotVelocity": _number_text(FASTEST), "motorConstant": _number_text(thrust / FASTEST**2),
         "momentConstant": "0", "commandSubTopic": "command/motor_speed", "motorNumber": "0", "rotorDragCoefficient": "0",
         "rollingMomentCoefficient": "0", "rotorVelocitySlowdownSim": "10", "motorType": "velocity",
     })  # fmt: skip
 
 
 def _aerodynamics(craft: LinearAircraft, stall: float | None) -> ET.Element:
-    numbers = {key: _n(value) for key, value in plugin_values(craft, stall).items()}
+    numbers = {key: _number_text(value) for key, value in plugin_values(craft, stall).items()}
     plugin = _plugin("AdvancedLiftDrag", {"link_name": "base_link", **numbers, "cp": "0 0 0", "forward": "1 0 0",
                                           "upward": "0 0 1", "num_ctrl_surfaces": str(len(FLAPS))})  # fmt: skip
     for flap in FLAPS:
         surface = ET.SubElement(plugin, "control_surface")
-        _text(surface, "name", flap.joint)
-        _text(surface, "direction", "1")
+        _text_element(surface, "name", flap.joint)
+        _text_element(surface, "direction", "1")
         for key, value in control_values(craft, flap).items():
-            _text(surface, key, _n(value))
+            _text_element(surface, key, _number_text(value))
     return plugin

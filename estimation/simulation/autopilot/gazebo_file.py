@@ -1,15 +1,15 @@
 """A model of Gazebo read back: the numbers of AdvancedLiftDrag, which joint is which surface, all links as one body."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from estimation.aircraft import Aircraft
-from estimation.simulation.autopilot.bodies import Body, together, turned
-from estimation.simulation.autopilot.gazebo_equations import CONTROLS, KEYS, GazeboPlane
-from estimation.simulation.autopilot.hinges import hinged
+from estimation.simulation.autopilot.equations import CONTROLS, KEYS, GazeboPlane, Hinged
+from estimation.simulation.autopilot.linear import Body, combined_body, rotated_body
 from estimation.simulation.bounded_xml import bounded_tree
 from estimation.simulation.oracle import Array, SimulationError
 
@@ -39,7 +39,7 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
     """The aeroplane of a model.sdf. Raises SimulationError where Gazebo would not fly it, or it is beyond the bounds."""
     root = bounded_tree(path, "model of Gazebo")
     plugin = _plugin(root, path)
-    model = _model_of(root, plugin)
+    model = next((m for m in root.iter("model") if plugin in list(m)), root)
     values = {key: _number(plugin, key, path, default) for key, default in KEYS.items()}
     _check(values, path)
     link = next((e for e in model.iter("link") if e.get("name") == _word(plugin, "link_name")), None)
@@ -60,8 +60,8 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         raise SimulationError(
             f"{path}: the link of its AdvancedLiftDrag is turned in the model; x forward, y left, z up is read"
         )
-    whole = together([_body(e, path) for e in model.iter("link")])
-    cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - whole.centre)
+    total_body = combined_body([_body(e, path) for e in model.iter("link")])
+    cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - total_body.centre)
     surfaces, notes = _surfaces(model, plugin, path)
     unread = [k for k in UNREAD if plugin.find(k) is not None]
     if unread:
@@ -70,21 +70,17 @@ def read_gazebo_plane(path: Path) -> GazeboPlane:
         notes.append(
             f"{path.name}: Cem0 and Cema are taken as gz-sim with pull 3817 does; before it they are thrown away"
         )
-    craft = _aircraft(model.get("name") or path.parent.name, whole, values, path)
+    craft = _aircraft(model.get("name") or path.parent.name, total_body, values, path)
     return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, craft, tuple(notes))
 
 
 def _plugin(root: ET.Element, path: Path) -> ET.Element:
-    found = [e for e in root.iter("plugin") if e.get("name") == SYSTEM]
-    if len(found) != 1:
+    plugins = [e for e in root.iter("plugin") if e.get("name") == SYSTEM]
+    if len(plugins) != 1:
         raise SimulationError(
-            f"{path}: has {len(found)} plugins {SYSTEM}, and one aeroplane with one is read; the simple LiftDrag is not"
+            f"{path}: has {len(plugins)} plugins {SYSTEM}, and one aeroplane with one is read; the simple LiftDrag is not"
         )
-    return found[0]
-
-
-def _model_of(root: ET.Element, plugin: ET.Element) -> ET.Element:
-    return next((m for m in root.iter("model") if plugin in list(m)), root)
+    return plugins[0]
 
 
 def _check(values: dict[str, float], path: Path) -> None:
@@ -140,7 +136,7 @@ def _pose(element: ET.Element | None, path: Path) -> tuple[Array, Array]:
     if element is None:
         return np.zeros(3), np.eye(3)
     x, y, z, *angles = _vector(element, "pose", path, (0.0,) * 6)
-    return np.array([x, y, z]), turned(angles[0], angles[1], angles[2])
+    return np.array([x, y, z]), rotated_body(angles[0], angles[1], angles[2])
 
 
 def _body(link: ET.Element, path: Path) -> Body:
@@ -151,15 +147,15 @@ def _body(link: ET.Element, path: Path) -> Body:
             f"{path}: link {link.get('name')!r} has no <inertial>; Gazebo would take 1 kg, so state it"
         )
     place, upright = _pose(link, path)
-    inside, own = _pose(inertial, path)
+    position, rotation = _pose(inertial, path)
     mass = _number(inertial, "mass", path)
     tensor = inertial.find("inertia")
     if tensor is None or not mass > 0.0:
         raise SimulationError(f"{path}: link {link.get('name')!r} has no mass above zero, or no <inertia>")
     i = {n: _number(tensor, n, path, 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
     matrix = np.array([[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]])
-    axes = upright @ own
-    return Body(mass, place + upright @ inside, axes @ matrix @ axes.T)
+    axes = upright @ rotation
+    return Body(mass, place + upright @ position, axes @ matrix @ axes.T)
 
 
 def _surfaces(model: ET.Element, plugin: ET.Element, path: Path) -> tuple[tuple, list[str]]:  # type: ignore[type-arg]
@@ -183,24 +179,70 @@ def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
     if joint is None:
         raise SimulationError(f"{path}: control surface {name!r} is no joint of the model")
     axis = joint.find("axis")
-    along = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
+    axis_direction = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
     child = next((e for e in model.iter("link") if e.get("name") == _word(joint, "child")), None)
     link_place, link_axes = _pose(child, path)
-    inside, own = _pose(joint, path)
-    size = float(np.linalg.norm(along))
+    position, rotation = _pose(joint, path)
+    size = float(np.linalg.norm(axis_direction))
     if not size > 0.0:
         raise SimulationError(f"{path}: the axis of joint {name!r} has no direction")
-    place = link_place + link_axes @ inside
-    return link_axes @ own @ along / size, float(place[1])
+    place = link_place + link_axes @ position
+    return link_axes @ rotation @ axis_direction / size, float(place[1])
 
 
-def _aircraft(name: str, whole: Body, values: dict[str, float], path: Path) -> Aircraft:
-    inertia = OVER @ whole.inertia @ OVER
-    made = Aircraft(
-        name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=whole.mass,
+def _aircraft(name: str, body: Body, values: dict[str, float], path: Path) -> Aircraft:
+    inertia = OVER @ body.inertia @ OVER
+    aircraft = Aircraft(
+        name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=body.mass,
         Ixx=float(inertia[0, 0]), Iyy=float(inertia[1, 1]), Izz=float(inertia[2, 2]), Ixz=float(-inertia[0, 2]),
         title=f"Gazebo model {name}",
     )  # fmt: skip
-    if not (made.Ixx > 0 and made.Iyy > 0 and made.Izz > 0 and made.Ixz**2 < made.Ixx * made.Izz):
+    if not (
+        aircraft.Ixx > 0 and aircraft.Iyy > 0 and aircraft.Izz > 0 and aircraft.Ixz**2 < aircraft.Ixx * aircraft.Izz
+    ):
         raise SimulationError(f"{path}: its links together have an inertia that no body has")
-    return made
+    return aircraft
+
+
+UPRIGHT = 0.5  # share of an axis across from which a surface counts as lying flat, or standing up
+CENTRE = 1e-3  # m beside the plane of symmetry
+Read = tuple[str, dict[str, float], tuple[Array, float]]
+"""Joint, numbers per degree, axis and place to the left [m]."""
+
+
+def hinged(read: Sequence[Read], path: Path) -> tuple[tuple[Hinged, ...], list[str]]:
+    """Surfaces with what our deflections turn each joint by, and notes of those that stand still.
+
+    A trailing edge lies behind its hinge: turning by the axis a moves it up by a_y and to port by -a_z. Flat surfaces in the
+    plane of symmetry are elevators; beside it those that roll more than they pitch are ailerons, the others elevators, or, where
+    none is left to be one, all are both.
+    """
+    surfaces, notes = [], []
+    flat = [(name, values, axis, edge_side) for name, values, (axis, edge_side) in read if abs(axis[1]) > UPRIGHT]
+    elevators = [name for name, values, _, edge_side in flat if abs(edge_side) < CENTRE or not _rolls(values)]
+    for name, values, (axis, edge_side) in read:
+        vertical, port = float(axis[1]), float(-axis[2])
+        if abs(vertical) > UPRIGHT:
+            side = (
+                -np.sign(edge_side) if abs(edge_side) >= CENTRE else 0.0
+            )  # +1 on the right, whose edge goes down with delta_a
+            moves_both = not elevators and side != 0.0
+            moves = {"delta_e": -1.0 / vertical} if name in elevators or moves_both else {}
+            if side != 0.0 and (name not in elevators or moves_both):
+                moves["delta_a"] = -float(side) / vertical
+        elif abs(port) > UPRIGHT:
+            moves = {"delta_r": 1.0 / port}
+        else:
+            moves = {}
+            notes.append(f"{path.name}: joint {name} turns about neither y nor z: held at zero")
+        surfaces.append(Hinged(name, values, moves))
+    if not any(s.moves for s in surfaces) and surfaces:
+        raise SimulationError(f"{path}: none of its control surfaces turns about y or z, so none is known")
+    joint_list = [f"{s.joint} by {', '.join(s.moves)}" for s in surfaces if s.moves]
+    if joint_list:
+        notes.append(f"{path.name}: surfaces move {'; '.join(joint_list)}")
+    return tuple(surfaces), notes
+
+
+def _rolls(values: dict[str, float]) -> bool:
+    return abs(values["Cell_ctrl"]) > abs(values["Cem_ctrl"])

@@ -7,11 +7,13 @@ per rad, rates as p b/2V, q c/2V, r b/2V; body axes x forward, y right, z down; 
 stability axes, side force and moments along body axes, about the centre of gravity.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
 from estimation.aircraft import Aircraft
 from estimation.simulation.oracle import SURFACES, Array
 
@@ -52,7 +54,6 @@ class LinearAircraft:
         return tuple(name for name in order if self[name] != 0.0)
 
     def without(self, names: tuple[str, ...]) -> "LinearAircraft":
-        """The same without some derivatives."""
         return replace(self, derivatives={n: v for n, v in self.derivatives.items() if n not in names})
 
 
@@ -83,29 +84,29 @@ def coefficients(
     craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None
 ) -> dict[str, Array]:
     """Each of LINES -> (N,). induced: endings of the terms of lift that enter induced drag, all by default."""
-    at = motion.values
+    state = motion.values
     span, chord = craft.aircraft.span, craft.aircraft.chord
-    hats = {"p_hat": at["p"] * span, "q_hat": at["q"] * chord, "r_hat": at["r"] * span}
-    known = {**at, **{n: v / (2.0 * at["V"]) for n, v in hats.items()}}
-    known["alphadot_hat"] = at.get("alphadot_hat", np.zeros(len(motion)))
+    hats = {"p_hat": state["p"] * span, "q_hat": state["q"] * chord, "r_hat": state["r"] * span}
+    regressors = {**state, **{n: v / (2.0 * state["V"]) for n, v in hats.items()}}
+    regressors["alphadot_hat"] = state.get("alphadot_hat", np.zeros(len(motion)))
 
     def line(name: str, endings: tuple[str, ...]) -> Array:
-        terms = [craft[f"{name}_{ending}"] * known[SLOPES[ending]] for ending in endings if ending != CONSTANT]
+        terms = [craft[f"{name}_{ending}"] * regressors[SLOPES[ending]] for ending in endings if ending != CONSTANT]
         constant = craft[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
         return np.asarray(sum(terms, np.full(len(motion), constant)))
 
     every = (CONSTANT, *SLOPES)
-    made = {name: line(name, every) for name in LINES}
-    made["CD"] = made["CD"] + craft[POLAR] * line("CL", induced or every) ** 2
-    return made
+    values = {name: line(name, every) for name in LINES}
+    values["CD"] = values["CD"] + craft[POLAR] * line("CL", induced or every) ** 2
+    return values
 
 
 def forces(craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
     """Each of AXES -> (N,): aerodynamic force [N] and moment about the centre of gravity [N m] in body axes."""
     c = coefficients(craft, motion, induced)
-    at, a = motion.values, craft.aircraft
-    sine, cosine = np.sin(at["alpha"]), np.cos(at["alpha"])
-    area = 0.5 * at["rho"] * at["V"] ** 2 * a.area
+    state, a = motion.values, craft.aircraft
+    sine, cosine = np.sin(state["alpha"]), np.cos(state["alpha"])
+    area = 0.5 * state["rho"] * state["V"] ** 2 * a.area
     return {
         "X": area * (c["CL"] * sine - c["CD"] * cosine),
         "Y": area * c["CY"],
@@ -119,11 +120,11 @@ def forces(craft: LinearAircraft, motion: FlightStates, induced: tuple[str, ...]
 def accelerations(aircraft: Aircraft, force: Mapping[str, Array]) -> dict[str, Array]:
     """Each of AXES -> (N,): specific force [m/s2] and angular acceleration [rad/s2] without gyroscopic terms."""
     inertia = aircraft.Ixx * aircraft.Izz - aircraft.Ixz**2
-    made = {axis: force[axis] / aircraft.mass for axis in ("X", "Y", "Z")}
-    made["L"] = (aircraft.Izz * force["L"] + aircraft.Ixz * force["N"]) / inertia
-    made["M"] = force["M"] / aircraft.Iyy
-    made["N"] = (aircraft.Ixx * force["N"] + aircraft.Ixz * force["L"]) / inertia
-    return made
+    axes = {axis: force[axis] / aircraft.mass for axis in ("X", "Y", "Z")}
+    axes["L"] = (aircraft.Izz * force["L"] + aircraft.Ixz * force["N"]) / inertia
+    axes["M"] = force["M"] / aircraft.Iyy
+    axes["N"] = (aircraft.Ixx * force["N"] + aircraft.Ixz * force["L"]) / inertia
+    return axes
 
 
 def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
@@ -132,6 +133,70 @@ def gyroscopic(aircraft: Aircraft, motion: FlightStates) -> dict[str, Array]:
     roll = aircraft.Ixz * p * q - (aircraft.Izz - aircraft.Iyy) * q * r
     pitch = (aircraft.Izz - aircraft.Ixx) * p * r - aircraft.Ixz * (p**2 - r**2)
     yaw = -aircraft.Ixz * q * r - (aircraft.Iyy - aircraft.Ixx) * p * q
-    nothing = np.zeros(len(motion))
-    turned = accelerations(aircraft, {"X": nothing, "Y": nothing, "Z": nothing, "L": roll, "M": pitch, "N": yaw})
-    return {axis: turned[axis] for axis in ("L", "M", "N")}
+    zeros = np.zeros(len(motion))
+    angular_rates = accelerations(aircraft, {"X": zeros, "Y": zeros, "Z": zeros, "L": roll, "M": pitch, "N": yaw})
+    return {axis: angular_rates[axis] for axis in ("L", "M", "N")}
+
+
+STATES = 200
+SEED = 20261127
+ALPHAS = (-0.1, 0.2)  # rad: where a linear aircraft flies
+SIZES = {"beta": 0.2, "p": 1.0, "q": 0.6, "r": 0.6}  # rad, rad/s
+DEFLECTION = 0.3  # rad, where the throw is not less
+CRUISE = 0.4  # lift coefficient of the speed about which states are taken
+SPEEDS = (0.7, 1.8)  # of that
+
+
+def random_motion(
+    craft: LinearAircraft, alphas: tuple[float, float] = ALPHAS, rho: float = SEA_LEVEL_DENSITY, count: int = STATES
+) -> FlightStates:
+    """States in which the aircraft may fly; rho [kg/m3] and the range of angle of attack [rad] are given."""
+    rng, aircraft = np.random.default_rng(SEED), craft.aircraft
+    cruise = math.sqrt(2.0 * aircraft.mass * GRAVITY / (SEA_LEVEL_DENSITY * aircraft.area * CRUISE))
+    values = {n: rng.uniform(-size, size, count) for n, size in SIZES.items()}
+    for name in SURFACES:
+        lowest, greatest = craft.throws.get(name, (-DEFLECTION, DEFLECTION))
+        values[name] = rng.uniform(max(lowest, -DEFLECTION), min(greatest, DEFLECTION), count)
+    values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*alphas, count)
+    values["rho"] = np.full(count, rho)
+    return FlightStates(values)
+
+
+@dataclass(frozen=True)
+class Body:
+    """mass [kg], centre (3,) [m], inertia (3, 3) about the centre [kg m2], all along the same axes."""
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+    def about(self, point: Array) -> Array:
+        """(3, 3) inertia about a point."""
+        d = self.centre - point
+        return np.asarray(self.inertia + self.mass * (np.dot(d, d) * np.eye(3) - np.outer(d, d)))
+
+
+def combined_body(bodies: Sequence[Body]) -> Body:
+    mass = sum(b.mass for b in bodies)
+    centre = np.asarray(sum(b.mass * b.centre for b in bodies)) / mass
+    return Body(mass, centre, np.asarray(sum(b.about(centre) for b in bodies)))
+
+
+def remaining_body(total: Body, parts: Sequence[Body]) -> Body:
+    """What has to be added to the parts so that they are the whole."""
+    mass = total.mass - sum(b.mass for b in parts)
+    moment = total.mass * total.centre - sum(b.mass * b.centre for b in parts)
+    centre = np.asarray(moment / mass)
+    point = Body(mass, centre, np.zeros((3, 3)))
+    inertia = total.inertia - sum(b.about(total.centre) for b in parts) - point.about(total.centre)
+    return Body(mass, centre, np.asarray(inertia))
+
+
+def rotated_body(roll: float, pitch: float, yaw: float) -> Array:
+    """(3, 3) rotation of a pose: from its axes to those it stands in, fixed-axis roll, pitch, yaw [rad]."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (roll, pitch, yaw))
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip

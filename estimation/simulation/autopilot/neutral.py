@@ -6,6 +6,7 @@ as code.
 
 import ast
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,24 @@ from typing import Any
 
 import numpy as np
 
-from estimation.aircraft import Aircraft
+from estimation.aircraft import Aircraft, load_aircraft
+from estimation.models.base import Model
 from estimation.models.expressions import NUMBERS, names_in, parse
+from estimation.models.library import not_in_model, six_dof, stated_terms
 from estimation.models.numeric import FUNCTIONS
+from estimation.simulation.autopilot.gathering import (
+    FIELDS,
+    KEYS,
+    MINOR,
+    NEEDED,
+    MissingPartsError,
+    Stated,
+    asked_for,
+    body_of,
+    lines_named,
+    source_of,
+)
+from estimation.simulation.autopilot.linear import LINES
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array, SimulationError
 
 FORMAT, VERSION = "sideslip-neutral", 1
@@ -48,7 +64,6 @@ Tree = float | str | list[Any]
 
 
 def tree_of(expression: str) -> Tree:
-    """An expression of a model's text as a tree."""
     return _tree(parse(expression))
 
 
@@ -95,8 +110,8 @@ def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[st
     outputs = [c for c in ("CL", "CD") if c in model.definitions] + list(COEFFICIENTS)
     lines = _in_order(model, outputs)
     numbers = model.numbers
-    used = frozenset[str]().union(*(names_in(text) for text in lines.values())) - set(lines)
-    strange = sorted(used - set(numbers) - set(VARIABLES))
+    used_names = frozenset[str]().union(*(names_in(text) for text in lines.values())) - set(lines)
+    strange = sorted(used_names - set(numbers) - set(VARIABLES))
     if strange:
         raise SimulationError(
             f"model {model.name}: its coefficients depend on {', '.join(strange)}; a build-up may depend on airspeed, flow"
@@ -107,7 +122,7 @@ def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[st
         "body": {f: {"value": getattr(craft, f), "unit": UNITS.get(f, "kg m2")}
                  for f in ("mass", "Ixx", "Iyy", "Izz", "Ixz", "area", "span", "chord")},
         "variables": [{"name": n, "unit": unit, "meaning": meaning} for n, (unit, meaning) in VARIABLES.items()],
-        "constants": {n: {"value": numbers[n], "unit": model.units.get(n, "")} for n in sorted(used & set(numbers))},
+        "constants": {n: {"value": numbers[n], "unit": model.units.get(n, "")} for n in sorted(used_names & set(numbers))},
         "lines": [{"name": n, "text": text, "tree": tree_of(text)} for n, text in lines.items()],
         "outputs": outputs, **more,
     }  # fmt: skip
@@ -115,25 +130,27 @@ def neutral(model: BuildUp, craft: Aircraft, more: Mapping[str, Any]) -> dict[st
 
 def _in_order(model: BuildUp, outputs: Iterable[str]) -> dict[str, str]:
     """The lines that the outputs need, each behind those it needs."""
-    done: dict[str, str] = {}
-    waiting = list(outputs)[::-1]
-    while waiting:
-        name = waiting[-1]
-        needed = [n for n in names_in(model.definitions[name]) if n in model.definitions and n not in done]
-        if name in done or not needed:
-            done[waiting.pop()] = model.definitions[name]
+    ordered_lines: dict[str, str] = {}
+    pending = list(outputs)[::-1]
+    while pending:
+        name = pending[-1]
+        missing_lines = [
+            n for n in names_in(model.definitions[name]) if n in model.definitions and n not in ordered_lines
+        ]
+        if name in ordered_lines or not missing_lines:
+            ordered_lines[pending.pop()] = model.definitions[name]
         else:
-            waiting += sorted(needed)
-    return done
+            pending += sorted(missing_lines)
+    return ordered_lines
 
 
 def evaluated(content: Mapping[str, Any], motion: Mapping[str, Array]) -> dict[str, Array]:
     """Each output -> (N,), as a reader of the file has it."""
-    known: dict[str, Any] = {**motion, **{n: c["value"] for n, c in content["constants"].items()}}
+    symbols: dict[str, Any] = {**motion, **{n: c["value"] for n, c in content["constants"].items()}}
     for line in content["lines"]:
-        known[line["name"]] = value_of(line["tree"], known)
+        symbols[line["name"]] = value_of(line["tree"], symbols)
     count = motion["V"].shape
-    return {n: np.broadcast_to(np.asarray(known[n], float), count) for n in content["outputs"]}
+    return {n: np.broadcast_to(np.asarray(symbols[n], float), count) for n in content["outputs"]}
 
 
 def read_back(path: Path) -> dict[str, Any]:
@@ -142,3 +159,74 @@ def read_back(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise SimulationError(f"{path}: not what 'sideslip export --to neutral' writes")
     return content
+
+
+BODY_AXES = ("CX", "CZ")
+
+
+def whole_model(path: Path, stated: Stated) -> tuple[BuildUp, Aircraft, dict[str, Any]]:
+    """Build-up, body, and what is to be told beside them. Raises MissingPartsError with the list of what nobody states."""
+    source = source_of(path)
+    stated_aircraft = (
+        source if isinstance(source, Aircraft) else load_aircraft(stated.aircraft) if stated.aircraft else None
+    )
+    model = None if isinstance(source, Aircraft) else source
+    body = body_of(model, stated_aircraft) if model is not None else source
+    assert isinstance(body, Aircraft)
+    has = lines_named(path, model) if model is not None else ()
+    missing_coefficients = [c for c in LINES if c not in has]
+    beliefs = stated_aircraft.derivatives if stated_aircraft is not None else {}
+    missing = [key for key, field in zip(KEYS, FIELDS, strict=True) if math.isnan(getattr(body, field))]
+    missing += [n for line in missing_coefficients for n in NEEDED[line] if n not in beliefs]
+    if missing:
+        raise MissingPartsError(asked_for(path, "a whole aircraft", missing, stated_aircraft))
+    stated_by = (stated_aircraft or body).with_values(**{name: getattr(body, name) for name in FIELDS})
+    base = stated_terms(six_dof(stated_by), stated_by)
+    zero = [n for line in missing_coefficients for n in MINOR[line] if n not in beliefs]
+    added_numbers = {
+        "throws": {
+            n: list(t) for n, t in {**(stated_aircraft.throws if stated_aircraft else {}), **stated.throws}.items()
+        },
+        "thrust": _thrust(stated_aircraft, stated),
+        "sources": {n: beliefs[n].source for line in missing_coefficients for n in beliefs if n.split("_")[0] == line},
+        "notes": _notes(
+            zero, [n for n in not_in_model(base, stated_by) if n.partition("_")[0] in missing_coefficients]
+        ),
+    }
+    return _joined(body, model, base, has), body, added_numbers
+
+
+def _notes(zero: list[str], strange: list[str]) -> list[str]:
+    notes = [f"nobody states, so zero: {', '.join(zero)}"] if zero else []
+    return [*notes, f"left out, for no form of them is known: {', '.join(strange)}"] if strange else notes
+
+
+def _thrust(stated_aircraft: Aircraft | None, stated: Stated) -> float | None:
+    if stated.thrust is not None or stated_aircraft is None or stated_aircraft.engine is None:
+        return stated.thrust
+    return stated_aircraft.engine.static_thrust
+
+
+def _joined(body: Aircraft, model: Model | None, base: Model, has: tuple[str, ...]) -> BuildUp:
+    """The model's own lines and, beside them, those of the base for what it has none of. Raises SimulationError where a name
+    would mean two things."""
+    missing_coefficients = [c for c in LINES if c not in has]
+    body_lines = BODY_AXES if {"CL", "CD"} & set(missing_coefficients) else ()
+    model_lines = model.definitions if model is not None else {}
+    added_lines = {
+        n: base.definitions[n]
+        for n in (*missing_coefficients, *body_lines, *(("p_hat", "q_hat", "r_hat") if missing_coefficients else ()))
+    }
+    added_lines |= {n: base.definitions[n] for n in BODY_AXES if n not in model_lines}
+    clash = [n for n in added_lines if n in model_lines and n not in body_lines and model_lines[n] != added_lines[n]]
+    if clash:
+        raise SimulationError(
+            f"model {body.name}: its line {clash[0]} is not what the coefficients that it lacks mean by that name"
+            f" ({added_lines[clash[0]]}); call it otherwise"
+        )
+    numbers = {**base.constants, **base.starts()}
+    parameters = base.parameters
+    if model is not None:
+        numbers |= {**model.constants, **model.starts()}
+        parameters = (*parameters, *model.parameters)
+    return BuildUp(body.name, body.title, {**model_lines, **added_lines}, numbers, {p.name: p.unit for p in parameters})

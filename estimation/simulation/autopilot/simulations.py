@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from estimation.aircraft import Aircraft
-from estimation.simulation.autopilot.ardupilot_equations import MASS, SitlPlane, sitl_accelerations
-from estimation.simulation.autopilot.ardupilot_file import read_sitl_plane
-from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
+from estimation.simulation.autopilot.ardupilot import read_sitl_plane
+from estimation.simulation.autopilot.equations import MASS, GazeboPlane, SitlPlane, gazebo_forces, sitl_accelerations
 from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
 from estimation.simulation.autopilot.linear import FlightStates
 from estimation.simulation.oracle import Array, Simulation, SimulationError, States
@@ -29,10 +28,10 @@ class SitlOracle:
     aircraft: Aircraft
 
     def coefficients(self, states: States) -> Array:
-        a, moving = self.aircraft, sitl_accelerations(self.plane, _motion(states))
-        force = [moving[axis] * a.mass for axis in ("X", "Y", "Z")]
-        L, N = a.Ixx * moving["L"] - a.Ixz * moving["N"], a.Izz * moving["N"] - a.Ixz * moving["L"]
-        return _over_pressure(states, a, [*force, L, moving["M"] * a.Iyy, N])
+        a, axes = self.aircraft, sitl_accelerations(self.plane, _motion(states))
+        force = [axes[axis] * a.mass for axis in ("X", "Y", "Z")]
+        L, N = a.Ixx * axes["L"] - a.Ixz * axes["N"], a.Izz * axes["N"] - a.Ixz * axes["L"]
+        return _over_pressure(states, a, [*force, L, axes["M"] * a.Iyy, N])
 
 
 @dataclass(frozen=True)

@@ -9,16 +9,17 @@ from estimation.simulation.autopilot.linear import (
     CONSTANT,
     POLAR,
     SLOPES,
+    STATES,
     FlightStates,
     LinearAircraft,
     accelerations,
     coefficients,
     forces,
     gyroscopic,
+    random_motion,
 )
-from estimation.simulation.autopilot.states import STATES, random_motion
 from estimation.simulation.oracle import Array, SimulationError, States
-from estimation.simulation.text_model import TextOracle
+from estimation.simulation.own_simulations import TextOracle
 
 STEP = 0.1  # rad or hatted: a linear line has the same slope over any
 SPEED, DENSITY = 20.0, 1.2  # m/s, kg/m3 at which slopes are taken; a linear line has no others anywhere
@@ -41,40 +42,40 @@ def lines_of(model: Model) -> dict[str, Line]:
 
         return line
 
-    made = {name: asked(name) for name in (*LATERAL, *PITCH) if name in has}
+    lines = {name: asked(name) for name in (*LATERAL, *PITCH) if name in has}
     if "CX" in has and "CZ" in has:
         X, Z = asked("CX"), asked("CZ")
-        turned: dict[str, Line] = {
+        body_lines: dict[str, Line] = {
             "CL": lambda m, *rest: X(m, *rest) * np.sin(m.values["alpha"]) - Z(m, *rest) * np.cos(m.values["alpha"]),
             "CD": lambda m, *rest: -X(m, *rest) * np.cos(m.values["alpha"]) - Z(m, *rest) * np.sin(m.values["alpha"]),
         }
-        made = {**turned, **made}
-    return made
+        lines = {**body_lines, **lines}
+    return lines
 
 
 def derivatives_of(model: Model, frame: LinearAircraft) -> dict[str, float]:
     """The derivatives of the lines that a model has. frame: geometry and mass. Raises SimulationError for a line that is not
     linear, or asks for what no simulator has."""
     lines = lines_of(model)
-    found: dict[str, float] = {}
+    derivatives: dict[str, float] = {}
     for name, line in lines.items():
         if name != "CD":
-            found |= _slopes(name, line, frame)
+            derivatives |= _slopes(name, line, frame)
     if "CD" in lines:
-        found |= _drag(lines["CD"], LinearAircraft(frame.name, "", frame.aircraft, found))
-    tried = LinearAircraft(frame.name, frame.title, frame.aircraft, found)
-    _check(model, lines, tried)
-    return found
+        derivatives |= _drag(lines["CD"], LinearAircraft(frame.name, "", frame.aircraft, derivatives))
+    linear_aircraft = LinearAircraft(frame.name, frame.title, frame.aircraft, derivatives)
+    _check(model, lines, linear_aircraft)
+    return derivatives
 
 
 def _points(frame: LinearAircraft, hatted: Mapping[str, Array], count: int) -> tuple[FlightStates, Array]:
     """Motion and rate of alpha at which variables of SLOPES have these values."""
-    a, nothing = frame.aircraft, np.zeros(count)
+    a, zeros = frame.aircraft, np.zeros(count)
     V = np.full(count, SPEED)
     lengths = {"p": a.span, "q": a.chord, "r": a.span, "alphadot": a.chord}
-    values = {SLOPES[e]: hatted.get(e, nothing) for e in ("alpha", "beta", "de", "da", "dr")}
-    values |= {n: hatted.get(n, nothing) * 2.0 * V / lengths[n] for n in ("p", "q", "r")}
-    alphadot = hatted.get("alphadot", nothing)
+    values = {SLOPES[e]: hatted.get(e, zeros) for e in ("alpha", "beta", "de", "da", "dr")}
+    values |= {n: hatted.get(n, zeros) * 2.0 * V / lengths[n] for n in ("p", "q", "r")}
+    alphadot = hatted.get("alphadot", zeros)
     values |= {"V": V, "rho": np.full(count, DENSITY), "alphadot_hat": alphadot}
     return FlightStates(values), alphadot * 2.0 * V / lengths["alphadot"]
 
@@ -84,9 +85,9 @@ def _slopes(name: str, line: Line, frame: LinearAircraft) -> dict[str, float]:
     count = 1 + len(SLOPES)
     steps = {e: STEP * (np.arange(count) == i + 1) for i, e in enumerate(SLOPES)}
     motion, rate = _points(frame, steps, count)
-    at = line(motion, rate, np.zeros(count))
-    slopes = {f"{name}_{e}": float(at[i + 1] - at[0]) / STEP for i, e in enumerate(SLOPES)}
-    return _without_rounding({f"{name}_{CONSTANT}": float(at[0]), **slopes})
+    base_values = line(motion, rate, np.zeros(count))
+    slopes = {f"{name}_{e}": float(base_values[i + 1] - base_values[0]) / STEP for i, e in enumerate(SLOPES)}
+    return _without_rounding({f"{name}_{CONSTANT}": float(base_values[0]), **slopes})
 
 
 def _without_rounding(slopes: Mapping[str, float]) -> dict[str, float]:
@@ -119,13 +120,13 @@ def _check(model: Model, lines: Mapping[str, Line], craft: LinearAircraft) -> No
     motion = FlightStates({**motion.values, "rho": density, "alphadot_hat": hat})
     linear = coefficients(craft, motion)
     for name, line in lines.items():
-        at = line(motion, rate, thrust)
-        largest = max(float(np.max(np.abs(at))), float(np.max(np.abs(linear[name]))), 1e-12)
-        off = float(np.max(np.abs(at - linear[name]))) / largest
-        if not off <= SAME:
+        line_values = line(motion, rate, thrust)
+        largest = max(float(np.max(np.abs(line_values))), float(np.max(np.abs(linear[name]))), 1e-12)
+        deviation = float(np.max(np.abs(line_values - linear[name]))) / largest
+        if not deviation <= SAME:
             form = "a polar, CD_0 + CD_k CL^2, and slopes" if name == "CD" else "a constant and slopes"
             raise SimulationError(
-                f"model {model.name}: {name} is not linear (it is {off:.2g} of its largest value from {form}), and these"
+                f"model {model.name}: {name} is not linear (it is {deviation:.2g} of its largest value from {form}), and these"
                 f" simulators take nothing else; leave out the term, or write the model as it is with --to neutral"
             )
 
@@ -140,17 +141,23 @@ def beyond_coefficients(model: Model, craft: LinearAircraft) -> dict[str, float]
     motion = random_motion(craft)
     rng = np.random.default_rng(STATES + 2)
     thrust, phi, theta = (rng.uniform(*ends, STATES) for ends in (THRUSTS, RATES, RATES))
-    made = accelerations(craft.aircraft, forces(craft, motion))
-    made["X"] = made["X"] + thrust / craft.aircraft.mass
+    linear_axes = accelerations(craft.aircraft, forces(craft, motion))
+    linear_axes["X"] = linear_axes["X"] + thrust / craft.aircraft.mass
     turning = gyroscopic(craft.aircraft, motion)
     states = States({**motion.values, "thrust": thrust, "phi": phi, "theta": theta}, motion.values["rho"], 0.0 * thrust)
-    oracle, more = TextOracle(model), {}
+    oracle, beyond = TextOracle(model), {}
     for name, axis in MOTIONS.items():
         if name in model.definitions:
-            at = oracle.line(name, states)
-            largest = max(float(np.max(np.abs(at))), 1e-12)
-            whole = made[axis] + turning.get(axis, 0.0)
-            off = min(float(np.max(np.abs(at - told))) for told in (made[axis], whole)) / largest
-            if off > SAME:
-                more[name] = off
-    return more
+            line_values = oracle.line(name, states)
+            largest = max(float(np.max(np.abs(line_values))), 1e-12)
+            with_turning = linear_axes[axis] + turning.get(axis, 0.0)
+            deviation = (
+                min(
+                    float(np.max(np.abs(line_values - expected_values)))
+                    for expected_values in (linear_axes[axis], with_turning)
+                )
+                / largest
+            )
+            if deviation > SAME:
+                beyond[name] = deviation
+    return beyond

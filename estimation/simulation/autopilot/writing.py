@@ -1,18 +1,89 @@
 """From a model or aircraft file to a simulator's files, proved on the spot: what `sideslip export --to ardupilot|gazebo` does."""
 
+import math
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from daq.contract.outputs import write_json, write_text
-from estimation.simulation.autopilot import ardupilot, gazebo, px4
+from estimation.simulation.autopilot import ardupilot, gazebo
 from estimation.simulation.autopilot.against import SimulatorProof, against_gazebo, against_sitl, against_text
-from estimation.simulation.autopilot.ardupilot_file import file_text, read_sitl_plane
-from estimation.simulation.autopilot.gathering import Gathered, Stated, gathered
+from estimation.simulation.autopilot.ardupilot import file_text, read_sitl_plane
+from estimation.simulation.autopilot.gathering import Gathered, Stated, gather_aircraft
+from estimation.simulation.autopilot.gazebo import FASTEST, FLAPS, NEEDS
 from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
-from estimation.simulation.autopilot.neutral import neutral, read_back
-from estimation.simulation.autopilot.whole_model import whole_model
+from estimation.simulation.autopilot.linear import LinearAircraft
+from estimation.simulation.autopilot.neutral import neutral, read_back, whole_model
 from estimation.simulation.oracle import SimulationError
+
+BASE = 4008  # PX4's airframe gz_advanced_plane, whose gains are begun with
+OWN = 22500  # a number that PX4 leaves free
+EFFECTS = {
+    "left_aileron": ("TRQ_R -0.5", 1), "right_aileron": ("TRQ_R 0.5", 2), "elevator": ("TRQ_P 1", 3), "rudder": ("TRQ_Y 1", 4),
+}  # fmt: skip
+"""Link -> what PX4's allocation gives it, and its type."""
+
+
+def check_folder_name(folder: Path) -> str:
+    """The model's name, that of the folder. Raises SimulationError for one that Gazebo or PX4 cannot call."""
+    name = folder.resolve().name
+    if not name.replace("_", "").isalnum() or not name.isascii():
+        raise SimulationError(
+            f"{folder}: the folder's name is the model's, which PX4 puts behind gz_; use letters, digits and _ alone"
+        )
+    return name
+
+
+def airframe(name: str, craft: LinearAircraft) -> str:
+    """An airframe file of PX4's simulation: allocation, throws in degrees, motor. Gains are those of gz_advanced_plane."""
+    lines = [
+        "#!/bin/sh", "#", f"# @name {name}", "#", f"# Written by sideslip export --to gazebo. Gains: those of airframe {BASE}.",
+        f"# Needs {NEEDS}.", "", "PX4_SIMULATOR=${PX4_SIMULATOR:=gz}", "PX4_GZ_WORLD=${PX4_GZ_WORLD:=default}",
+        f"PX4_SIM_MODEL=${{PX4_SIM_MODEL:={name}}}", "", f". ${{R}}etc/init.d-posix/airframes/{BASE}_gz_advanced_plane", "",
+        f"param set-default CA_SV_CS_COUNT {len(FLAPS)}",
+    ]  # fmt: skip
+    for i, flap in enumerate(FLAPS):
+        effect, kind = EFFECTS[flap.link]
+        throw = math.degrees(craft.throws[flap.delta][1])
+        lines += [
+            f"param set-default CA_SV_CS{i}_{effect}",
+            f"param set-default CA_SV_CS{i}_TYPE {kind}",
+            f"param set-default SIM_GZ_SV_FUNC{i + 1} {201 + i}",
+            f"param set-default SIM_GZ_SV_MINA{i + 1} {-throw:.6g}",
+            f"param set-default SIM_GZ_SV_MAXA{i + 1} {throw:.6g}",
+        ]
+    if craft.thrust:
+        lines += ["param set-default SIM_GZ_EC_FUNC1 101", f"param set-default SIM_GZ_EC_MAX1 {FASTEST:g}"]
+    return "\n".join([*lines, ""])
+
+
+def airframe_name(name: str) -> str:
+    return f"{OWN}_gz_{name}"
+
+
+def config(name: str, title: str) -> ET.Element:
+    root = ET.Element("model")
+    for tag, text in (("name", name), ("version", "1.0")):
+        ET.SubElement(root, tag).text = text
+    ET.SubElement(root, "sdf", version="1.9").text = "model.sdf"
+    author = ET.SubElement(root, "author")
+    ET.SubElement(author, "name").text = "sideslip export"
+    ET.SubElement(root, "description").text = f"{title}; needs {NEEDS}"
+    ET.indent(root)
+    return root
+
+
+def command_lines(folder: Path, name: str) -> list[str]:
+    parent_folder = shlex.quote(str(folder.resolve().parent))
+    return [
+        f"needs: {NEEDS}",
+        f"fly it: copy {airframe_name(name)} to PX4's ROMFS/px4fmu_common/init.d-posix/airframes, its name into CMakeLists.txt"
+        f" there; then GZ_SIM_RESOURCE_PATH={parent_folder} make px4_sitl gz_{name}",
+        f"  or without building: GZ_SIM_RESOURCE_PATH={parent_folder} PX4_SYS_AUTOSTART={BASE} PX4_SIM_MODEL=gz_{name}"
+        " ./build/px4_sitl_default/bin/px4 with the SIM_GZ_SV parameters of that file set by hand",
+        "  gains are those of gz_advanced_plane; begin with the real aircraft's",
+    ]
 
 
 @dataclass(frozen=True)
@@ -40,15 +111,15 @@ def to_ardupilot(path: Path, out: Path, request: Request) -> ExportedSimulator:
     ardupilot.check_name(out)
     ardupilot.check_stall(request.stall)
     _check_free((out,), request)
-    made = gathered(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
-    craft = made.craft
+    gathered_aircraft = gather_aircraft(path, request.stated, "ArduPilot's SITL", needs_thrust=False)
+    craft = gathered_aircraft.craft
     if not request.only_prove:
-        left = [(n, craft[n]) for n in ardupilot.left_out(craft)] + list(made.beyond)
-        comments = ardupilot.comments(craft, path.name, left, request.stall)
+        omitted_terms = [(n, craft[n]) for n in ardupilot.left_out(craft)] + list(gathered_aircraft.beyond)
+        comments = ardupilot.comments(craft, path.name, omitted_terms, request.stall)
         write_text(file_text(ardupilot.sitl_values(craft, request.stall), comments), out)
     ardupilot.sitl_values(craft, request.stall)  # refuses what no file could say, also where nothing is written
     plane = read_sitl_plane(out)
-    proof = against_sitl(plane, craft, made.beyond)
+    proof = against_sitl(plane, craft, gathered_aircraft.beyond)
     flying = ardupilot.command_lines(out, craft.thrust, craft.aircraft.mass)
     stall = (
         ()
@@ -62,25 +133,23 @@ def to_ardupilot(path: Path, out: Path, request: Request) -> ExportedSimulator:
 
 def to_gazebo(path: Path, out: Path, request: Request) -> ExportedSimulator:
     """Write the folder `out`, a model of Gazebo with PX4's airframe. Raises as `to_ardupilot` does."""
-    name = px4.check_folder_name(out)
+    name = check_folder_name(out)
     if request.stall is not None and not 0.2 <= request.stall <= gazebo.STALL:
         raise SimulationError(f"--alpha-stall {request.stall:g}: give 0.2 to {gazebo.STALL:g} rad (11 to 115 deg)")
-    files = (out / "model.config", out / "model.sdf", out / px4.airframe_name(name))
+    files = (out / "model.config", out / "model.sdf", out / airframe_name(name))
     _check_free(files, request)
-    made = gathered(path, request.stated, "a Gazebo model", needs_thrust=True)
-    craft = made.craft
+    gathered_aircraft = gather_aircraft(path, request.stated, "a Gazebo model", needs_thrust=True)
+    craft = gathered_aircraft.craft
     sdf = gazebo.model_sdf(name, craft, request.stall)
     if not request.only_prove:
-        for file, text in zip(
-            files, (_xml(px4.config(name, craft.title)), _xml(sdf), px4.airframe(name, craft)), strict=True
-        ):
+        for file, text in zip(files, (_xml(config(name, craft.title)), _xml(sdf), airframe(name, craft)), strict=True):
             write_text(text, file)
     plane = read_gazebo_plane(files[1])
-    proof = against_gazebo(plane, craft, made.beyond)
+    proof = against_gazebo(plane, craft, gathered_aircraft.beyond)
     return ExportedSimulator(
         () if request.only_prove else files,
         proof,
-        (*craft.notes, *_warnings(made, request), *px4.command_lines(out, name)),
+        (*craft.notes, *_warnings(gathered_aircraft, request), *command_lines(out, name)),
     )
 
 
@@ -88,9 +157,9 @@ def _xml(root: ET.Element) -> str:
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
 
-def _warnings(made: Gathered, request: Request) -> list[str]:
+def _warnings(gathered_aircraft: Gathered, request: Request) -> list[str]:
     lines = []
-    if not gazebo.possible(gazebo.inertia_of(made.craft).inertia):
+    if not gazebo.possible(gazebo.inertia_of(gathered_aircraft.craft).inertia):
         lines.append("warning: no body has this inertia (one principal moment is above the sum of the others), and gz-sim will"
                      " not load it; weigh and swing the aircraft again")  # fmt: skip
     if request.stall is None:
@@ -110,10 +179,10 @@ def to_neutral(path: Path, out: Path, request: Request) -> ExportedSimulator:
     if out.suffix.lower() != ".json":
         raise SimulationError(f"{out}: the neutral form is JSON; end the name in .json")
     _check_free((out,), request)
-    model, body, more = whole_model(path, request.stated)
-    content = neutral(model, body, more)
+    model, body, note_lines = whole_model(path, request.stated)
+    content = neutral(model, body, note_lines)
     if not request.only_prove:
         write_json(content, out)
     proof = against_text(read_back(out), model, body)
     reader = "read it with docs/examples/read_neutral.py or read_neutral.m; every key: docs/export.md"
-    return ExportedSimulator(() if request.only_prove else (out,), proof, (*more["notes"], reader))
+    return ExportedSimulator(() if request.only_prove else (out,), proof, (*note_lines["notes"], reader))

@@ -14,8 +14,15 @@ import numpy as np
 
 from daq.contract.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
 from estimation.aircraft import Aircraft
-from estimation.simulation.jsbsim.library import SLUG_FOOT2, aircraft_file, known, loaded
-from estimation.simulation.jsbsim.surfaces import EXPORTED, Surfaces, surfaces_of
+from estimation.simulation.jsbsim.library import (
+    EXPORTED,
+    SLUG_FOOT2,
+    Surfaces,
+    aircraft_file,
+    knows_property,
+    loaded,
+    surfaces_of,
+)
 from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
 
 ATTITUDES = (0.0, 1.0)  # rad of pitch: gravity across the flow differs by 0.46 g, and alphadot by that over V
@@ -94,9 +101,9 @@ class JsbsimOracle:
     def _check(self, state: dict[str, float]) -> None:
         """Raise SimulationError where JSBSim did not take the state that was set."""
         speed = self.fdm["velocities/vt-fps"] * FOOT
-        off = max(abs(speed / state["V"] - 1.0),
+        deviation = max(abs(speed / state["V"] - 1.0),
                   *(abs(self.fdm[f"aero/{n}-rad"] - state[n]) for n in ("alpha", "beta")))  # fmt: skip
-        if not off < AGREES:
+        if not deviation < AGREES:
             self._refuse(state)
 
     def _refuse(self, state: dict[str, float]) -> NoReturn:
@@ -121,7 +128,7 @@ def jsbsim_simulation(which: str) -> Simulation:
     surfaces = surfaces_of(path)
     fdm = loaded(path)
     for name in (*SWITCHED_OFF, "ic/terrain-elevation-ft", *surfaces.writes):
-        if not known(fdm, name):
+        if not knows_property(fdm, name):
             raise SimulationError(f"{path}: JSBSim knows no property {name}, which its aerodynamics reads")
     for name in SWITCHED_OFF:
         fdm[name] = 0
@@ -134,9 +141,11 @@ def jsbsim_simulation(which: str) -> Simulation:
         )
     if surfaces.held:
         notes.append(f"the aerodynamics of {path.stem} also reads {', '.join(surfaces.held)}: {HELD}")
-    behind = [n for n in surfaces.writes if n.startswith(f"fcs/{EXPORTED}")]
-    if behind:
-        notes.append(f"{', '.join(behind)}: given as measured, without the actuator that was exported before it")
+    actuated_surfaces = [n for n in surfaces.writes if n.startswith(f"fcs/{EXPORTED}")]
+    if actuated_surfaces:
+        notes.append(
+            f"{', '.join(actuated_surfaces)}: given as measured, without the actuator that was exported before it"
+        )
     oracle = JsbsimOracle(path, fdm, surfaces)
     return Simulation(f"jsbsim:{which}", path.stem, oracle, aircraft_as_loaded(fdm, path.stem), tuple(notes))
 

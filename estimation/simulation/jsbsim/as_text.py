@@ -20,13 +20,13 @@ from estimation.simulation.jsbsim.coefficients import (
     AXES,
     WHOLE,
     Text,
+    coefficient_text,
     coefficients_of,
     named_terms,
     solved_lift,
-    written,
 )
+from estimation.simulation.jsbsim.library import Follows
 from estimation.simulation.jsbsim.reading import LIFT, Reader
-from estimation.simulation.jsbsim.surfaces import Follows
 from estimation.simulation.jsbsim.terms import constant, number_text
 from estimation.simulation.oracle import ALPHA_RATE, SimulationError
 
@@ -78,41 +78,40 @@ class Imported:
     tables: int
 
     def sentences(self) -> list[str]:
-        """What was written, in words."""
-        held = ", ".join(f"{n} {v:g}" if math.isfinite(v) else n for n, v in self.held.items())
+        held_numbers = ", ".join(f"{n} {v:g}" if math.isfinite(v) else n for n, v in self.held.items())
         return [
             f"by the field's names: {', '.join(self.standard) or 'nothing'}",
             f"by JSBSim's names: {', '.join(self.own) or 'nothing'}",
             *([f"{self.tables} tables: straight between their points, as max(0, x - point)"] if self.tables else []),
-            *([f"numbers now, as JSBSim starts and far above ground: {held}"] if held else []),
+            *([f"numbers now, as JSBSim starts and far above ground: {held_numbers}"] if held_numbers else []),
         ]
 
 
-def imported(source: AircraftSource) -> Imported:
+def import_aircraft(source: AircraftSource) -> Imported:
     """The model. Raises SimulationError naming every function that has no exact form in our text."""
     skeleton = six_dof(source.aircraft)
     text = Text(taken=_reserved(skeleton))
     reader = Reader(source.section, source.surfaces, source.asked, text.line)
-    parts, why = coefficients_of(source.section, reader)
+    parts, reasons = coefficients_of(source.section, reader)
     rate = constant(0.0)
-    if not why:
+    if not reasons:
         parts["LIFT"], rate, problem = solved_lift(parts.get("LIFT", {}))
-        why = {**why, **problem}
-    if why:
-        told = "; ".join(f"{n} {reason}" for n, reason in list(why.items())[:MOST_TOLD])
-        told += f"; and {len(why) - MOST_TOLD} more" if len(why) > MOST_TOLD else ""
+        reasons = {**reasons, **problem}
+    if reasons:
+        reason_list = "; ".join(f"{n} {reason}" for n, reason in list(reasons.items())[:MOST_TOLD])
+        reason_list += f"; and {len(reasons) - MOST_TOLD} more" if len(reasons) > MOST_TOLD else ""
         raise SimulationError(
-            f"{source.spec}: cannot be written exactly as text ({told}); run it as it is with --simulation {source.spec}"
+            f"{source.spec}: cannot be written exactly as text ({reason_list}); run it as it is with --simulation {source.spec}"
         )
     sums = {axis: named_terms(AXES[axis], functions, text, source.spec) for axis, functions in parts.items()}
-    still = [t for axis in MADE_OF for t in sums.get(axis, [])]
-    needed = _used(text.lines, [*still, *(n for t in still for n in names_in(t))])
-    moving = rate.products or any(ALPHA_RATE in t for t in (*still, *(text.lines[n] for n in needed)))
-    model = _model(skeleton, text, sums, written(rate) if moving else "", source)
+    force_terms = [t for axis in MADE_OF for t in sums.get(axis, [])]
+    used_lines = _names_needed(text.lines, [*force_terms, *(n for t in force_terms for n in names_in(t))])
+    rate_dependent = rate.products or any(ALPHA_RATE in t for t in (*force_terms, *(text.lines[n] for n in used_lines)))
+    model = _model(skeleton, text, sums, coefficient_text(rate) if rate_dependent else "", source)
     standard = tuple(n for n in text.parameters if n.partition("_")[0] in AXES.values())
     lines = [n for n in model.definitions if n in text.lines and not re.fullmatch(r".*_\d+", n)]
-    own = (*(n for n in text.parameters if n not in standard), *lines)
-    return Imported(model, dict(reader.held), standard, own, sum(1 for _ in source.section.iter("table")))
+    own_names = (*(n for n in text.parameters if n not in standard), *lines)
+    return Imported(model, dict(reader.held), standard, own_names, sum(1 for _ in source.section.iter("table")))
 
 
 def _reserved(skeleton: Model) -> set[str]:
@@ -128,47 +127,47 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     total = {AXES[axis]: " + ".join(terms).replace("+ -", "- ") or "0" for axis, terms in sums.items()}
     lift = "CL_all" if rate else "CL"
     arms = dict(zip(("x_rp", "y_rp", "z_rp"), source.arm, strict=True))
-    made = dict(text.lines)
-    made["CL"] = total.pop("CL", "0")
+    aircraft_lines = dict(text.lines)
+    aircraft_lines["CL"] = total.pop("CL", "0")
     if rate:
-        made |= {"CL_rate": rate, "CL_all": f"CL + CL_rate*{ALPHA_RATE}"}
+        aircraft_lines |= {"CL_rate": rate, "CL_all": f"CL + CL_rate*{ALPHA_RATE}"}
         lines[f"{ALPHA_RATE}"] = SOLVED
-    made |= {LIFT: lift, "drag": total.pop("CD", "0"), "side": total.pop("CY", "0")}
-    made |= {"CD": "drag*cos(beta) + side*sin(beta)", "CY": "side*cos(beta) - drag*sin(beta)"}
-    made |= {"CX": f"{lift}*sin(alpha) - CD*cos(alpha)", "CZ": f"-{lift}*cos(alpha) - CD*sin(alpha)"}
-    turned = {"Cl": ("y_rp*CZ - z_rp*CY", "b"), "Cm": ("z_rp*CX - x_rp*CZ", "c"), "Cn": ("x_rp*CY - y_rp*CX", "b")}
-    for name, (arm, length) in turned.items():
-        made[name] = f"{total.get(name, '0')} + ({arm})/{length}"
+    aircraft_lines |= {LIFT: lift, "drag": total.pop("CD", "0"), "side": total.pop("CY", "0")}
+    aircraft_lines |= {"CD": "drag*cos(beta) + side*sin(beta)", "CY": "side*cos(beta) - drag*sin(beta)"}
+    aircraft_lines |= {"CX": f"{lift}*sin(alpha) - CD*cos(alpha)", "CZ": f"-{lift}*cos(alpha) - CD*sin(alpha)"}
+    moment_arms = {"Cl": ("y_rp*CZ - z_rp*CY", "b"), "Cm": ("z_rp*CX - x_rp*CZ", "c"), "Cn": ("x_rp*CY - y_rp*CX", "b")}
+    for name, (arm, length) in moment_arms.items():
+        aircraft_lines[name] = f"{total.get(name, '0')} + ({arm})/{length}"
     air = source.air
     thinner = f"(rho/{number_text(air.rho)})"
-    made["mach"] = f"V/({number_text(air.sound)}*{thinner}^{number_text(air.power)})"
-    made["temperature_of_rho"] = f"{number_text(air.temperature)}*{thinner}^{number_text(2.0 * air.power)}"
-    made["Re"] = f"rho*V*c*(temperature_of_rho + {SUTHERLAND})/({number_text(air.viscosity)}*temperature_of_rho^1.5)"
-    lines |= made
-    used = _used(lines, [*(f"{s}_dot" for s in skeleton.state_names), *skeleton.output_names, *AXES.values()])
+    aircraft_lines["mach"] = f"V/({number_text(air.sound)}*{thinner}^{number_text(air.power)})"
+    aircraft_lines["temperature_of_rho"] = f"{number_text(air.temperature)}*{thinner}^{number_text(2.0 * air.power)}"
+    aircraft_lines["Re"] = (
+        f"rho*V*c*(temperature_of_rho + {SUTHERLAND})/({number_text(air.viscosity)}*temperature_of_rho^1.5)"
+    )
+    lines |= aircraft_lines
+    used_lines = _names_needed(
+        lines, [*(f"{s}_dot" for s in skeleton.state_names), *skeleton.output_names, *AXES.values()]
+    )
     return replace(
         skeleton,
-        name=_word(source.name),
+        name=re.sub(r"[^A-Za-z0-9_.-]", "-", source.name),
         title=f"JSBSim aircraft {source.name}, six degrees of freedom",
         description=f"Written from {source.spec}: coefficients as its file has them",
         parameters=tuple(text.parameters.values()),
         constants={**skeleton.constants, **arms},
-        equations=tuple(f"{n} = {t}" for n, t in lines.items() if n in used),
+        equations=tuple(f"{n} = {t}" for n, t in lines.items() if n in used_lines),
     )
 
 
-def _used(lines: Mapping[str, str], todo: list[str]) -> set[str]:
-    found: set[str] = set()
+def _names_needed(lines: Mapping[str, str], todo: list[str]) -> set[str]:
+    used_names: set[str] = set()
     while todo:
         name = todo.pop()
-        if name in lines and name not in found:
-            found.add(name)
+        if name in lines and name not in used_names:
+            used_names.add(name)
             todo += names_in(lines[name])
-    return found
-
-
-def _word(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", name)
+    return used_names
 
 
 def arm_of(of: Callable[[str], float]) -> tuple[float, float, float]:

@@ -53,41 +53,41 @@ class Text:
         """A name that is free, made of `wanted`."""
         base = re.sub(r"\W", "_", wanted.rpartition("/")[2]) or "term"
         base = f"f_{base}" if base[0].isdigit() or base in FUNCTIONS else base
-        found, count = base, 1
-        while found in self.taken:
+        free_name, count = base, 1
+        while free_name in self.taken:
             count += 1
-            found = f"{base}_{count}"
-        self.taken.add(found)
-        return found
+            free_name = f"{base}_{count}"
+        self.taken.add(free_name)
+        return free_name
 
     def line(self, wanted: str, terms: Sum) -> Sum:
         """A sum as a line; its symbol."""
         name = self.name(wanted)
-        self.lines[name] = written(terms)
+        self.lines[name] = coefficient_text(terms)
         return factor(name)
 
 
 def coefficients_of(section: ET.Element, reader: Reader) -> tuple[dict[str, dict[str, Sum]], dict[str, str]]:
     """Axis -> function -> coefficient, and function -> why it has no exact form."""
     parts: dict[str, dict[str, Sum]] = {axis: {} for axis in AXES}
-    why: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for shift in section.iter("aero_ref_pt_shift_x"):
-        why[shift.tag] = "moves the point that forces act at"
+        reasons[shift.tag] = "moves the point that forces act at"
     for axis in section.findall("axis"):
         name = axis.get("name", "").upper()
         if name not in AXES:
-            why[f"axis {name}"] = "is none of wind axes and moments"
+            reasons[f"axis {name}"] = "is none of wind axes and moments"
             continue
-        whole = Sum((Product(1.0, {"pressure": 1, "area": 1} | dict.fromkeys(OVER[AXES[name]], 1)),)).inverse()
+        inverse_size = Sum((Product(1.0, {"pressure": 1, "area": 1} | dict.fromkeys(OVER[AXES[name]], 1)),)).inverse()
         for function in axis.findall("function"):
-            called = function.get("name", "") or f"a function of {name}"
+            function_name = function.get("name", "") or f"a function of {name}"
             try:
-                value = _without_pressure(reader.function(function).times(whole))
+                value = _without_pressure(reader.function(function).times(inverse_size))
             except NotExact as reason:
-                why[called] = str(reason)
+                reasons[function_name] = str(reason)
                 continue
-            parts[name][called] = parts[name].get(called, Sum()).plus(value)
-    return parts, why
+            parts[name][function_name] = parts[name].get(function_name, Sum()).plus(value)
+    return parts, reasons
 
 
 def _without_pressure(value: Sum) -> Sum:
@@ -102,40 +102,42 @@ def _without_pressure(value: Sum) -> Sum:
 
 def solved_lift(lift: Mapping[str, Sum]) -> tuple[dict[str, Sum], Sum, dict[str, str]]:
     """Lift without what goes with the rate of alpha; that, over the rate; and what of lift goes with it in another way."""
-    still, rate, why = {}, Sum(), {}
+    static_lift, rate, reasons = {}, Sum(), {}
     for name, value in lift.items():
-        moving = [p for p in value.products if p.factors.get(ALPHA_RATE) == 1]
-        still[name] = Sum(tuple(p for p in value.products if p not in moving))
-        one_less = Sum(tuple(moving)).times(factor(ALPHA_RATE).inverse())
+        rate_products = [p for p in value.products if p.factors.get(ALPHA_RATE) == 1]
+        static_lift[name] = Sum(tuple(p for p in value.products if p not in rate_products))
+        one_less = Sum(tuple(rate_products)).times(factor(ALPHA_RATE).inverse())
         rate = rate.plus(one_less)
-        if re.search(rf"\b({ALPHA_RATE}|{LIFT})\b", f"{text_of(still[name])} {text_of(one_less)}"):
-            why[name] = "is a lift that goes with the rate of alpha, or with lift, in another way than by a factor"
-    return still, rate, why
+        if re.search(rf"\b({ALPHA_RATE}|{LIFT})\b", f"{text_of(static_lift[name])} {text_of(one_less)}"):
+            reasons[name] = "is a lift that goes with the rate of alpha, or with lift, in another way than by a factor"
+    return static_lift, rate, reasons
 
 
 def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec: str) -> list[str]:
     """The terms of one coefficient; parameters and lines that they need enter `text`."""
-    made = []
-    for called, value in functions.items():
-        one = value.single
-        if one is None:
-            made += [text_of(text.line(called, value))] if value.products else []
+    terms = []
+    for function_name, value in functions.items():
+        single_product = value.single
+        if single_product is None:
+            terms += [text_of(text.line(function_name, value))] if value.products else []
             continue
-        ending, regressor, unit = REGRESSORS.get(one.key, ("", written(Sum((replace(one, number=1.0),))), ""))
-        if text.lines.keys() & one.factors.keys():  # a table's line, whose size stands in it
-            made.append(written(value))
+        ending, regressor, unit = REGRESSORS.get(
+            single_product.key, ("", coefficient_text(Sum((replace(single_product, number=1.0),))), "")
+        )
+        if text.lines.keys() & single_product.factors.keys():  # a table's line, whose size stands in it
+            terms.append(coefficient_text(value))
             continue
         standard = f"{coefficient}_{ending}"
-        name = standard if ending and standard not in text.taken else text.name(called)
+        name = standard if ending and standard not in text.taken else text.name(function_name)
         text.taken.add(name)
-        size = float(number_text(one.number))
-        text.parameters[name] = Parameter(name, unit, size, reference=size, reference_source=f"{spec}, {called}",
+        size = float(number_text(single_product.number))
+        text.parameters[name] = Parameter(name, unit, size, reference=size, reference_source=f"{spec}, {function_name}",
                                           role=usual_role(name))  # fmt: skip
-        made.append(f"{name}*{regressor}" if regressor else name)
-    return made
+        terms.append(f"{name}*{regressor}" if regressor else name)
+    return terms
 
 
-def written(terms: Sum) -> str:
+def coefficient_text(terms: Sum) -> str:
     """Text with what stayed whole written out."""
     text = text_of(collected(_hatted(p) for p in terms.products))
     for name, meaning in WHOLE.items():
@@ -145,7 +147,7 @@ def written(terms: Sum) -> str:
 
 def _hatted(p: Product) -> Product:
     """Rates times lengths over twice the airspeed by their usual names."""
-    for rate, over in (("p", "spans"), ("q", "chords"), ("r", "spans")):
-        if p.factors.get(rate, 0) > 0 and p.factors.get(over, 0) > 0:
-            p = p.times(Product(1.0, {rate: -1, over: -1, f"{rate}_hat": 1}))
+    for rate, length in (("p", "spans"), ("q", "chords"), ("r", "spans")):
+        if p.factors.get(rate, 0) > 0 and p.factors.get(length, 0) > 0:
+            p = p.times(Product(1.0, {rate: -1, length: -1, f"{rate}_hat": 1}))
     return p

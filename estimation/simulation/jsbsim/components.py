@@ -12,7 +12,7 @@ from estimation.models.expressions import parse
 from estimation.simulation.jsbsim.forces import OURS
 from estimation.simulation.jsbsim.functions import PROPERTIES, Term, Translator, node, product, prop, total
 from estimation.simulation.jsbsim.increments import Increments
-from estimation.simulation.jsbsim.surfaces import SIGNS, surfaces_of
+from estimation.simulation.jsbsim.library import SIGNS, surfaces_of
 from estimation.simulation.oracle import SURFACES, SimulationError
 
 Maker = Callable[..., ET.Element]
@@ -21,26 +21,26 @@ USUAL = {"delta_e": "fcs/elevator-pos-rad", "delta_a": "fcs/left-aileron-pos-rad
 
 def surfaces_read(source: Path, chains: Mapping[str, str]) -> dict[str, ET.Element]:
     """Our surfaces as the aerodynamics reads them, with our signs."""
-    behind = {old: new for new, old in chains.items()}
+    chained_names = {old: new for new, old in chains.items()}
     read = surfaces_of(source).writes
-    made = {}
+    surface_properties = {}
     for column in SURFACES:
         name = next(
             (n for n, (c, _) in read.items() if c == column and n.endswith("-rad") and "mag-" not in n), USUAL[column]
         )
         sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
-        made[column] = prop(behind.get(name, name), sign)
-    return made
+        surface_properties[column] = prop(chained_names.get(name, name), sign)
+    return surface_properties
 
 
 def chains_of(
-    found: Increments, values: Mapping[str, float], source: Path, rate: float
+    increments: Increments, values: Mapping[str, float], source: Path, rate: float
 ) -> tuple[dict[str, str], list[ET.Element]]:
     """Components behind the positions of surfaces that an effect changes; new property -> position."""
     chains: dict[str, str] = {}
     components: list[ET.Element] = []
     for column in SURFACES:
-        acting = [t for t in found.transforms if t.input == column and not _idle(t, values)]
+        acting = [t for t in increments.transforms if t.input == column and not _changes_nothing(t, values)]
         names = [n for n, (c, _) in surfaces_of(source).writes.items() if c == column] or [USUAL[column]]
         for name in names if acting else ():
             if not name.endswith("-rad") or "mag-" in name:
@@ -49,25 +49,25 @@ def chains_of(
                     " positions in rad can"
                 )
             sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
-            at = name
+            position = name
             for t in acting:
-                made = _component(
-                    t, values[t.parameters[0]], at, sign, f"fcs/{OURS}/{name.removeprefix('fcs/')}-{t.kind}", rate
+                new_components = _component(
+                    t, values[t.parameters[0]], position, sign, f"fcs/{OURS}/{name.removeprefix('fcs/')}-{t.kind}", rate
                 )
-                components += made
-                at = made[-1].get("name", "") if made else at
-            chains[at] = name
+                components += new_components
+                position = new_components[-1].get("name", "") if new_components else position
+            chains[position] = name
     return chains, components
 
 
-def _idle(transform: InputTransform, values: Mapping[str, float]) -> bool:
+def _changes_nothing(transform: InputTransform, values: Mapping[str, float]) -> bool:
     return values[transform.parameters[0]] == (1.0 if transform.kind == "scale" else 0.0)
 
 
-def _component(t: InputTransform, size: float, at: str, sign: float, name: str, rate: float) -> list[ET.Element]:
+def _component(t: InputTransform, size: float, position: str, sign: float, name: str, rate: float) -> list[ET.Element]:
     """Components that do to a position what a transform does to a column. A deadband's and a play's width are the whole ones."""
 
-    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (at,)) -> ET.Element:
+    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (position,)) -> ET.Element:
         element = ET.Element(tag, name=f"{name}{ending}")
         element.extend([node("input", i) for i in inputs])
         element.extend(inside)
@@ -86,16 +86,16 @@ def _component(t: InputTransform, size: float, at: str, sign: float, name: str, 
             return [made("summer", "", node("bias", repr(sign * size)))]
     if size < 0.0:
         raise SimulationError(f"{t.input}: a delay of {size:g} s is none that a simulation can have")
-    whole, part = divmod(size * rate, 1.0)
-    late = [_late(made, "-early", int(whole)), _late(made, "-late", int(whole) + 1)]
+    whole_frames, part = divmod(size * rate, 1.0)
+    delays = [_frame_delay(made, "-early", int(whole_frames)), _frame_delay(made, "-late", int(whole_frames) + 1)]
     gains = [
         _gain(f"{name}{end}-share", source.get("name", ""), share)
-        for end, source, share in (("-early", late[0], 1.0 - part), ("-late", late[1], part))
+        for end, source, share in (("-early", delays[0], 1.0 - part), ("-late", delays[1], part))
     ]
-    return [*late, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
+    return [*delays, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
 
 
-def _late(made: Maker, ending: str, frames: int) -> ET.Element:
+def _frame_delay(made: Maker, ending: str, frames: int) -> ET.Element:
     """A whole number of frames; an actuator's delay of n is one of n - 1."""
     if frames == 0:
         return made("pure_gain", ending, node("gain", "1"))
@@ -110,32 +110,32 @@ def _gain(name: str, at: str, gain: float) -> ET.Element:
     return element
 
 
-def states_of(found: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
+def states_of(increments: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
     """Lag filters for states of effects of the form x_dot = (input - x)/tau; they enter `known`."""
-    made: list[ET.Element] = []
+    filters: list[ET.Element] = []
     # flight control sees the motion of the step before: it is carried on by its own rate
-    carried = {
+    carried_states = {
         n: total(prop(PROPERTIES[n][0]), product(1.0 / rate, prop(PROPERTIES[f"{n}_dot"][0])))
         for n in ("alpha", "beta", "p", "q", "r")
     }
-    ahead = replace(translator, known={**translator.known, **carried})
-    for state in found.states:
-        match parse(found.physical.definitions[f"{state}_dot"]):
+    carried_translator = replace(translator, known={**translator.known, **carried_states})
+    for state in increments.states:
+        match parse(increments.physical.definitions[f"{state}_dot"]):
             case ast.BinOp(
                 left=ast.BinOp(left=given, op=ast.Sub(), right=ast.Name(id=name)), op=ast.Div(), right=tau
             ) if name == state:
-                seconds = translator.of(tau, ())
+                seconds = translator.translated(tau, ())
             case _:
                 seconds = math.nan
         if not isinstance(seconds, float | int) or not seconds > 0.0:
             raise SimulationError(
-                f"model {found.physical.name}: the state {state} is no lag of first order, and only these"
+                f"model {increments.physical.name}: the state {state} is no lag of first order, and only these"
                 " can be written for JSBSim"
             )
         function = ET.Element("fcs_function", name=f"fcs/{OURS}/{state}-input")
-        function.append(node("function", ahead.of(given, ())))
+        function.append(node("function", carried_translator.translated(given, ())))
         lag = ET.Element("lag_filter", name=f"fcs/{OURS}/{state}")
         lag.extend([node("input", f"fcs/{OURS}/{state}-input"), node("c1", repr(1.0 / seconds))])
-        made += [function, lag]
+        filters += [function, lag]
         known[state] = prop(f"fcs/{OURS}/{state}")
-    return made
+    return filters

@@ -47,24 +47,27 @@ def export_aircraft(
 ) -> tuple[JsbsimExport, Written, Increments]:
     """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: steps per second it is meant for, in
     which delays are counted. Raises SimulationError for what cannot be written, before anything is."""
-    found = increments_of(model)
-    made = written(found, source, rate, lineage)
+    increments = increments_of(model)
+    written_aircraft = write_aircraft(increments, source, rate, lineage)
     name = f"{source.stem}-{OURS}"
     target = folder / name
     if target.exists() and (target / f"{source.stem}.xml").resolve() == source:
         raise SimulationError(f"{target}: that is the aircraft to start from; choose another --out")
-    made.root.set("name", name)
-    ET.indent(made.root)
+    written_aircraft.root.set("name", name)
+    ET.indent(written_aircraft.root)
     with replacing_folder(target) as new:
         shutil.copytree(source.parent, new, dirs_exist_ok=True)
         (new / source.name).unlink()
         with whole(new / f"{name}.xml") as file:
-            ET.ElementTree(made.root).write(file, encoding="utf-8", xml_declaration=True)
-    return JsbsimExport(target / f"{name}.xml", made.terms, found.left_out), made, found
+            ET.ElementTree(written_aircraft.root).write(file, encoding="utf-8", xml_declaration=True)
+    return (
+        JsbsimExport(target / f"{name}.xml", written_aircraft.terms, increments.left_out),
+        written_aircraft,
+        increments,
+    )
 
 
-def written(found: Increments, source: Path, rate: float, lineage: str) -> Written:
-    """The XML of the aircraft `source` with increments."""
+def write_aircraft(increments: Increments, source: Path, rate: float, lineage: str) -> Written:
     root = inlined(source)
     aerodynamics = _child(root, "aerodynamics")
     strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {
@@ -79,18 +82,18 @@ def written(found: Increments, source: Path, rate: float, lineage: str) -> Writt
         raise SimulationError(
             f"{source}: its aerodynamics is in axes {', '.join(sorted(strange))}; only wind axes can be added to"
         )
-    values = _values(found.physical)
-    chains, channel = chains_of(found, values, source, rate)
+    values = _values(increments.physical)
+    chains, channel = chains_of(increments, values, source, rate)
     for element in list(aerodynamics.iter()):
         text = (element.text or "").strip()
         for new, old in chains.items():
             if text.lstrip("-") == old:
                 element.text = f"{'-' if text.startswith('-') else ''}{new}"
     base = Base(aerodynamics)
-    known: dict[str, Term] = {**base.coefficients(), **surfaces_read(source, chains)}
-    translator = Translator(found.physical, known, values)
-    channel += states_of(found, translator, rate, known)
-    terms = write_functions(found, translator, aerodynamics, base)
+    properties: dict[str, Term] = {**base.coefficients(), **surfaces_read(source, chains)}
+    translator = Translator(increments.physical, properties, values)
+    channel += states_of(increments, translator, rate, properties)
+    terms = write_functions(increments, translator, aerodynamics, base)
     if channel:
         control = _child(root, "flight_control")
         if not control.get("name"):
@@ -98,7 +101,7 @@ def written(found: Increments, source: Path, rate: float, lineage: str) -> Writt
         section = ET.SubElement(control, "channel", name=OURS)
         section.extend(channel)
         terms += [e.get("name", "") for e in channel]
-    terms += _inertia(found.physical, root, source)
+    terms += _inertia(increments.physical, root, source)
     header = _child(root, "fileheader", first=True)
     ET.SubElement(header, "note").text = lineage
     return Written(root, tuple(terms), chains)
@@ -110,25 +113,25 @@ def inlined(source: Path) -> ET.Element:
     for tag in ("aerodynamics", "flight_control"):
         section = root.find(tag)
         if section is not None and section.get("file"):
-            beside = source.parent / f"{section.get('file', '').removesuffix('.xml')}.xml"
-            own = tree_of(beside)
+            include_path = source.parent / f"{section.get('file', '').removesuffix('.xml')}.xml"
+            included = tree_of(include_path)
             del section.attrib["file"]
-            section.attrib.update({k: v for k, v in own.attrib.items() if k != "file"})
-            section.extend(list(own))
+            section.attrib.update({k: v for k, v in included.attrib.items() if k != "file"})
+            section.extend(list(included))
     return root
 
 
 def _child(root: ET.Element, tag: str, first: bool = False) -> ET.Element:
-    found = root.find(tag)
-    if found is None:
-        found = ET.Element(tag)
+    child = root.find(tag)
+    if child is None:
+        child = ET.Element(tag)
         if first:
-            root.insert(0, found)
-        elif tag == "flight_control" and (after := root.find("aerodynamics")) is not None:
-            root.insert(list(root).index(after), found)
+            root.insert(0, child)
+        elif tag == "flight_control" and (aerodynamics := root.find("aerodynamics")) is not None:
+            root.insert(list(root).index(aerodynamics), child)
         else:
-            root.append(found)
-    return found
+            root.append(child)
+    return child
 
 
 def _values(model: Model) -> dict[str, float]:
@@ -149,9 +152,9 @@ def _inertia(model: Model, root: ET.Element, source: Path) -> list[str]:
     for name, sign in (("Ixx", 1.0), ("Iyy", 1.0), ("Izz", 1.0), ("Ixz", -1.0)):
         if name not in values:
             continue
-        more = sign * (values[name] - getattr(craft, name)) / SLUG_FOOT2
-        if abs(more) * SLUG_FOOT2 > SAME_MASS * craft.Ixx:
-            changed.append(_shifted(balance, name.lower(), more))
+        added_inertia = sign * (values[name] - getattr(craft, name)) / SLUG_FOOT2
+        if abs(added_inertia) * SLUG_FOOT2 > SAME_MASS * craft.Ixx:
+            changed.append(_shifted(balance, name.lower(), added_inertia))
     return changed
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from daq.contract.constants import FOOT, POUND, SLUG
 from estimation.simulation.jsbsim.aircraft import GROUND, SWITCHED_OFF
 from estimation.simulation.jsbsim.forces import OURS
-from estimation.simulation.jsbsim.library import loaded
-from estimation.simulation.jsbsim.surfaces import Surfaces, surfaces_of
+from estimation.simulation.jsbsim.library import Surfaces, loaded, surfaces_of
 from estimation.simulation.oracle import SURFACES, Array, SimulationError
 from groundstation.flight import Flight
 
@@ -28,12 +27,12 @@ STEP = 0.8  # s
 CENTRING = 3  # frames
 FEEDBACK = {"delta_e": (0.15, 0.1), "delta_a": (0.08, 0.02)}  # on pitch and bank [rad per rad], their rates [s]
 INJECTED = f"{OURS}/injected/"
-ADAMS_BASHFORTH = 3.0  # JSBSim's number for that of second order; `estimation.simulation.stepped` takes the same steps
+ADAMS_BASHFORTH = 3.0  # JSBSim's number for that of second order; `estimation.simulation.proof` takes the same steps
 TRIMMED = 1e-4  # g and rad/s2
 LIFTS = (0.4, 0.3, 0.5, 0.6, 0.8, 0.2)  # lift coefficients at which a glide is tried
 
 
-def flown(source: Path, root: ET.Element, components: bool, rate: float, plays: Mapping[str, float]) -> Flight:
+def fly_aircraft(source: Path, root: ET.Element, components: bool, rate: float, plays: Mapping[str, float]) -> Flight:
     """A flight of the aircraft whose text is `root`, made from `source`, every step recorded.
 
     components: whether there are any of our own; then the flight control runs, and the aerodynamics reads surfaces that nobody
@@ -55,9 +54,9 @@ def flown(source: Path, root: ET.Element, components: bool, rate: float, plays: 
     for k in range(round((SETTLE + DURATION) * rate)):
         time = k / rate - SETTLE
         if time >= 0.0:
-            rows.append(_seen(fdm, time, actual))
-        wanted = trim + _pilot(fdm, time, steady)
-        actual = actual + (wanted - actual) * min(1.0, 1.0 / (SERVO * rate))
+            rows.append(_instrument_row(fdm, time, actual))
+        command = trim + _pilot(fdm, time, steady)
+        actual = actual + (command - actual) * min(1.0, 1.0 / (SERVO * rate))
         _write(fdm, surfaces, names, actual + (_centring(k, plays) if k < 2 * CENTRING else 0.0))
         fdm.run()
     table = np.array(rows)
@@ -102,9 +101,9 @@ def glide(source: Path, surfaces: Surfaces, rate: float) -> dict[str, float]:
     loading = fdm["inertia/weight-lbs"] / fdm["metrics/Sw-sqft"]
     for lift in LIFTS:
         speed = math.sqrt(2.0 * loading / (fdm["atmosphere/rho-slugs_ft3"] * lift)) * FOOT
-        found = _trimmed(fdm, surfaces, speed)
-        if found is not None:
-            return {"V": speed, **dict(zip(("alpha", "theta", "phi", *SURFACES), found.tolist(), strict=True))}
+        trim = _trimmed(fdm, surfaces, speed)
+        if trim is not None:
+            return {"V": speed, **dict(zip(("alpha", "theta", "phi", *SURFACES), trim.tolist(), strict=True))}
     raise SimulationError(f"{source.stem}: finds no steady glide without engine; nothing can be flown to compare")
 
 
@@ -118,13 +117,13 @@ def _trimmed(fdm: Any, surfaces: Surfaces, speed: float) -> Array | None:
 
     x, step = np.array([0.03, -0.05, 0.0, 0.0, 0.0, 0.0]), 1e-3
     for _ in range(30):
-        left = off(x)
-        if not np.isfinite(left).all():
+        residual = off(x)
+        if not np.isfinite(residual).all():
             return None
-        if np.abs(left).max() < TRIMMED:
+        if np.abs(residual).max() < TRIMMED:
             return x if np.abs(x).max() < 0.5 else None
         slopes = np.column_stack([(off(x + step * e) - off(x - step * e)) / (2.0 * step) for e in np.eye(6)])
-        x = x - np.clip(np.linalg.lstsq(slopes, left, rcond=None)[0], -0.05, 0.05)
+        x = x - np.clip(np.linalg.lstsq(slopes, residual, rcond=None)[0], -0.05, 0.05)
     return None
 
 
@@ -148,9 +147,9 @@ def _begin(fdm: Any, at: Mapping[str, float], surfaces: Surfaces | None = None, 
 
 
 def _write(fdm: Any, surfaces: Surfaces, names: Mapping[str, str], positions: Array) -> None:
-    now = dict(zip(SURFACES, positions.tolist(), strict=True))
+    surface_values = dict(zip(SURFACES, positions.tolist(), strict=True))
     for name, (column, follows) in surfaces.writes.items():
-        fdm[names[name]] = follows(now[column])
+        fdm[names[name]] = follows(surface_values[column])
 
 
 def _inject(root: ET.Element, names: Mapping[str, str]) -> None:
@@ -165,15 +164,15 @@ def _inject(root: ET.Element, names: Mapping[str, str]) -> None:
 
 def _pilot(fdm: Any, time: float, steady: Mapping[str, float]) -> Array:
     """(3,) elevator, aileron, rudder beside trim: a doublet and a faster one each, weakly steadied."""
-    made = dict.fromkeys(SURFACES, 0.0)
+    deflections = dict.fromkeys(SURFACES, 0.0)
     for name, (begin, size) in STEPS_OF.items():
-        for at, width in ((begin, STEP), (begin + 2.5, 0.5 * STEP)):
-            if at <= time < at + 2 * width:
-                made[name] += math.radians(size) * (1.0 if time < at + width else -1.0)
+        for start, width in ((begin, STEP), (begin + 2.5, 0.5 * STEP)):
+            if start <= time < start + 2 * width:
+                deflections[name] += math.radians(size) * (1.0 if time < start + width else -1.0)
     for name, angle, rate in (("delta_e", "theta", "q"), ("delta_a", "phi", "p")):
         k, d = FEEDBACK[name]
-        made[name] += k * (fdm[f"attitude/{angle}-rad"] - steady[angle]) + d * fdm[f"velocities/{rate}-rad_sec"]
-    return np.array([made[n] for n in SURFACES])
+        deflections[name] += k * (fdm[f"attitude/{angle}-rad"] - steady[angle]) + d * fdm[f"velocities/{rate}-rad_sec"]
+    return np.array([deflections[n] for n in SURFACES])
 
 
 def _centring(k: int, plays: Mapping[str, float]) -> Array:
@@ -181,7 +180,7 @@ def _centring(k: int, plays: Mapping[str, float]) -> Array:
     return np.array([plays.get(n, 0.0) * (-2.0 if k < CENTRING else 0.5) for n in SURFACES])
 
 
-def _seen(fdm: Any, time: float, surfaces: Array) -> list[float]:
+def _instrument_row(fdm: Any, time: float, surfaces: Array) -> list[float]:
     mass = fdm["inertia/mass-slugs"] * SLUG
     return [
         time, fdm["velocities/vt-fps"] * FOOT, fdm["aero/alpha-rad"], fdm["aero/beta-rad"],

@@ -34,23 +34,23 @@ class Base:
         if not used:
             return []
         D, Y, L = (prop(f"aero/{OURS}/base/{n}") for n in ("drag", "side", "lift"))
-        made = [
+        functions = [
             _function(f"base/{n.lower()}", "force of the simulation alone, lbs", self._sums.get(n, 0.0))
             for n in ("DRAG", "SIDE", "LIFT")
         ]
-        over = {"CL": L, "CD": total(product(D, cos_beta()), product(Y, sin_beta())),
+        coefficients = {"CL": L, "CD": total(product(D, cos_beta()), product(Y, sin_beta())),
                 "CY": total(product(-1.0, D, sin_beta()), product(Y, cos_beta()))}  # fmt: skip
-        for name, force in over.items():
-            made.append(_function(f"base/{name}", "of the simulation alone",
+        for name, force in coefficients.items():
+            functions.append(_function(f"base/{name}", "of the simulation alone",
                                   node("quotient", force, product(prop("aero/qbar-psf"), prop("metrics/Sw-sqft")))))  # fmt: skip
         forces = body_forces(*(prop(f"aero/{OURS}/base/{c}") for c in ("CL", "CD", "CY")))
         for i, (name, (axis, length)) in enumerate(AXES.items()):
-            own = node("quotient", self._sums.get(axis, 0.0), pressure_moment(length))
+            moment = node("quotient", self._sums.get(axis, 0.0), pressure_moment(length))
             arm = node("quotient", about_centre(forces)[i], prop(length))
-            made.append(
-                _function(f"base/{name}", "of the simulation alone, about the centre of gravity", total(own, arm))
+            functions.append(
+                _function(f"base/{name}", "of the simulation alone, about the centre of gravity", total(moment, arm))
             )
-        return made
+        return functions
 
 
 def _sum_of(axis: ET.Element) -> Term:
@@ -64,11 +64,11 @@ def _sum_of(axis: ET.Element) -> Term:
     return total(*parts)
 
 
-def _function(name: str, about: str, value: Term) -> ET.Element:
-    made = ET.Element("function", name=f"aero/{OURS}/{name}")
-    made.append(node("description", about))
-    made.append(value if isinstance(value, ET.Element) else node("value", repr(value)))
-    return made
+def _function(name: str, description: str, value: Term) -> ET.Element:
+    function = ET.Element("function", name=f"aero/{OURS}/{name}")
+    function.append(node("description", description))
+    function.append(value if isinstance(value, ET.Element) else node("value", repr(value)))
+    return function
 
 
 def cos_beta() -> ET.Element:
@@ -103,39 +103,39 @@ def about_centre(force: tuple[Term, Term, Term]) -> tuple[Term, Term, Term]:
     )
 
 
-def write_functions(found: Increments, translator: Translator, aerodynamics: ET.Element, base: Base) -> list[str]:
+def write_functions(increments: Increments, translator: Translator, aerodynamics: ET.Element, base: Base) -> list[str]:
     """Write the terms into their axes; their names."""
     names: list[str] = []
     terms: list[tuple[Addend, str, Term]] = []
-    for addend in found.addends:
+    for addend in increments.addends:
         value = _value(addend, translator)
         if value == 0.0:
             continue
         name = addend.name if addend.name not in names else f"{addend.name}_{addend.line}"
         names.append(name)
         terms.append((addend, name, value))
-    before: list[ET.Element] = []
+    functions: list[ET.Element] = []
     forces: dict[str, list[Term]] = {"CL": [], "CD": [], "CY": []}
     for addend, name, value in terms:
-        about = f"found by Sideslip: {addend.line} = ... + {addend.text}"
+        description = f"found by Sideslip: {addend.line} = ... + {addend.text}"
         if addend.line in AXES or addend.line in ("roll", "yaw", "p_dot", "q_dot", "r_dot"):
             for axis, moment in _moments(addend, value, translator.values).items():
                 suffix = "" if addend.line in AXES else f"/{axis.lower()}"
-                _axis(aerodynamics, axis).append(_function(f"{name}{suffix}", about, moment))
+                _axis(aerodynamics, axis).append(_function(f"{name}{suffix}", description, moment))
         else:
-            before.append(_function(name, about, value))
-            here = prop(f"aero/{OURS}/{name}")
+            functions.append(_function(name, description, value))
+            addend_property = prop(f"aero/{OURS}/{name}")
             c, s = node("cos", prop("aero/alpha-rad")), node("sin", prop("aero/alpha-rad"))
             parts = {"CX": {"CL": (1.0, s), "CD": (-1.0, c)}, "CZ": {"CL": (-1.0, c), "CD": (-1.0, s)}}
-            for into, turned in parts.get(addend.line, {addend.line: ()}).items():
-                forces[into].append(product(here, *turned))
+            for coefficient, factors in parts.get(addend.line, {addend.line: ()}).items():
+                forces[coefficient].append(product(addend_property, *factors))
     prefix = f"aero/{OURS}/base/"
-    read = {e.text or "" for n in [*before, *aerodynamics.iter("axis")] for e in n.iter("property")}
-    used = {name.removeprefix(prefix) for name in read if name.startswith(prefix)}
-    before = [*base.functions(used), *before]
+    read = {e.text or "" for n in [*functions, *aerodynamics.iter("axis")] for e in n.iter("property")}
+    used_coefficients = {name.removeprefix(prefix) for name in read if name.startswith(prefix)}
+    functions = [*base.functions(used_coefficients), *functions]
     if any(forces.values()):
-        _write_forces(aerodynamics, before, forces)
-    for place, function in enumerate(before):
+        _write_forces(aerodynamics, functions, forces)
+    for place, function in enumerate(functions):
         aerodynamics.insert(_first_axis(aerodynamics, place), function)
     return names
 
@@ -147,17 +147,22 @@ def _first_axis(aerodynamics: ET.Element, place: int) -> int:
 
 def _value(addend: Addend, translator: Translator) -> Term:
     """An addend without the simulation's own coefficient, which the aircraft has already."""
-    own = f"{addend.line}_sim"
+    simulation_symbol = f"{addend.line}_sim"
     tree = parse(addend.text)
-    if own not in {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}:
+    if simulation_symbol not in {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}:
         return translator.term(addend.text)
-    whole = translator.term(addend.text)
-    if isinstance(whole, ET.Element) and whole.tag == "product" and len(whole) == 2 and whole[0].tag == "value":
-        return product(float(whole[0].text or 0.0) - 1.0, whole[1])
+    full_term = translator.term(addend.text)
+    if (
+        isinstance(full_term, ET.Element)
+        and full_term.tag == "product"
+        and len(full_term) == 2
+        and full_term[0].tag == "value"
+    ):
+        return product(float(full_term[0].text or 0.0) - 1.0, full_term[1])
     return (
         0.0
-        if isinstance(whole, ET.Element) and whole.tag == "property"
-        else total(whole, product(-1.0, translator.known[own]))
+        if isinstance(full_term, ET.Element) and full_term.tag == "property"
+        else total(full_term, product(-1.0, translator.known[simulation_symbol]))
     )
 
 
@@ -172,8 +177,8 @@ def _moments(addend: Addend, value: Term, constants: Mapping[str, float]) -> dic
         "roll": {"ROLL": 1.0}, "yaw": {"YAW": 1.0}, "q_dot": {"PITCH": k["Iyy"]},
         "p_dot": {"ROLL": k["Ixx"], "YAW": -k["Ixz"]}, "r_dot": {"YAW": k["Izz"], "ROLL": -k["Ixz"]},
     }  # fmt: skip
-    found = {axis: product(newton * size, copied(value)) for axis, size in rows[addend.line].items()}
-    return {axis: moment for axis, moment in found.items() if moment != 0.0}
+    moments = {axis: product(newton * size, copied(value)) for axis, size in rows[addend.line].items()}
+    return {axis: moment for axis, moment in moments.items() if moment != 0.0}
 
 
 def _axis(aerodynamics: ET.Element, name: str) -> ET.Element:
@@ -183,22 +188,24 @@ def _axis(aerodynamics: ET.Element, name: str) -> ET.Element:
     return ET.SubElement(aerodynamics, "axis", name=name)
 
 
-def _write_forces(aerodynamics: ET.Element, before: list[ET.Element], forces: Mapping[str, list[Term]]) -> None:
+def _write_forces(aerodynamics: ET.Element, functions: list[ET.Element], forces: Mapping[str, list[Term]]) -> None:
     """Increments of lift, drag (stability axes) and side force (body axes) into wind axes, their moment about AERORP off."""
     for name, parts in forces.items():
-        before.append(_function(f"delta-{name}", "sum of what was found", total(*parts)))
+        functions.append(_function(f"delta-{name}", "sum of what was found", total(*parts)))
     dL, dD, dY = (prop(f"aero/{OURS}/delta-{c}") for c in ("CL", "CD", "CY"))
     area = product(prop("aero/qbar-psf"), prop("metrics/Sw-sqft"))
-    turned = {
+    wind_forces = {
         "LIFT": dL,
         "DRAG": total(product(dD, cos_beta()), product(-1.0, dY, sin_beta())),
         "SIDE": total(product(dD, sin_beta()), product(dY, cos_beta())),
     }
-    for axis, value in turned.items():
-        about = "what was found of forces, turned into wind axes"
+    for axis, value in wind_forces.items():
+        description = "what was found of forces, turned into wind axes"
         _axis(aerodynamics, axis).append(
-            _function(f"found-{axis.lower()}", about, product(copied(area), copied(value)))
+            _function(f"found-{axis.lower()}", description, product(copied(area), copied(value)))
         )
     for axis, arm in zip(("ROLL", "PITCH", "YAW"), about_centre(body_forces(dL, dD, dY)), strict=True):
-        about = "takes off the moment that these forces have because they act at AERORP"
-        _axis(aerodynamics, axis).append(_function(f"arm-{axis.lower()}", about, product(-1.0, copied(area), arm)))
+        description = "takes off the moment that these forces have because they act at AERORP"
+        _axis(aerodynamics, axis).append(
+            _function(f"arm-{axis.lower()}", description, product(-1.0, copied(area), arm))
+        )

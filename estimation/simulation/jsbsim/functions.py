@@ -40,13 +40,13 @@ Term = float | ET.Element
 
 def node(tag: str, *parts: Term | str) -> ET.Element:
     """An element with numbers, elements or one text inside."""
-    made = ET.Element(tag)
+    element = ET.Element(tag)
     for part in parts:
         if isinstance(part, str):
-            made.text = part
+            element.text = part
         else:
-            made.append(part if isinstance(part, ET.Element) else node("value", repr(float(part))))
-    return made
+            element.append(part if isinstance(part, ET.Element) else node("value", repr(float(part))))
+    return element
 
 
 def prop(name: str, scale: float = 1.0) -> ET.Element:
@@ -87,9 +87,9 @@ class Translator:
 
     def term(self, text: str) -> Term:
         """A number or an element for an expression. Raises SimulationError for what JSBSim has no property for."""
-        return self.of(parse(text), ())
+        return self.translated(parse(text), ())
 
-    def of(self, tree: ast.expr, path: tuple[str, ...]) -> Term:
+    def translated(self, tree: ast.expr, path: tuple[str, ...]) -> Term:
         """The same of a parsed expression. path: lines that are being written out."""
         match tree:
             case ast.Constant(value=value):
@@ -97,16 +97,19 @@ class Translator:
             case ast.Name(id=name):
                 return self._symbol(name, path)
             case ast.UnaryOp(op=op, operand=inner):
-                return product(-1.0 if isinstance(op, ast.USub) else 1.0, self.of(inner, path))
+                return product(-1.0 if isinstance(op, ast.USub) else 1.0, self.translated(inner, path))
             case ast.BinOp(left=left, op=op, right=right):
-                return _arithmetic(op, self.of(left, path), self.of(right, path))
+                return _arithmetic(op, self.translated(left, path), self.translated(right, path))
             case ast.Call(func=ast.Name(id="where"), args=[ast.Compare(left=a, ops=[op], comparators=[b]), yes, no]):
                 sign = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge"}[type(op)]
                 return node(
-                    "ifthen", node(sign, self.of(a, path), self.of(b, path)), self.of(yes, path), self.of(no, path)
+                    "ifthen",
+                    node(sign, self.translated(a, path), self.translated(b, path)),
+                    self.translated(yes, path),
+                    self.translated(no, path),
                 )
             case ast.Call(func=ast.Name(id=name), args=arguments):
-                return _function(name, [self.of(a, path) for a in arguments])
+                return _function(name, [self.translated(a, path) for a in arguments])
         raise SimulationError(f"model {self.model.name}: {ast.unparse(tree)} cannot be written for JSBSim")
 
     def _symbol(self, name: str, path: tuple[str, ...]) -> Term:
@@ -121,7 +124,7 @@ class Translator:
         if name in SPECIFIC:
             return product(FOOT, node("quotient", prop(SPECIFIC[name]), prop("inertia/mass-slugs")))
         if name in self.model.definitions and name not in path:
-            return self.of(parse(self.model.definitions[name]), (*path, name))
+            return self.translated(parse(self.model.definitions[name]), (*path, name))
         raise SimulationError(f"model {self.model.name}: JSBSim has no property for {name}, on which an effect depends")
 
 
@@ -158,11 +161,11 @@ def _function(name: str, arguments: list[Term]) -> Term:
     if name == "sqrt":
         return node("pow", x, 0.5)
     if name == "sign":
-        below = node("ifthen", node("lt", copied(x), 0.0), -1.0, 0.0)
-        return node("ifthen", node("gt", x, 0.0), 1.0, below)
-    up, down = node("exp", x), node("exp", product(-1.0, copied(x)))
+        negative_branch = node("ifthen", node("lt", copied(x), 0.0), -1.0, 0.0)
+        return node("ifthen", node("gt", x, 0.0), 1.0, negative_branch)
+    growing, falling = node("exp", x), node("exp", product(-1.0, copied(x)))
     if name == "tanh":  # by exp(-2x): from 1 to a number that underflows, never one over another too large
         size = node("exp", product(-2.0, node("abs", copied(x))))
-        even = node("quotient", node("difference", 1.0, size), node("sum", 1.0, copied(size)))
-        return node("ifthen", node("lt", copied(x), 0.0), product(-1.0, even), copied(even))
-    return product(0.5, node("sum" if name == "cosh" else "difference", up, down))
+        tanh_size = node("quotient", node("difference", 1.0, size), node("sum", 1.0, copied(size)))
+        return node("ifthen", node("lt", copied(x), 0.0), product(-1.0, tanh_size), copied(tanh_size))
+    return product(0.5, node("sum" if name == "cosh" else "difference", growing, falling))

@@ -44,34 +44,36 @@ def increments_of(model: Model) -> Increments:
         raise SimulationError(
             f"model {model.name}: stands on no simulation; export one that 'sideslip gap --simulation jsbsim:...' wrote"
         )
-    plain = _plain_of(model)
-    coefficients = coefficients_in(plain)
-    lines, left, addends = dict(model.definitions), [], []
+    built_in = _plain_of(model)
+    coefficients = coefficients_in(built_in)
+    lines, left_out, addends = dict(model.definitions), [], []
     for line in coefficients:
-        addends += [_named(line, text, model) for text in addends_of(model.definitions[line])]
-    for line, text in plain.definitions.items():
-        more = _more(model, line, text) if line not in coefficients else ""
-        if more and line in (*MOMENTS, "CX", "CZ"):
-            addends += [_named(line, part, model) for part in addends_of(more)]
-        elif more and line in KINEMATIC:
-            left.append(f"{more} in {line}: of the air's or the equations' motion")
+        addends += [_named_addend(line, text, model) for text in addends_of(model.definitions[line])]
+    for line, text in built_in.definitions.items():
+        added_text = _added_text(model, line, text) if line not in coefficients else ""
+        if added_text and line in (*MOMENTS, "CX", "CZ"):
+            addends += [_named_addend(line, part, model) for part in addends_of(added_text)]
+        elif added_text and line in KINEMATIC:
+            left_out.append(f"{added_text} in {line}: of the air's or the equations' motion")
             lines[line] = text
-        elif more:
+        elif added_text:
             raise SimulationError(
                 f"model {model.name}: changes the line {line}, which has no place in a JSBSim aircraft"
             )
-    shown = [n for n in lines if n.endswith("_measured") and n.removesuffix("_measured") in model.output_names]
-    left += [f"{n.removesuffix('_measured')} as shown ({lines.pop(n)}): of an instrument" for n in shown]
-    left += [f"delay of {n}: of an instrument" for n in model.output_delays]
+    instrument_lines = [
+        n for n in lines if n.endswith("_measured") and n.removesuffix("_measured") in model.output_names
+    ]
+    left_out += [f"{n.removesuffix('_measured')} as shown ({lines.pop(n)}): of an instrument" for n in instrument_lines]
+    left_out += [f"delay of {n}: of an instrument" for n in model.output_delays]
     ours = tuple(t for t in model.transforms if t.input in SURFACES)
-    left += [f"{t.kind} of {t.input}: of an instrument" for t in model.transforms if t not in ours]
-    states = tuple(n for n in model.state_names if n not in plain.state_names)
+    left_out += [f"{t.kind} of {t.input}: of an instrument" for t in model.transforms if t not in ours]
+    states = tuple(n for n in model.state_names if n not in built_in.state_names)
     physical = replace(
         model, transforms=ours, output_delays={}, equations=tuple(f"{n} = {text}" for n, text in lines.items())
     )
-    used = _used(addends, physical)
-    states = tuple(n for n in states if n in used)
-    return Increments(plain, tuple(addends), ours, states, tuple(left), physical)
+    used_states = _states_used(addends, physical)
+    states = tuple(n for n in states if n in used_states)
+    return Increments(built_in, tuple(addends), ours, states, tuple(left_out), physical)
 
 
 def simulation_named(model: Model) -> str:
@@ -96,35 +98,35 @@ def addends_of(text: str) -> list[str]:
 
 def _plain_of(model: Model) -> Model:
     for build in BUILDERS.values():
-        plain = build(NOWHERE)
-        kept = {n for n in plain.definitions if n not in coefficients_in(plain)}
-        if set(plain.state_names) <= set(model.state_names) and all(
-            model.definitions.get(n, "").startswith(plain.definitions[n]) for n in kept
-        ) and set(coefficients_in(plain)) == set(coefficients_in(model)):  # fmt: skip
-            return plain
+        built_in = build(NOWHERE)
+        other_lines = {n for n in built_in.definitions if n not in coefficients_in(built_in)}
+        if set(built_in.state_names) <= set(model.state_names) and all(
+            model.definitions.get(n, "").startswith(built_in.definitions[n]) for n in other_lines
+        ) and set(coefficients_in(built_in)) == set(coefficients_in(model)):  # fmt: skip
+            return built_in
     raise SimulationError(
         f"model {model.name}: is none of {', '.join(BUILDERS)} underneath; only these can be written for JSBSim"
     )
 
 
-def _more(model: Model, line: str, text: str) -> str:
+def _added_text(model: Model, line: str, text: str) -> str:
     """What a line has beyond `text`."""
     return model.definitions[line].removeprefix(text).strip().removeprefix("+").strip()
 
 
-def _named(line: str, text: str, model: Model) -> Addend:
+def _named_addend(line: str, text: str, model: Model) -> Addend:
     names = {n.id for n in ast.walk(parse(text)) if isinstance(n, ast.Name)}
-    own = [p for p in model.parameter_names if p in names]
-    return Addend(line, text, "_".join(own) or line)
+    own_parameters = [p for p in model.parameter_names if p in names]
+    return Addend(line, text, "_".join(own_parameters) or line)
 
 
-def _used(addends: list[Addend], model: Model) -> set[str]:
+def _states_used(addends: list[Addend], model: Model) -> set[str]:
     """Symbols that addends are made of, through lines of the model."""
-    found: set[str] = set()
+    used_names: set[str] = set()
     todo = [a.text for a in addends]
     while todo:
-        for name in {n.id for n in ast.walk(parse(todo.pop())) if isinstance(n, ast.Name)} - found:
-            found.add(name)
+        for name in {n.id for n in ast.walk(parse(todo.pop())) if isinstance(n, ast.Name)} - used_names:
+            used_names.add(name)
             if name in model.definitions:
                 todo.append(model.definitions[name])
-    return found
+    return used_names

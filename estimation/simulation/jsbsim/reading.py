@@ -7,9 +7,18 @@ from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 from daq.contract.constants import FOOT, SLUG
-from estimation.simulation.jsbsim.surfaces import Follows
-from estimation.simulation.jsbsim.tables import TableError, looked_up, table_of
-from estimation.simulation.jsbsim.terms import Product, Sum, collected, constant, factor, text_of
+from estimation.simulation.jsbsim.library import Follows
+from estimation.simulation.jsbsim.terms import (
+    Product,
+    Sum,
+    TableError,
+    collected,
+    constant,
+    factor,
+    looked_up,
+    table_of,
+    text_of,
+)
 
 DEGREE = 180.0 / math.pi
 LENGTHS = {"metrics/Sw-sqft": "area", "metrics/bw-ft": "span", "metrics/cbarw-ft": "chord"}
@@ -23,14 +32,14 @@ NEVER = 1e3  # spans above ground: where JSBSim is asked, far above
 
 def _symbols() -> dict[str, Sum]:
     v = {"u": {"cos(alpha)": 1, "cos(beta)": 1}, "v": {"sin(beta)": 1}, "w": {"sin(alpha)": 1, "cos(beta)": 1}}
-    made = {f"velocities/{n}{mid}-fps": Sum((Product(1.0 / FOOT, {"V": 1, **turned}),))
-            for n, turned in v.items() for mid in ("", "-aero")}  # fmt: skip
-    made |= {f"velocities/{n}{mid}-rad_sec": factor(n) for n in "pqr" for mid in ("", "-aero")}
+    symbols = {f"velocities/{n}{mid}-fps": Sum((Product(1.0 / FOOT, {"V": 1, **factors}),))
+            for n, factors in v.items() for mid in ("", "-aero")}  # fmt: skip
+    symbols |= {f"velocities/{n}{mid}-rad_sec": factor(n) for n in "pqr" for mid in ("", "-aero")}
     for n in ("alpha", "beta"):
-        made |= {f"aero/{n}-rad": factor(n), f"aero/{n}-deg": factor(n, DEGREE),
+        symbols |= {f"aero/{n}-rad": factor(n), f"aero/{n}-deg": factor(n, DEGREE),
                  f"aero/mag-{n}-rad": factor(f"abs({n})"), f"aero/mag-{n}-deg": factor(f"abs({n})", DEGREE)}  # fmt: skip
-    made |= {name: factor(text) for name, text in LENGTHS.items()}
-    return made | {
+    symbols |= {name: factor(text) for name, text in LENGTHS.items()}
+    return symbols | {
         "velocities/vt-fps": factor("V", 1.0 / FOOT), "velocities/mach": factor("mach"), "aero/Re": factor("Re"),
         "atmosphere/rho-slugs_ft3": factor("rho", FOOT**3 / SLUG), "aero/qbar-psf": factor("pressure"),
         "aero/qbar-area": Sum((Product(1.0, {"pressure": 1, "area": 1}),)),
@@ -81,19 +90,19 @@ class Reader:
             return self._done[name]
         if name in self._path:
             raise NotExact("builds on itself")
-        before, self._path = self._path, (*self._path, name) if name else self._path
+        outer_path, self._path = self._path, (*self._path, name) if name else self._path
         try:
             parts = [e for e in element if e.tag not in WORDS]
             if len(parts) != 1:
                 raise NotExact("is not made of one operation")
-            value = self.of(parts[0])
+            value = self.sum_of(parts[0])
         finally:
-            self._path = before
+            self._path = outer_path
         if name:
             self._done[name] = value
         return value
 
-    def of(self, element: ET.Element) -> Sum:
+    def sum_of(self, element: ET.Element) -> Sum:
         """The value of any operation. Raises NotExact."""
         text = (element.text or "").strip()
         match element.tag:
@@ -107,7 +116,7 @@ class Reader:
                 return self.function(element)
         if element.tag not in OPERATIONS:
             raise NotExact(f"has <{element.tag}>, which our text has no form for")
-        parts = [self.of(e) for e in element if e.tag not in WORDS]
+        parts = [self.sum_of(e) for e in element if e.tag not in WORDS]
         if not parts:
             raise NotExact(f"has <{element.tag}> with nothing in it")
         return _operated(element.tag, parts)
@@ -141,8 +150,10 @@ class Reader:
     def _table(self, element: ET.Element) -> Sum:
         try:
             table, names = table_of(element)
-            at = [self.property(n) for n in names]
-            return looked_up(table, at, lambda terms: self.line(self._path[-1] if self._path else "table", terms))
+            arguments = [self.property(n) for n in names]
+            return looked_up(
+                table, arguments, lambda terms: self.line(self._path[-1] if self._path else "table", terms)
+            )
         except TableError as error:
             raise NotExact(f"has {error}") from error
 
@@ -156,12 +167,12 @@ def _number(text: str) -> float:
 
 def _surface(column: str, follows: Follows) -> Sum:
     """A position from our column: the one times a number, its size, or two slopes that meet at zero."""
-    up, down = follows(1.0), follows(-1.0)
-    if up == -down:
-        return factor(column, up)
-    if up == down:
-        return factor(f"abs({column})", up)
-    return factor(f"max(0, {column})", up).plus(factor(f"min(0, {column})", -down))
+    positive, negative = follows(1.0), follows(-1.0)
+    if positive == -negative:
+        return factor(column, positive)
+    if positive == negative:
+        return factor(f"abs({column})", positive)
+    return factor(f"max(0, {column})", positive).plus(factor(f"min(0, {column})", -negative))
 
 
 def _operated(tag: str, parts: list[Sum]) -> Sum:
@@ -199,7 +210,7 @@ def _operated(tag: str, parts: list[Sum]) -> Sum:
 
 
 def _power(base: Sum, exponent: Sum) -> Sum:
-    power, number, one = exponent.number, base.number, base.single
+    power, number, base_product = exponent.number, base.number, base.single
     if power is not None and number is not None:
         try:
             value = number**power
@@ -209,7 +220,7 @@ def _power(base: Sum, exponent: Sum) -> Sum:
             raise NotExact("has <pow> of a number that has none")
         return constant(value)
     if power is not None and power == int(power):
-        if one is not None and base.products:
-            return Sum((one.to_power(int(power)),)) if power else constant(1.0)
+        if base_product is not None and base.products:
+            return Sum((base_product.to_power(int(power)),)) if power else constant(1.0)
         return collected([Product(1.0, {f"({text_of(base)})": int(power)})])
     return factor(f"(({text_of(base)})^({text_of(exponent)}))")

@@ -1,1 +1,1 @@
-"""Autopilots between receiver and servos, at the level of MAVLink messages: an ArduPlane and a PX4."""
+"""Autopilots at the level of MAVLink messages: an ArduPlane, and one that reports its servo outputs."""

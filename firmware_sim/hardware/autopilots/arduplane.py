@@ -90,7 +90,7 @@ class ArduPlane(LoopedAutopilot):
         if self.loops % 5 == 0:
             self.rc.look_at_switch(now_ns)
         for message in self.heard(now_ns):
-            self._take(message, now_ns)
+            self._handle_message(message, now_ns)
         if self.loops % 50 == 0:
             self._send_heartbeat(now_ns)
         for number, (interval, due) in self._streams.items():
@@ -102,8 +102,8 @@ class ArduPlane(LoopedAutopilot):
         roll, pitch, throttle, yaw = self.rc.widths[:4]
         share = self.parameters["MIXING_GAIN"] * (1.0 if self.mode == MANUAL else STAND_IN)
         aileron, elevator, rudder = (share * _travel(w) for w in (roll, pitch, yaw))
-        wanted = (elevator - aileron, elevator + aileron, rudder)
-        surfaces = [TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in wanted]
+        deflections = (elevator - aileron, elevator + aileron, rudder)
+        surfaces = [TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in deflections]
         self.put_out(surfaces, throttle or LEAST_US, now_ns)
 
     def _read_radio(self, now_ns: int) -> None:
@@ -122,7 +122,7 @@ class ArduPlane(LoopedAutopilot):
 
     # ---------------------------------------------------------------------------------------- messages
 
-    def _take(self, message: ReceivedFrame, now_ns: int) -> None:
+    def _handle_message(self, message: ReceivedFrame, now_ns: int) -> None:
         f = message.fields
         if message.number == RC_CHANNELS_OVERRIDE.number:
             if message.system == self._ground_system():

@@ -2,10 +2,44 @@
 
 from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 
 from firmware_sim.hardware.autopilots.frames import Packer, ReceivedFrame, Unpacker
-from firmware_sim.hardware.autopilots.line import LossyLine
+
+BAUD = 115_200
+
+
+class LossyLine:
+    """lost, late_ns: whether what is sent at a time [ns] is lost, and how much later it arrives [ns]."""
+
+    def __init__(self, baud: int = BAUD) -> None:
+        self._byte_ns = 10e9 / baud
+        self._free_ns = 0.0  # when the last byte will have left
+        self._under_way: deque[tuple[float, bytes]] = deque()  # when its first byte arrives
+        self.lost: Callable[[int], bool] = lambda now_ns: False
+        self.late_ns: Callable[[int], int] = lambda now_ns: 0
+
+    def send(self, data: bytes, now_ns: int) -> None:
+        """Put bytes on the line, behind those that have not left yet."""
+        start = max(self._free_ns, now_ns)
+        self._free_ns = start + len(data) * self._byte_ns
+        if not self.lost(now_ns):
+            self._under_way.append((start + self.late_ns(now_ns), data))
+
+    def arrived(self, now_ns: int) -> bytes:
+        """What has arrived since it was last asked, in the order of sending."""
+        received = b""
+        while self._under_way:
+            start, data = self._under_way[0]
+            count = min(len(data), max(0, int((now_ns - start) / self._byte_ns)))
+            received += data[:count]
+            if count < len(data):
+                self._under_way[0] = (start + count * self._byte_ns, data[count:])
+                break
+            self._under_way.popleft()
+        return received
+
 
 MS = 1_000_000
 TRIM_US, TRAVEL_US = 1500, 500

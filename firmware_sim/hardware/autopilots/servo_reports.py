@@ -4,7 +4,7 @@ HEARTBEAT once a second and SERVO_OUTPUT_RAW at its stream rate, in whole micros
 """
 
 from firmware_sim.hardware.autopilots.frames import HEARTBEAT, SERVO_OUTPUT_RAW, Packer
-from firmware_sim.hardware.autopilots.line import LossyLine
+from firmware_sim.hardware.autopilots.looped import LossyLine
 from firmware_sim.hardware.sensing.instruments import Instruments
 
 STREAM_NS = 50_000_000

@@ -80,18 +80,18 @@ class Ads1115Chip(PoweredChip):
     def _run(self, now_ns: int) -> None:
         """Finish what is over by now; in continuous mode the next conversion starts with the newest configuration."""
         while self._busy_until is not None and now_ns >= self._busy_until:
-            ended = self._busy_until
+            end_ns = self._busy_until
             duration = self._conversion_ns(self._under_way)
             if self._config & _SINGLE_SHOT:
-                self._finish(ended - duration // 2)
+                self._finish(end_ns - duration // 2)
                 self._busy_until = None
                 return
-            behind = (now_ns - ended) // duration
-            if behind and self._under_way == self._config:
-                ended += behind * duration  # only the newest result can still be read
-            self._finish(ended - duration // 2)
+            missed = (now_ns - end_ns) // duration
+            if missed and self._under_way == self._config:
+                end_ns += missed * duration  # only the newest result can still be read
+            self._finish(end_ns - duration // 2)
             self._under_way = self._config
-            self._busy_until = ended + self._conversion_ns(self._config)
+            self._busy_until = end_ns + self._conversion_ns(self._config)
 
     def _finish(self, middle_ns: int) -> None:
         config = self._under_way

@@ -130,9 +130,9 @@ class Bmp390Chip(RegisterChip):
         if mode == 0 or self._rate_impossible():
             return
         if mode in (1, 2):  # forced: one measurement, then back to sleep
-            done = self._started_ns + self._measurement_ns()
-            if now_ns >= done:
-                self._measure(done)
+            ready_ns = self._started_ns + self._measurement_ns()
+            if now_ns >= ready_ns:
+                self._measure(ready_ns)
                 self._registers[PWR_CTRL] &= ~0x30
             return
         period = self._period_ns()

@@ -1,5 +1,6 @@
 """What register-based chips have in common: a pointer that a write sets and that runs on while bytes are moved."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -14,8 +15,8 @@ def never(now_ns: int) -> bool:
     return False
 
 
-class PoweredChip:
-    """A chip that answers while it has power, and comes up with its reset values.
+class PoweredChip(ABC):
+    """A chip on the bus that answers while it has power, and comes up with its reset values. Times: the bus's clock [ns].
 
     frozen: whether its measuring part has died at a time, so that it goes on answering with its last sample.
     """
@@ -27,12 +28,23 @@ class PoweredChip:
         self.frozen = never
 
     def answers(self, now_ns: int) -> bool:
+        """Whether the chip acknowledges its address now."""
         return self.powered
 
+    @abstractmethod
+    def write(self, data: bytes, now_ns: int) -> None:
+        """Take the bytes of one write."""
+
+    @abstractmethod
+    def read(self, count: int, now_ns: int) -> bytes:
+        """The bytes of one read."""
+
     def general_call(self, data: bytes, now_ns: int) -> None:
+        """Take bytes sent to everybody."""
         return
 
     def set_power(self, on: bool, now_ns: int) -> None:
+        """Power comes or goes."""
         if on and not self.powered:
             self.reset(now_ns)
         self.powered = on
@@ -67,6 +79,7 @@ class RegisterChip(PoweredChip):
 
     def latch(self, now_ns: int) -> None:
         """Bring the data registers up to the newest sample; called once at the start of each read."""
+        return
 
     def next_register(self, register: int) -> int:
         """The register read after `register` in a burst."""

@@ -45,8 +45,8 @@ class Nau7802Chip(RegisterChip):
 
     def read_register(self, register: int, now_ns: int) -> int:
         if register == PU_CTRL:
-            up = self._control & _PUD and now_ns - self._digital_ns >= POWER_UP_NS
-            return self._control | (_PUR if up else 0) | (_CR if self._ready else 0)
+            ready = self._control & _PUD and now_ns - self._digital_ns >= POWER_UP_NS
+            return self._control | (_PUR if ready else 0) | (_CR if self._ready else 0)
         if register == CTRL2:
             value = self._registers.get(CTRL2, 0) & ~_CALS
             return value | (_CALS if now_ns < self._calibrated_ns else 0)
@@ -67,8 +67,8 @@ class Nau7802Chip(RegisterChip):
         middle = self._started_ns + round((tick - 0.5) * period)
         (bridge,) = self._inputs(middle)
         gain = 1 << (self._registers.get(CTRL1, 0) & 7)
-        settled = min(1.0, tick / SETTLING)
-        counts = to_counts(bridge * settled * gain / 0.5 * 2**23, -(2**23), 2**23 - 1)
+        settling = min(1.0, tick / SETTLING)
+        counts = to_counts(bridge * settling * gain / 0.5 * 2**23, -(2**23), 2**23 - 1)
         self._data = counts.to_bytes(3, "big", signed=True)
 
     def _control_power(self, value: int, now_ns: int) -> None:
@@ -85,8 +85,8 @@ class Nau7802Chip(RegisterChip):
             self._restart(now_ns)
 
     def _converting(self) -> bool:
-        needed = _PUD | _PUA | _CS
-        return self._control & needed == needed and not self._control & _RR
+        running = _PUD | _PUA | _CS
+        return self._control & running == running and not self._control & _RR
 
     def _restart(self, now_ns: int) -> None:
         self._started_ns, self._tick, self._ready = now_ns, 0, False

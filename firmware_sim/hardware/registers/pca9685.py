@@ -49,16 +49,16 @@ class Pca9685Chip(RegisterChip):
     # ---------------------------------------------------------------------------------------- the bus
 
     def write(self, data: bytes, now_ns: int) -> None:
-        before = bytes(self._led)
+        old_values = bytes(self._led)
         if data:
             self._pointer = data[0]
         for value in data[1:]:
             self.write_register(self._pointer, value, now_ns)
             self._pointer = self.next_register(self._pointer)
-        written = any(LED0 <= data[0] + i <= LED15_END for i in range(len(data) - 1)) if data else False
-        if written and self._restart and not self._mode1 & SLEEP and not self._mode2 & OCH:
+        touches_pwm = any(LED0 <= data[0] + i <= LED15_END for i in range(len(data) - 1)) if data else False
+        if touches_pwm and self._restart and not self._mode1 & SLEEP and not self._mode2 & OCH:
             self._restart, self._running = False, True  # section 7.3.1.1: writing a PWM register clears RESTART too
-        if self._running and (bytes(self._led) != before or self._values[-1] is None):
+        if self._running and (bytes(self._led) != old_values or self._values[-1] is None):
             self._act(max(self._cycle_end(now_ns), self._first_ns))
 
     def next_register(self, register: int) -> int:

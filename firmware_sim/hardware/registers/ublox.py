@@ -21,7 +21,7 @@ _WEEK_MS = 7 * 86_400_000
 
 
 @dataclass(frozen=True, slots=True)
-class Fix:
+class ReceiverFix:
     """One navigation solution as the receiver believes it; degrees, metres, metres per second, seconds."""
 
     utc_ns: int  # since 1970
@@ -53,7 +53,7 @@ def fletcher(body: bytes) -> bytes:
     return bytes([a, b])
 
 
-def nav_pvt(fix: Fix) -> bytes:
+def nav_pvt(fix: ReceiverFix) -> bytes:
     """UBX-NAV-PVT of one fix, 100 bytes."""
     whole_s, fraction_ns = divmod(fix.utc_ns, 1_000_000_000)
     if fraction_ns > 500_000_000:  # nano is signed; seconds are rounded to the nearest
@@ -121,7 +121,7 @@ class UbloxReceiver:
         self.enabled = self._saved_period_ms is not None
         self._pending.clear()
 
-    def report(self, fix: Fix) -> bytes:
+    def report(self, fix: ReceiverFix) -> bytes:
         """The bytes sent for a fix."""
         return nav_pvt(fix) if self.enabled else b""
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from daq.contract.durable import write_text
 from estimation.aircraft import Aircraft
-from firmware_sim.toml_text import toml_text
+from firmware_sim.tables import toml_text
 
 _SECTIONS = {"imu": "imu", "alpha_vane": "alpha_vane", "beta_vane": "beta_vane", "gps": "gnss"}
 """Name in the aircraft's file -> table of the scenario's [sensors]."""
@@ -25,12 +25,12 @@ def placed(aircraft: Aircraft) -> dict[str, Any]:
 def calibration_of(aircraft: Aircraft, directory: Path, folder: Path) -> Path:
     """The calibration directory with the aircraft's positions: itself where they are there, else a copy in `folder`."""
     texts = {file.name: file.read_text(encoding="utf-8") for file in sorted(directory.glob("*.toml"))}
-    moved = {name: changed for name, text in texts.items() if (changed := _moved(text, aircraft)) is not None}
-    if not moved:
+    changed_files = {name: changed for name, text in texts.items() if (changed := _moved(text, aircraft)) is not None}
+    if not changed_files:
         return directory
     copy = folder / "calibration"
     copy.mkdir(parents=True, exist_ok=True)
-    for name, text in {**texts, **moved}.items():
+    for name, text in {**texts, **changed_files}.items():
         write_text(copy / name, text)
     return copy
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from daq.contract.constants import ROUND_EARTH_RADIUS
-from firmware_sim.hardware.registers.ublox import Fix, UbloxReceiver
+from firmware_sim.hardware.registers.ublox import ReceiverFix, UbloxReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments
 
 BAUD = 115_200
@@ -59,13 +59,13 @@ class GnssReceiver:
     def bytes_until(self, now_ns: int) -> bytes:
         self._navigate(now_ns)
         arrived = b""
-        left = []
+        pending = []
         for start_ns, data in self._on_line:
             count = max(0, min(len(data), int((now_ns - start_ns) * 1e-9 * BAUD / 10.0)))
             arrived += data[:count]
             if count < len(data):
-                left.append((start_ns + round(count * 10.0 / BAUD * 1e9), data[count:]))
-        self._on_line = left
+                pending.append((start_ns + round(count * 10.0 / BAUD * 1e9), data[count:]))
+        self._on_line = pending
         return arrived
 
     def newest_pulse(self, now_ns: int) -> int | None:
@@ -83,8 +83,8 @@ class GnssReceiver:
         return self._pulse[1] if self._pulse[1] <= now_ns else None
 
     def _monotonic_ns(self, utc_ns: int) -> int:
-        since = utc_ns - self._start_utc_ns
-        return self._instruments.origin_ns + since - round(since * self._model.clock_drift_ppm * 1e-6)
+        elapsed_ns = utc_ns - self._start_utc_ns
+        return self._instruments.origin_ns + elapsed_ns - round(elapsed_ns * self._model.clock_drift_ppm * 1e-6)
 
     def _navigate(self, now_ns: int) -> None:
         """Solve all epochs whose message has begun to leave by now."""
@@ -101,10 +101,12 @@ class GnssReceiver:
             message = self._ublox.report(self._fix(epoch_ns, at_ns, period_ns))
             self._on_line.append((at_ns + latency_ns, self._corrupt(message, at_ns)))
 
-    def _fix(self, epoch_ns: int, at_ns: int, period_ns: int) -> Fix:
+    def _fix(self, epoch_ns: int, at_ns: int, period_ns: int) -> ReceiverFix:
         m = self._model
         if at_ns < self._silent_until:
-            return Fix(epoch_ns, 0, 0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0, 4294967.0, 4294967.0, 20.0, resolved=False)
+            return ReceiverFix(
+                epoch_ns, 0, 0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), 1.0, 4294967.0, 4294967.0, 20.0, resolved=False
+            )
         memory = math.exp(-period_ns * 1e-9 / m.drift_time_s)
         self._wander = memory * self._wander + math.sqrt(1.0 - memory**2) * self._rng.standard_normal(3)
         north, east, up = self._wander * (m.horizontal_m, m.horizontal_m, m.vertical_m)
@@ -113,7 +115,7 @@ class GnssReceiver:
         )(at_ns)
         metres_per_degree = math.pi / 180.0 * ROUND_EARTH_RADIUS
         noise = m.velocity_m_s * self._rng.standard_normal(3)
-        return Fix(
+        return ReceiverFix(
             utc_ns=epoch_ns,
             fix_type=3,
             satellites=14,

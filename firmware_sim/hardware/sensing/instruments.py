@@ -15,8 +15,15 @@ from numpy.typing import NDArray
 
 from daq.contract.constants import GAS_CONSTANT, HEAT_RATIO
 from firmware_sim.hardware.registers.chip import Inputs
-from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels, TriadModel, VaneModel
-from firmware_sim.hardware.sensing.signals import AT, SIGNALS
+from firmware_sim.hardware.sensing.sensor_models import (
+    AT,
+    NAU7802_GAIN,
+    REFERENCE_TEMPERATURE,
+    SIGNALS,
+    SensorModels,
+    TriadModel,
+    VaneModel,
+)
 from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.world.truth import Truth
 
@@ -25,7 +32,6 @@ Array = NDArray[np.float64]
 GRID_S = 0.005
 HISTORY_S = 4.0  # how far back a chip may still look
 LOWEST_SPEED = 3.0  # m/s; below this the rotation of a vane's place is not divided by ever smaller speeds
-REFERENCE_TEMPERATURE = 298.15
 SUPPLY_NOMINAL_V = 5.0
 
 _HELD = AT["pwm_1"]  # from here on signals hold between grid points
@@ -79,20 +85,20 @@ class Instruments:
             raise ValueError(
                 f"{time_ns} ns lies more than {HISTORY_S} s before the newest signal; nothing is kept that long"
             )
-        before, after = self._rows[k - self._first], self._rows[k + 1 - self._first]
+        first_row, second_row = self._rows[k - self._first], self._rows[k + 1 - self._first]
         share = position - k
-        row = before + share * (after - before)
-        row[_HELD:] = before[_HELD:]
+        row = first_row + share * (second_row - first_row)
+        row[_HELD:] = first_row[_HELD:]
         self._last_time_ns, self._last = time_ns, row
         return row
 
     def inputs(self, *names: str) -> Inputs:
         """The named signals as a function of monotonic time."""
-        where = [AT[name] for name in names]
-        if len(where) == where[-1] - where[0] + 1:
-            part = slice(where[0], where[-1] + 1)
+        indices = [AT[name] for name in names]
+        if len(indices) == indices[-1] - indices[0] + 1:
+            part = slice(indices[0], indices[-1] + 1)
             return lambda time_ns: self.at(time_ns)[part]
-        return lambda time_ns: self.at(time_ns)[where]
+        return lambda time_ns: self.at(time_ns)[indices]
 
     @property
     def biases(self) -> dict[str, Array]:
@@ -127,11 +133,14 @@ class Instruments:
         supply = m.supply.sensor_v + m.supply.sensor_v_per_main_v * (truth.supply_voltage - 12.0)
         ratio = supply / SUPPLY_NOMINAL_V
         alpha, beta = self._local_flow(truth)
-        for at, vane, angle in ((10, m.alpha_vane, self._alpha.step(alpha)), (11, m.beta_vane, self._beta.step(beta))):
-            row[at] = ratio * (vane.centre_v + (vane.volts_per_rad + vane.cubic_v_per_rad3 * angle * angle) * angle)
+        for index, vane, angle in (
+            (10, m.alpha_vane, self._alpha.step(alpha)),
+            (11, m.beta_vane, self._beta.step(beta)),
+        ):
+            row[index] = ratio * (vane.centre_v + (vane.volts_per_rad + vane.cubic_v_per_rad3 * angle * angle) * angle)
         pots = ((12, m.elevon_left, s.arm_left), (13, m.elevon_right, s.arm_right), (14, m.rudder, s.arm_r))
-        for at, pot, angle in pots:
-            row[at] = ratio * (pot.centre_v + (pot.volts_per_rad + pot.cubic_v_per_rad3 * angle * angle) * angle)
+        for index, pot, angle in pots:
+            row[index] = ratio * (pot.centre_v + (pot.volts_per_rad + pot.cubic_v_per_rad3 * angle * angle) * angle)
         row[15] = truth.supply_voltage / m.supply.main_divider
         row[16] = supply / m.supply.sensor_divider
         row[17:22] = m.analog_v

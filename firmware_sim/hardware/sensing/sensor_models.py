@@ -9,11 +9,28 @@ then has to be calibrated on the bench.
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.bus import BusModel
-from firmware_sim.hardware.sensing.signals import SIGNALS
+from firmware_sim.tables import SimulatorTable, checked, merged
+
+SIGNALS: tuple[str, ...] = tuple(
+    (
+        "accel_x accel_y accel_z gyro_x gyro_y gyro_z imu_temperature "  # body axes, m/s2, rad/s, K
+        "mag_x mag_y mag_z "  # body axes, T
+        "alpha_vane beta_vane elevon_left_pot elevon_right_pot rudder_pot "  # V
+        "supply sensor_supply analog_1 analog_2 analog_3 analog_4 analog_5 "  # V at the converter
+        "pitot_pressure pitot_temperature static_pressure static_temperature "  # Pa, K
+        "thrust_bridge "  # V/V
+        "latitude longitude altitude velocity_north velocity_east velocity_down "  # deg, deg, m, m/s
+        "pwm_1 pwm_2 pwm_3 pwm_4 pwm_5 pwm_6 "  # s
+        "digital_1 digital_2 digital_3 digital_4 digital_5"
+    ).split()
+)
+"""Unit and axes as commented; `pwm_1` and all after it hold between grid points."""
+
+AT = {name: i for i, name in enumerate(SIGNALS)}
+
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -23,14 +40,11 @@ Sigma = Annotated[float, Field(ge=0.0)]
 _ZERO: Vector = (0.0, 0.0, 0.0)
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 COUNTS_PER_NEWTON = 40_000.0
+REFERENCE_TEMPERATURE = 298.15  # K, at which biases are as stated
 NAU7802_GAIN = 128.0
 
 
-class _SensorModelTable(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class TriadModel(_SensorModelTable):
+class TriadModel(SimulatorTable):
     """Three axes: reading = matrix true + bias + bias_per_kelvin (T - 298.15 K) + noise, in body axes."""
 
     matrix: Matrix = Field(default=_IDENTITY, description="scale factors and misalignment (magnetometer: soft iron)")
@@ -40,7 +54,7 @@ class TriadModel(_SensorModelTable):
     noise: Vector = Field(default=_ZERO, description="standard deviation of a sample")
 
 
-class ImuModel(_SensorModelTable):
+class ImuModel(SimulatorTable):
     """[sensors.imu]: ICM-20948. body_from_chip: matrix that turns printed chip axes into body axes (chip face down)."""
 
     position: Vector = _ZERO
@@ -50,13 +64,13 @@ class ImuModel(_SensorModelTable):
     die_above_air_k: float = Field(default=8.0, description="self-heating of the board [K]")
 
 
-class MagModel(_SensorModelTable):
+class MagModel(SimulatorTable):
     """[sensors.mag]: AK09916 inside the ICM-20948."""
 
     field: TriadModel = TriadModel(noise=(0.4e-6, 0.4e-6, 0.4e-6))
 
 
-class VaneModel(_SensorModelTable):
+class VaneModel(SimulatorTable):
     """[sensors.alpha_vane], [sensors.beta_vane]: a balanced vane on a potentiometer or Hall sensor.
 
     The vane follows the local flow as a second-order system; its delay at low frequency is damping / (pi frequency_hz).
@@ -76,7 +90,7 @@ class VaneModel(_SensorModelTable):
     cubic_v_per_rad3: float = Field(default=0.0, description="curvature of the transfer [V/rad3]")
 
 
-class PotentiometerModel(_SensorModelTable):
+class PotentiometerModel(SimulatorTable):
     """[sensors.elevon_left], [sensors.elevon_right], [sensors.rudder_pot]."""
 
     centre_v: float = 2.5
@@ -85,7 +99,7 @@ class PotentiometerModel(_SensorModelTable):
     cubic_v_per_rad3: float = 0.0
 
 
-class SupplyModel(_SensorModelTable):
+class SupplyModel(SimulatorTable):
     """[sensors.supply]: the 5 V sensor supply, to which vanes and potentiometers are ratiometric, and the dividers."""
 
     sensor_v: float = 5.0
@@ -95,7 +109,7 @@ class SupplyModel(_SensorModelTable):
     sensor_divider: Positive = 2.0
 
 
-class PitotModel(_SensorModelTable):
+class PitotModel(SimulatorTable):
     """[sensors.pitot]: MS4525DO, +-1 psi. factor multiplies the impact pressure (position error of the total port)."""
 
     factor: Positive = 1.0
@@ -108,7 +122,7 @@ class PitotModel(_SensorModelTable):
     die_above_air_k: float = 3.0
 
 
-class StaticModel(_SensorModelTable):
+class StaticModel(SimulatorTable):
     """[sensors.static]: BMP390. position_error: (measured - true static pressure) / dynamic pressure."""
 
     position_error: float = 0.0
@@ -118,7 +132,7 @@ class StaticModel(_SensorModelTable):
     die_above_air_k: float = 0.0
 
 
-class ThrustModel(_SensorModelTable):
+class ThrustModel(SimulatorTable):
     """[sensors.thrust]: load cell behind a NAU7802 at gain 128."""
 
     counts_per_newton: float = COUNTS_PER_NEWTON
@@ -126,13 +140,13 @@ class ThrustModel(_SensorModelTable):
     noise_n: Sigma = 0.05
 
 
-class CaptureModel(_SensorModelTable):
+class CaptureModel(SimulatorTable):
     """[sensors.capture]: the pulse-measuring co-processor."""
 
     jitter_us: Sigma = 0.1
 
 
-class GnssModel(_SensorModelTable):
+class GnssModel(SimulatorTable):
     """[sensors.gnss]: u-blox receiver."""
 
     position: Vector = (0.10, 0.0, -0.03)
@@ -151,7 +165,7 @@ class GnssModel(_SensorModelTable):
     )
 
 
-class SensorModels(_SensorModelTable):
+class SensorModels(SimulatorTable):
     """The whole table `[sensors]`, with `[sensors.bus]` and `[sensors.delays]`."""
 
     unit: Annotated[int, Field(ge=0)] = 0
@@ -193,18 +207,4 @@ def parse_sensors(table: Mapping[str, Any], where: str) -> SensorModels:
 
     A table given in part keeps the defaults of its instrument for the rest.
     """
-    try:
-        return SensorModels.model_validate(merged(SensorModels().model_dump(), table))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(["sensors", *(str(part) for part in first["loc"])])
-        raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}") from error
-
-
-def merged(defaults: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables with the given keys replaced, key by key at every depth."""
-    result = dict(defaults)
-    for key, value in given.items():
-        old = result.get(key)
-        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return result
+    return checked(SensorModels, merged(SensorModels().model_dump(), table), where, "sensors")

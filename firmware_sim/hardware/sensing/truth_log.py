@@ -1,4 +1,4 @@
-"""Keeping the truth that the instruments were shown: in memory for a test, in a file for a flight."""
+"""The truth that the instruments were shown, in a file beside the flight."""
 
 import csv
 import math
@@ -7,39 +7,12 @@ from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daq.contract.durable import whole_text
 from firmware_sim.hardware.sensing.instruments import GRID_S, HISTORY_S, TruthSource
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
 
 _TIME = TRUTH_COLUMNS.index("time")
 _TURNING = (TRUTH_COLUMNS.index("phi"), TRUTH_COLUMNS.index("psi"))
-
-
-class TruthLog:
-    """A truth source that keeps the flight columns of all it has shown."""
-
-    def __init__(self, source: TruthSource) -> None:
-        self._source = source
-        self._rows: list[list[float]] = []
-
-    def advance(self, to_time: float) -> Truth:
-        """The truth at `to_time` [s]."""
-        truth = self._source.advance(to_time)
-        self._rows.append(_row(truth))
-        return truth
-
-    def at(self, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """TRUTH_COLUMNS at `times` [s], straight between the grid points, (times,) each."""
-        rows = np.array(self._rows, float).T
-        columns = {}
-        for i, (name, values) in enumerate(zip(TRUTH_COLUMNS, rows, strict=True)):
-            line = np.interp(times, rows[_TIME], np.unwrap(values) if i in _TURNING else values)
-            columns[name] = (line + math.pi) % (2.0 * math.pi) - math.pi if i in _TURNING else line
-        columns["time"] = np.asarray(times, float)
-        return columns
 
 
 def _row(truth: Truth) -> list[float]:
@@ -68,13 +41,13 @@ class TruthFile:
     def at(self, time: float) -> list[float]:
         """TRUTH_COLUMNS at a time of the last seconds [s], straight between the grid points."""
         k = bisect_right(self._rows, time, key=lambda row: row[_TIME])
-        after = self._rows[min(k, len(self._rows) - 1)]
-        before = self._rows[max(k - 1, 0)]
-        span = after[_TIME] - before[_TIME]
-        share = (time - before[_TIME]) / span if span > 0.0 else 0.0
-        row = [a + share * (b - a) for a, b in zip(before, after, strict=True)]
+        second_row = self._rows[min(k, len(self._rows) - 1)]
+        first_row = self._rows[max(k - 1, 0)]
+        span = second_row[_TIME] - first_row[_TIME]
+        share = (time - first_row[_TIME]) / span if span > 0.0 else 0.0
+        row = [a + share * (b - a) for a, b in zip(first_row, second_row, strict=True)]
         for i in _TURNING:  # the short way round
-            row[i] = before[i] + share * math.remainder(after[i] - before[i], 2.0 * math.pi)
+            row[i] = first_row[i] + share * math.remainder(second_row[i] - first_row[i], 2.0 * math.pi)
         row[_TIME] = time
         return row
 

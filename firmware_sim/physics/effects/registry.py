@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 
-from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.effects import actuator, airframe, sensor, sudden, uncatalogued
 from firmware_sim.physics.effects.base import HiddenEffect
 from firmware_sim.physics.effects.table import ROWS
 from firmware_sim.physics.maths import Value
+from firmware_sim.tables import ScenarioError
 
 EFFECTS: Mapping[str, type[HiddenEffect]] = {effect.name: effect for effect in ROWS} | {
     effect.name: effect

@@ -1,7 +1,55 @@
 """Quantities of a flight that say the same twice, and by how much they contradict each other: for import, check, preflight,
 recipe and estimate alike."""
 
-from groundstation.flight.contradictions.contradiction import Contradiction
-from groundstation.flight.contradictions.table import CONTRADICTIONS, contradictions, contradictions_of
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+from groundstation.flight.contradictions import air, motion
+from groundstation.flight.contradictions.contradiction import Contradiction, contradiction_from_json
+from groundstation.flight.contradictions.fits import FEWEST_BLOCKS, Array, Columns
+from groundstation.flight.flight import Flight
 
 __all__ = ["CONTRADICTIONS", "Contradiction", "contradictions", "contradictions_of"]
+
+CONTRADICTIONS = "contradictions"
+"""Key of a provenance's detail: those that an import saw in the log itself, which the columns of the flight no longer show."""
+
+COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
+    air.speed_and_pressure,
+    air.scale_against_ground,
+    air.density_twice,
+    air.pressure_and_height,
+    motion.gyros_and_attitude,
+    motion.acceleration_and_velocity,
+    motion.heading_and_course,
+    motion.command_and_surface,
+    motion.magnetic_field,
+)
+"""Each compares two ways to one quantity; all see the same measured columns."""
+
+
+def contradictions_of(time: Array, columns: Mapping[str, Array]) -> tuple[Contradiction, ...]:
+    """What arrays contradict of each other. time: (N,) [s]; columns: name -> (N,), SI, named as in `daq.contract.channels`;
+    NaN and columns without a value count as not measured."""
+    measured = {n: np.asarray(v, float) for n, v in columns.items() if np.isfinite(v).sum() >= FEWEST_BLOCKS}
+    with np.errstate(all="ignore"):  # absurd values, which are contradictions themselves or named elsewhere
+        return tuple(c for compare in COMPARISONS for c in compare(np.asarray(time, float), measured))
+
+
+def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
+    """Those of a flight: what its import saw in the log, and what its columns show.
+
+    An airspeed that was reconstructed is not held against what it was made from: the measured one is.
+    """
+    columns = dict(flight.columns)
+    airspeed = columns.pop("V_measured", None)
+    if airspeed is not None and "V" in flight.reconstructed:
+        columns["V"] = airspeed
+    for name in flight.reconstructed:
+        if name != "V":
+            columns.pop(name, None)
+    entries = flight.provenance.detail.get(CONTRADICTIONS)
+    imported = map(contradiction_from_json, entries if isinstance(entries, list | tuple) else ())
+    candidates = (*filter(None, imported), *contradictions_of(flight.time, columns))
+    return tuple({(c.between, c.text): c for c in candidates}.values())

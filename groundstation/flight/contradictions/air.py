@@ -14,17 +14,13 @@ from groundstation.flight.atmosphere import (
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
 
-PRESSURE_TOLERANCE = 0.08
-"""Of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %."""
-SCALE_TOLERANCE = 0.08
-"""Of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %."""
-DENSITY_TOLERANCE = 0.08
-"""Between two densities: 25 K of temperature, or a day of strange pressure and 10 K."""
+PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %
+SCALE_TOLERANCE = 0.08  # of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %
+DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day of strange pressure and 10 K
 SIGMAS = 4.0
-TELLS_APART = 9.0
-"""Difference of chi-square by which the motion favours one scale of V over another: three sigmas."""
-CREDIBLE_SCALE = 0.1
-"""A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours."""
+TELLS_APART = 9.0  # difference of chi-square by which the motion favours one scale of V over another: three sigmas
+CREDIBLE_SCALE = 0.1  # A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours
+PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
 def air_density(c: Columns) -> tuple[Array, str] | None:
@@ -55,41 +51,36 @@ def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
     dense = air_density(c) if name == "V" else (np.full_like(c[name], SEA_LEVEL_DENSITY), "sea-level density")
     if dense is None:
         return
-    ratio = ratio_of(0.5 * dense[0] * c[name] ** 2, np.where(c["p_dynamic"] > 0.0, c["p_dynamic"], np.nan))
+    air, source = dense
+    ratio = ratio_of(0.5 * air * c[name] ** 2, np.where(c["p_dynamic"] > 0.0, c["p_dynamic"], np.nan))
     if ratio is None or not ratio.differs_from(1.0, PRESSURE_TOLERANCE, SIGMAS):
         return
-    favoured, why = _favoured(scale_by_ground(time, c) if name == "V" else None, name, ratio.value)
-    implied = float(np.nanmedian(2.0 * np.where(c["p_dynamic"] > 0, c["p_dynamic"], np.nan) / c[name] ** 2))
-    pressure = (
-        f"density from both would be {implied:.3g} against {float(np.nanmedian(dense[0])):.3g} kg/m3 by {dense[1]}"
-    )
-    if favoured == name:
-        moves = f"none with {name} and {dense[1]}; every one by {abs(ratio.value - 1):.0%} if p_dynamic were taken"
-    else:
-        moves = f"every derivative by {abs(ratio.value - 1):.0%}, if p_dynamic is right"
+    favoured, evidence = _favoured(scale_by_ground(time, c) if name == "V" else None, name, ratio.value)
+    implied = _median(2.0 * np.where(c["p_dynamic"] > 0, c["p_dynamic"], np.nan) / c[name] ** 2)
     text = (
         f"{name} and p_dynamic contradict each other: the dynamic pressure of {name} is {ratio.value:.3g} times p_dynamic "
-        f"({pressure}); {why}"
+        f"(density from both would be {implied:.3g} against {_median(air):.3g} kg/m3 by {source}); {evidence}"
     )
-    yield Contradiction(
-        (name, "p_dynamic"), text, ratio.value, std=ratio.std, favoured=favoured, moves=moves, stops=favoured != name
-    )
+    moves = f"every derivative by {abs(ratio.value - 1):.0%}, if p_dynamic is right"
+    if favoured == name:
+        moves = f"none with {name} and {source}; every one by {abs(ratio.value - 1):.0%} if p_dynamic were taken"
+    yield _by_ratio((name, "p_dynamic"), text, ratio, favoured, moves, stops=favoured != name)
 
 
 def _favoured(scale: tuple[FitWithError, FitWithError] | None, name: str, ratio: float) -> tuple[str, str]:
     """The side that the motion favours, and why. ratio: dynamic pressure of V over the one measured."""
     if scale is None:
         return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"
-    found = scale[0]
-    said = f"ground velocity on several headings makes V {found.value:.2f} +- {found.std:.2f} times what it is"
-    needed = {name: 1.0, "p_dynamic": ratio**-0.5}
-    off = {side: (found.value - k) / max(found.std, 1e-6) for side, k in needed.items()}
-    best = min(off, key=lambda side: abs(off[side]))
-    other = next(side for side in off if side != best)
-    apart = off[other] ** 2 - off[best] ** 2
-    if apart < TELLS_APART or abs(found.value - needed[best]) > max(CREDIBLE_SCALE * needed[best], 2.0 * found.std):
-        return "", f"{said}, which does not tell which is right: check the pitot's ratio and the density"
-    return best, f"{said}, which favours {best}"
+    fit = scale[0]
+    evidence = f"ground velocity on several headings makes V {fit.value:.2f} +- {fit.std:.2f} times what it is"
+    scales = {name: 1.0, "p_dynamic": ratio**-0.5}
+    sigmas = {side: (fit.value - factor) / max(fit.std, 1e-6) for side, factor in scales.items()}
+    closest, further = sorted(sigmas, key=lambda side: abs(sigmas[side]))
+    chi_square = sigmas[further] ** 2 - sigmas[closest] ** 2
+    tolerance = max(CREDIBLE_SCALE * scales[closest], 2.0 * fit.std)
+    if chi_square < TELLS_APART or abs(fit.value - scales[closest]) > tolerance:
+        return "", f"{evidence}, which does not tell which is right: check the pitot's ratio and the density"
+    return closest, f"{evidence}, which favours {closest}"
 
 
 def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -97,49 +88,50 @@ def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
     scale = scale_by_ground(time, c)
     if scale is None or not scale[0].differs_from(1.0, SCALE_TOLERANCE, SIGMAS):
         return
-    found = scale[0]
+    fit = scale[0]
     text = (
-        f"V and ground velocity contradict each other: on several headings the true airspeed is {found.value:.3g} +- "
-        f"{found.std:.2g} times V{_looks_equivalent(c, found)}"
+        f"V and ground velocity contradict each other: on several headings the true airspeed is {fit.value:.3g} +- "
+        f"{fit.std:.2g} times V{_looks_equivalent(c, fit)}"
     )
-    yield Contradiction(
-        ("V", "vn", "ve"), text, found.value, std=found.std, favoured="vn, ve",
-        moves=f"every derivative by up to {abs(found.value**2 - 1.0):.0%}", stops=True,
-    )  # fmt: skip
+    moves = f"every derivative by up to {abs(fit.value**2 - 1.0):.0%}"
+    yield _by_ratio(("V", "vn", "ve"), text, fit, "vn, ve", moves, stops=True)
 
 
-def _looks_equivalent(c: Columns, found: FitWithError) -> str:
+def _by_ratio(
+    between: tuple[str, ...], text: str, ratio: FitWithError, favoured: str, moves: str, *, stops: bool
+) -> Contradiction:
+    return Contradiction(between, text, ratio.value, std=ratio.std, favoured=favoured, moves=moves, stops=stops)
+
+
+def _median(values: Array) -> float:
+    return float(np.nanmedian(values))
+
+
+def _looks_equivalent(c: Columns, fit: FitWithError) -> str:
     """A hint that an airspeed which is too small by the root of the density is equivalent, not true."""
     dense = air_density(c)
     if dense is None:
         return ""
-    middle = float(np.nanmedian(dense[0]))
+    middle = _median(dense[0])
     factor = float(np.sqrt(SEA_LEVEL_DENSITY / middle))
-    alike = abs(found.value / factor - 1.0) < 0.5 * SCALE_TOLERANCE + 2.0 * found.std
-    if factor < 1.0 + 0.5 * SCALE_TOLERANCE or not alike:
+    agrees = abs(fit.value / factor - 1.0) < 0.5 * SCALE_TOLERANCE + 2.0 * fit.std
+    if factor < 1.0 + 0.5 * SCALE_TOLERANCE or not agrees:
         return ""
     return f"; it looks like equivalent airspeed, which at {middle:.3g} kg/m3 is {1 / factor:.2f} of the true one"
 
 
 def density_twice(time: Array, c: Columns) -> Iterator[Contradiction]:
     """A column rho against static pressure with temperature, or altitude."""
-    other = independent_density({n: v for n, v in c.items() if n != "altitude"}) if "rho" in c else None
-    if other is None:
+    independent = independent_density({n: v for n, v in c.items() if n != "altitude"}) if "rho" in c else None
+    if independent is None:
         return
-    ratio = ratio_of(c["rho"], other[0])
+    air, source = independent
+    ratio = ratio_of(c["rho"], air)
     if ratio is None or not ratio.differs_from(1.0, DENSITY_TOLERANCE, SIGMAS):
         return
-    text = (
-        f"rho is {ratio.value:.3g} times the density that {other[1]} gives ({float(np.nanmedian(other[0])):.3g} kg/m3)"
-    )
-    yield Contradiction(
-        ("rho", *other[1].split(" and ")), text, ratio.value, std=ratio.std, favoured=other[1],
-        moves=f"every derivative by {abs(ratio.value - 1):.0%}", stops=True,
-    )  # fmt: skip
-
-
-PRESSURE_ALTITUDE = 600.0
-"""[m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes."""
+    text = f"rho is {ratio.value:.3g} times the density that {source} gives ({_median(air):.3g} kg/m3)"
+    moves = f"every derivative by {abs(ratio.value - 1):.0%}"
+    yield _by_ratio(("rho", *source.split(" and ")), text, ratio, source, moves, stops=True)
 
 
 def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -151,10 +143,7 @@ def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
         return
     text = (
         f"p_static belongs to air {ratio.value:.3g} times as dense as at the height by GNSS "
-        f"({float(np.nanmedian(c['altitude_gnss'])):.0f} m); check the unit of either, and the static port"
+        f"({_median(c['altitude_gnss']):.0f} m); check the unit of either, and the static port"
     )
-    yield Contradiction(
-        ("p_static", "altitude_gnss"), text, ratio.value, std=ratio.std,
-        moves=f"every derivative by {abs(ratio.value - 1):.0%}, if density is taken from p_static and it is wrong",
-        stops="rho" not in c,
-    )  # fmt: skip
+    moves = f"every derivative by {abs(ratio.value - 1):.0%}, if density is taken from p_static and it is wrong"
+    yield _by_ratio(("p_static", "altitude_gnss"), text, ratio, "", moves, stops="rho" not in c)

@@ -30,38 +30,23 @@ class Contradiction:
 
     def to_json(self) -> dict[str, Any]:
         """As in the JSON of `import`, `check` and `analyse`."""
-        return {
-            "between": list(self.between),
-            "ratio": self.ratio,
-            "offset": self.offset,
-            "unit": self.unit,
-            "std": self.std if math.isfinite(self.std) else None,
-            "favoured": self.favoured,
-            "moves": self.moves,
-            "stops": self.stops,
-            "text": self.text,
-        }
+        names = ("ratio", "offset", "unit", "std", "favoured", "moves", "stops", "text")
+        values = {name: getattr(self, name) for name in names}
+        return {"between": list(self.between), **values, "std": self.std if math.isfinite(self.std) else None}
 
 
-def from_json(content: object) -> Contradiction | None:
+def contradiction_from_json(content: object) -> Contradiction | None:
     """A contradiction as a flight file carries it; None for what is none."""
     if not isinstance(content, Mapping):
         return None
-    between = tuple(one_line(name) for name in as_texts(content.get("between")))
+    sides = tuple(one_line(name) for name in as_texts(content.get("between")))
     text = content.get("text")
-    if not between or not isinstance(text, str):
+    if not sides or not isinstance(text, str):
         return None
-    return Contradiction(
-        between,
-        one_line(text),
-        _number(content.get("ratio")),
-        _number(content.get("offset")),
-        _word(content.get("unit")),
-        _number(content.get("std")) or math.nan,
-        _word(content.get("favoured")),
-        _word(content.get("moves")),
-        content.get("stops") is True,
-    )
+    ratio, offset, std = (_number(content.get(key)) for key in ("ratio", "offset", "std"))
+    unit, favoured, moves = (_word(content.get(key)) for key in ("unit", "favoured", "moves"))
+    stops = content.get("stops") is True
+    return Contradiction(sides, one_line(text), ratio, offset, unit, std or math.nan, favoured, moves, stops)
 
 
 def _number(value: object) -> float | None:

@@ -4,15 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
+
 Columns = Mapping[str, Array]
 
-BLOCK = 1.0
-"""Over so long [s] signals are averaged: slower than a Dutch roll's half period, faster than a turn."""
-WINDOW = 60.0
-"""Within so long [s] wind and slow errors are taken for constant."""
+BLOCK = 1.0  # [s] over which signals are averaged: slower than a Dutch roll's half period, faster than a turn
+WINDOW = 60.0  # [s] within which wind and slow errors are taken for constant
 FEWEST_BLOCKS = 8
 
 
@@ -25,20 +23,20 @@ class FitWithError:
 
     def differs_from(self, other: float, tolerance: float, sigmas: float) -> bool:
         """Whether it is further from another number than a tolerance and than chance."""
-        off = abs(self.value - other)
-        return off > tolerance and off > sigmas * self.std
+        distance = abs(self.value - other)
+        return distance > tolerance and distance > sigmas * self.std
 
 
-def blocks(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
+def block_means(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
     """Means over blocks of BLOCK seconds in which all is measured: window number of each block, and the means (m,) of each."""
-    good = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
-    if good.sum() < FEWEST_BLOCKS:
+    finite = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
+    if finite.sum() < FEWEST_BLOCKS:
         return np.zeros(0), tuple(np.zeros(0) for _ in signals)
-    t = time[good]
+    t = time[finite]
     number = np.floor((t - t[0]) / BLOCK).astype(np.int64)
     _, label, count = np.unique(number, return_inverse=True, return_counts=True)
     full = count >= 0.5 * np.median(count)
-    means = tuple((np.bincount(label, s[good]) / count)[full] for s in signals)
+    means = tuple((np.bincount(label, s[finite]) / count)[full] for s in signals)
     centre = (np.bincount(label, t) / count)[full]
     return np.floor((centre - t[0]) / WINDOW), means
 
@@ -50,7 +48,7 @@ def within_windows(window: Array, *values: Array) -> tuple[Array, ...]:
 
 
 def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Array] | None:
-    """Coefficients (k,) and their covariance (k, k), widened by the colour of the residuals; None where they cannot be told.
+    """Coefficients (k,) and their covariance (k, k), widened by the colour of the residuals; None where undetermined.
 
     windows: how many constants have been taken out before.
     """
@@ -60,9 +58,9 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
         return None
     normal = design.T @ design
     solved = np.linalg.solve(normal, design.T @ target)
-    left = target - design @ solved
-    spread = float(left @ left)
-    neighbours = float(left[1:] @ left[:-1]) / spread if spread > 0 else 0.0
+    residual = target - design @ solved
+    spread = float(residual @ residual)
+    neighbours = float(residual[1:] @ residual[:-1]) / spread if spread > 0 else 0.0
     rho = min(max(neighbours, 0.0), 0.9)
     variance = spread / free * (1.0 + rho) / (1.0 - rho)
     return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)
@@ -79,7 +77,9 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError
     if not all(n in c for n in ("V", "psi", "vn", "ve")):
         return None
     speed = horizontal_airspeed(c)
-    window, (north, east, vn, ve) = blocks(time, speed * np.cos(c["psi"]), speed * np.sin(c["psi"]), c["vn"], c["ve"])
+    window, (north, east, vn, ve) = block_means(
+        time, speed * np.cos(c["psi"]), speed * np.sin(c["psi"]), c["vn"], c["ve"]
+    )
     if window.size < FEWEST_BLOCKS:
         return None
     north, east, vn, ve = within_windows(window, north, east, vn, ve)

@@ -4,99 +4,93 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from groundstation.flight.arrays import Array, integral, slope_and_agreement, windows
 from groundstation.flight.contradictions.contradiction import Contradiction
-from groundstation.flight.contradictions.fits import Array, Columns, scale_by_ground
-from groundstation.flight.windows import line, summed, windows
+from groundstation.flight.contradictions.fits import Columns, scale_by_ground
+from groundstation.flight.kinematics import EULER_RATES, GYROS, earth_acceleration
 
-AGREEMENT = 0.9
-"""Share of a motion that has to be explained before its scale is judged."""
+Pairs = list[tuple[Array, Array]]
+
+AGREEMENT = 0.9  # share of a motion that has to be explained before its scale is judged
 SCALE_TOLERANCE = 0.12
 """Of an angle by its gyro, of velocity by acceleration: scale errors of uncalibrated sensors stay within 3 %, lags within 5 %."""
-MOST_SCALE = 2.0
-"""A scale beyond it is another unit, which `quality.plausibility` names."""
+MOST_SCALE = 2.0  # A scale beyond it is another unit, which `quality.plausibility` names
 HEADING_TOLERANCE = np.radians(12.0)
 """Between heading and course: declination that was not allowed for, or a compass beside a current."""
-FIELD = (2.2e-5, 6.7e-5)
-"""Strength of the magnetic field on Earth [T] (IGRF-13)."""
+FIELD = (2.2e-5, 6.7e-5)  # strength of the magnetic field on Earth [T] (IGRF-13)
 FIELD_TOLERANCE = 0.15
 SIGMAS = 4.0
 RECEIVER_LATE = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
 """[s] by which a receiver's velocity may be late: they filter, and are logged when they have come."""
 RECEIVER_SMOOTHS = 1.0
 """[s] over which both sides are averaged: fixes of 5 Hz and a receiver's filter lose a fifth of a Dutch roll of 1 Hz."""
-_DEG = 180.0 / np.pi
 
 
 def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
     """Each angle of attitude against what the gyros turn."""
     if not all(n in c for n in ("p", "q", "r", "phi", "theta", "psi")):
         return
-    sp, cp = np.sin(c["phi"]), np.cos(c["phi"])
-    turn = (c["q"] * sp + c["r"] * cp) / np.cos(c["theta"])
-    rates = {
-        ("phi", "p"): c["p"] + np.sin(c["theta"]) * turn,
-        ("theta", "q"): c["q"] * cp - c["r"] * sp,
-        ("psi", "r"): turn,
-    }
-    for (angle, gyro), rate in rates.items():
-        pairs = [(summed(t, b), np.unwrap(a)) for t, a, b in windows(time, c[angle], rate)]
-        slope, agreement = line(pairs)
-        if agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE:
+    for angle, gyro in GYROS.items():
+        rate = EULER_RATES[angle](c)
+        pairs = [(integral(t, b), np.unwrap(a)) for t, a, b in windows(time, c[angle], rate)]
+        slope, agreement = slope_and_agreement(pairs)
+        if _wrong_scale(slope, agreement):
             text = f"{angle} moves {slope:.3g} times as far as {gyro} turns: scale of a gyro, or of time"
             moves = f"derivatives by {gyro} and of its moment by {abs(slope - 1):.0%}"
-            yield Contradiction(
-                (angle, gyro), text, slope, std=_slope_std(slope, agreement, pairs), moves=moves, stops=True
-            )
+            std = _slope_std(slope, agreement, pairs)
+            yield Contradiction((angle, gyro), text, slope, std=std, moves=moves, stops=True)
+
+
+def _wrong_scale(slope: float, agreement: float) -> bool:
+    return agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE
 
 
 def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction]:
     """Specific force turned by attitude, with gravity, against the change of velocity by GNSS."""
-    if not all(n in c for n in ("ax", "ay", "az", "phi", "theta", "psi", "vn", "ve", "vd")):
+    velocities = ("vn", "ve", "vd")
+    if not all(n in c for n in ("ax", "ay", "az", "phi", "theta", "psi", *velocities)):
         return
-    north, east, down = _earth_acceleration(c)
     parts = [
-        (t, summed(t, push), speed)
-        for v, a in ((c["vn"], north), (c["ve"], east), (c["vd"], down))
-        for t, speed, push in windows(time, v, a)
+        (t, integral(t, push), speed)
+        for name, acceleration in zip(velocities, earth_acceleration(c), strict=True)
+        for t, speed, push in windows(time, c[name], acceleration)
     ]
-    slope, agreement, pairs = max((_as_late(parts, late) for late in RECEIVER_LATE), key=lambda found: found[1])
-    if agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE:
+    slope, agreement, pairs = max((_as_late(parts, delay) for delay in RECEIVER_LATE), key=lambda fit: fit[1])
+    if _wrong_scale(slope, agreement):
         text = (
             f"velocity by GNSS changes {slope:.3g} times as much as ax, ay, az with attitude and gravity make it: scale of "
             "either, or of time"
         )
         moves = f"force derivatives by {abs(slope - 1):.0%}, if the accelerometers are wrong"
         std = _slope_std(slope, agreement, pairs)
-        yield Contradiction(("vn", "ve", "vd", "ax", "ay", "az"), text, slope, std=std, moves=moves, stops=True)
+        yield Contradiction((*velocities, "ax", "ay", "az"), text, slope, std=std, moves=moves, stops=True)
 
 
-def _as_late(parts: list[tuple[Array, Array, Array]], late: float) -> tuple[float, float, list[tuple[Array, Array]]]:
-    """Slope, agreement and the pairs of `line` for a receiver so many seconds late, both sides without what it cannot follow."""
+def _as_late(parts: list[tuple[Array, Array, Array]], late: float) -> tuple[float, float, Pairs]:
+    """Slope, agreement and their pairs for a receiver so many seconds late, both sides without what it cannot follow."""
     pairs = []
     for t, push, speed in parts:
         width = max(1, round(RECEIVER_SMOOTHS / float(np.median(np.diff(t)))))
         kernel = np.full(width, 1.0 / width)
         if t.size > 2 * width:
-            moved = np.interp(t - late, t, push)
-            pairs.append((np.convolve(moved, kernel, "valid"), np.convolve(speed, kernel, "valid")))
-    return (*line(pairs), pairs)
+            shifted = np.interp(t - late, t, push)
+            pairs.append((np.convolve(shifted, kernel, "valid"), np.convolve(speed, kernel, "valid")))
+    return (*slope_and_agreement(pairs), pairs)
 
 
 def heading_and_course(time: Array, c: Columns) -> Iterator[Contradiction]:
     """Heading against the course over ground, wind taken out, on several headings."""
-    found = scale_by_ground(time, c)
-    if found is None or not found[1].differs_from(0.0, HEADING_TOLERANCE, SIGMAS):
+    fit = scale_by_ground(time, c)
+    if fit is None or not fit[1].differs_from(0.0, HEADING_TOLERANCE, SIGMAS):
         return
-    turn = found[1]
+    turn = fit[1]
     text = (
-        f"course by GNSS, wind taken out, lies {turn.value * _DEG:+.0f} +- {turn.std * _DEG:.0f} deg from psi: magnetic "
-        "declination, or a compass that is turned or disturbed"
+        f"course by GNSS, wind taken out, lies {np.degrees(turn.value):+.0f} +- {np.degrees(turn.std):.0f} deg from psi: "
+        "magnetic declination, or a compass that is turned or disturbed"
     )
-    yield Contradiction(
-        ("psi", "vn", "ve"), text, offset=turn.value, unit="rad", std=turn.std, favoured="vn, ve",
-        moves="wind, and the constant of a reconstructed sideslip; no derivative of a vane's",
-    )  # fmt: skip
+    moves = "wind, and the constant of a reconstructed sideslip; no derivative of a vane's"
+    sides, favoured = ("psi", "vn", "ve"), "vn, ve"
+    yield Contradiction(sides, text, None, turn.value, "rad", std=turn.std, favoured=favoured, moves=moves)
 
 
 def command_and_surface(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -106,13 +100,12 @@ def command_and_surface(time: Array, c: Columns) -> Iterator[Contradiction]:
         if command not in c or surface not in c:
             continue
         pairs = [(b, a) for _, a, b in windows(time, c[surface], c[command]) if np.std(b) > np.radians(0.5)]
-        slope, agreement = line(pairs)
+        slope, agreement = slope_and_agreement(pairs)
         if agreement > 0.8 and not 0.8 < slope < 1.25:
             text = f"{surface} moves {slope:.3g} times as far as {command} asks: trim and travel of the servo, or of the sensor"
-            yield Contradiction(
-                (surface, command), text, slope, std=_slope_std(slope, agreement, pairs), favoured=surface,
-                moves=f"control derivatives by {abs(slope - 1):.0%}, if the surface is wrong",
-            )  # fmt: skip
+            moves = f"control derivatives by {abs(slope - 1):.0%}, if the surface is wrong"
+            std = _slope_std(slope, agreement, pairs)
+            yield Contradiction((surface, command), text, slope, std=std, favoured=surface, moves=moves)
 
 
 def magnetic_field(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -131,16 +124,6 @@ def magnetic_field(time: Array, c: Columns) -> Iterator[Contradiction]:
     yield Contradiction(("mx, my, mz", "magnetic field of the Earth"), text, middle / 4.5e-5, std=spread / 4.5e-5)
 
 
-def _earth_acceleration(c: Columns) -> tuple[Array, Array, Array]:
-    """Acceleration NED [m/s2] from specific force in body axes and attitude."""
-    sf, cf, st, ct = np.sin(c["phi"]), np.cos(c["phi"]), np.sin(c["theta"]), np.cos(c["theta"])
-    sp, cp = np.sin(c["psi"]), np.cos(c["psi"])
-    ahead = c["ax"] * ct + (c["ay"] * sf + c["az"] * cf) * st
-    right = c["ay"] * cf - c["az"] * sf
-    down = -c["ax"] * st + (c["ay"] * sf + c["az"] * cf) * ct + GRAVITY
-    return ahead * cp - right * sp, ahead * sp + right * cp, down
-
-
-def _slope_std(slope: float, agreement: float, pairs: list[tuple[Array, Array]]) -> float:
+def _slope_std(slope: float, agreement: float, pairs: Pairs) -> float:
     """1 sigma of a slope over windows, each of which counts for two."""
     return float(abs(slope) * np.sqrt(max(1.0 - agreement, 0.0) / max(agreement * 2 * len(pairs), 1.0)))

@@ -1,21 +1,34 @@
-"""The columns of a CSV file with a header line of names, all of them numbers."""
+"""The columns of a CSV file of numbers with a header line of names.
+
+The fast road is Arrow's reader, ten times as fast as cell by cell. What it does not take - words, quotes over lines, rows of
+other lengths - is left to the slow road, which knows what to say.
+"""
 
 import csv
 import itertools
+import mmap
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import reduce
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
 from daq.contract.plain_words import one_line, plain_name
+from groundstation.flight.arrays import Array
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, MOST_ROWS
-from groundstation.flight.files.plain_csv import plain_columns
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_NUMBER = "1"  # unit of numbers without one
+_UNITS = {"time": "s", "segment": _NUMBER}
+_BLOCK = 2**22  # bytes parsed at once; a row that is longer goes by the slow road
+_TAGGED_NAN = re.compile(rb"nan\(", re.IGNORECASE)
 
 
 def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
@@ -28,36 +41,36 @@ def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
             _check_header(path, header, error)
             body, units = _without_units(path, header, rows, error)
             # rows.line_num: a quoted name can stand on several lines
-            plain = plain_columns(path, header, skip_lines=1 + units) if rows.line_num <= 2 else None
-            if plain is None:
+            columns = plain_columns(path, header, skip_lines=1 + units) if rows.line_num <= 2 else None
+            if columns is None:
                 cells = np.fromiter(itertools.chain.from_iterable(_numbers(path, header, body, error)), float)
-                plain = list(cells.reshape(-1, len(header)).T)
+                columns = list(cells.reshape(-1, len(header)).T)
     except UnicodeDecodeError as reason:
         raise error(f"{path}: not a text file ({reason.reason} at byte {reason.start}); a CSV is expected") from reason
     except csv.Error as reason:
         raise error(f"{path}: not a readable CSV ({reason})") from reason
-    return {h: values for h, values in zip(header, plain, strict=True) if h}
+    return {h: values for h, values in zip(header, columns, strict=True) if h}
 
 
 def _check_length(path: Path, error: type[UserError]) -> None:
     """Raise `error` for more rows than of a Parquet file: at a microsecond a row and more, a file of two-letter lines takes
     longer than anyone waits."""
-    most, lines = max(MOST_ROWS, path.stat().st_size // 4), 0
+    limit, lines = max(MOST_ROWS, path.stat().st_size // 4), 0
     with path.open("rb") as handle:
         while block := handle.read(2**20):
             lines += block.count(b"\n")
-            if lines > most + 2:
-                raise error(f"{path}: more than {most} rows; at most {most} are read; write it in parts")
+            if lines > limit + 2:
+                raise error(f"{path}: more than {limit} rows; at most {limit} are read; write it in parts")
 
 
 def _check_header(path: Path, header: list[str], error: type[UserError]) -> None:
-    if not any(header) or all(_is_number(h) for h in header):
+    if not any(header) or all(is_number(h) for h in header):
         raise error(f"{path}: the first line is not a header of column names (time,ax,ay,...)")
     if len(header) > MOST_COLUMNS:
         raise error(f"{path}: {len(header)} columns; at most {MOST_COLUMNS} are read")
-    twice = [name for name, count in Counter(header).items() if count > 1]
-    if twice:
-        raise error(f"{path}: column {plain_name(twice[0])} appears twice in the header")
+    duplicates = [name for name, count in Counter(header).items() if count > 1]
+    if duplicates:
+        raise error(f"{path}: column {plain_name(duplicates[0])} appears twice in the header")
 
 
 def _without_units(
@@ -74,21 +87,16 @@ def _without_units(
         return numbered, False
     cells = [cell.strip() for cell in first[1]]
     worded = [cell for cell in cells if cell and cell != _NUMBER]
-    if len(cells) != len(header) or not worded or any(map(_is_number, worded)):
+    if len(cells) != len(header) or not worded or any(map(is_number, worded)):
         return itertools.chain([first], numbered), False
     for name, cell in zip(header, cells, strict=True):
-        wanted = _UNITS.get(name) or (COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else cell)
-        if cell and cell != wanted:
+        unit = _UNITS.get(name) or (COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else cell)
+        if cell and cell != unit:
             raise error(
-                f"{path}: line 2, column {plain_name(name)}: {one_line(cell, 60)!r} is not a number, nor the unit {wanted} "
+                f"{path}: line 2, column {plain_name(name)}: {one_line(cell, 60)!r} is not a number, nor the unit {unit} "
                 "of a flight; 'sideslip import' converts a table with other units"
             )
     return numbered, True
-
-
-_NUMBER = "1"
-"""Unit of numbers without one."""
-_UNITS = {"time": "s", "segment": _NUMBER}
 
 
 def _numbers(
@@ -102,15 +110,85 @@ def _numbers(
         try:
             yield [float(cell) if cell.strip() else np.nan for cell in row]
         except ValueError:
-            bad = next(i for i, cell in enumerate(row) if cell.strip() and not _is_number(cell))
+            index = next(i for i, cell in enumerate(row) if cell.strip() and not is_number(cell))
             raise error(
-                f"{path}: line {number}, column {plain_name(header[bad])}: {one_line(row[bad], 60)!r} is not a number"
+                f"{path}: line {number}, column {plain_name(header[index])}: {one_line(row[index], 60)!r} is not a number"
             ) from None
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
     try:
         float(cell)
     except ValueError:
         return False
     return True
+
+
+# --------------------------------------------------------------------------------------------------------- the fast road
+
+
+def plain_columns(
+    source: Path | bytes,
+    names: Sequence[str],
+    *,
+    skip_lines: int = 0,
+    delimiter: str = ",",
+    decimal: str = ".",
+    empty: Sequence[str] = ("",),
+) -> list[Array] | None:
+    """The columns (N,) of rows of numbers, NaN where a cell is one of `empty`; rows of such cells only are left out.
+
+    names: as many as a row has cells. skip_lines: of the source, before the first row. None where a row has another number of
+    cells, or one of them is no number.
+    """
+    import pyarrow as pa
+    from pyarrow import csv
+
+    if _tagged_nan(source):
+        return None
+    labels = [str(i) for i in range(len(names))]
+    options = csv.ReadOptions(use_threads=False, block_size=_BLOCK, skip_rows=skip_lines, column_names=labels)
+    cells = csv.ParseOptions(delimiter=delimiter, newlines_in_values=False)
+    numbers = csv.ConvertOptions(
+        check_utf8=False,
+        column_types=dict.fromkeys(labels, pa.float64()),
+        null_values=list(empty),
+        decimal_point=decimal,
+    )
+    try:
+        table = csv.read_csv(
+            pa.BufferReader(source) if isinstance(source, bytes) else str(source), options, cells, numbers
+        )
+    except pa.ArrowInvalid:
+        return None
+    table = _with_a_number(table)
+    return [_values(column) for column in table.columns]
+
+
+def _values(column: "pa.ChunkedArray") -> Array:
+    """(N,) NaN where empty. By way of the buffers: Arrow's `to_numpy`, or a NaN of Python's, would load pandas, 80 MB."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    nan = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.full(1, np.nan))])[0]
+    parts = [compute.fill_null(chunk, nan) for chunk in column.chunks if len(chunk)]
+    buffers = [np.frombuffer(c.buffers()[1], np.float64)[c.offset : c.offset + len(c)] for c in parts]
+    return np.concatenate(buffers) if buffers else np.zeros(0)
+
+
+def _tagged_nan(source: Path | bytes) -> bool:
+    """Whether `nan(...)` stands anywhere, which Arrow takes for a number and Python does not."""
+    if isinstance(source, bytes):
+        return _TAGGED_NAN.search(source) is not None
+    with source.open("rb") as handle, mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return _TAGGED_NAN.search(data) is not None
+
+
+def _with_a_number(table: "pa.Table") -> "pa.Table":
+    """The rows in which a cell is not empty."""
+    from pyarrow import compute
+
+    if not all(column.null_count for column in table.columns):
+        return table
+    empty = [compute.is_null(column) for column in table.columns]
+    return table.filter(compute.invert(reduce(compute.and_, empty)))

@@ -2,34 +2,32 @@
 
 A footer of a kilobyte can announce a thousand million rows, and a compressed page of a few hundred bytes become two
 gigabytes: rows and the size that each page claims are looked at before Arrow reads it (parquet-format, "Data Pages" and
-`PageHeader` of parquet.thrift).
+`PageHeader` of parquet.thrift). Arrow's own accessors of the footer end the process where a column's statistics do not fit each
+other, so footer and page headers are read here, as structs of Thrift's compact protocol (thrift-compact-protocol.md).
 """
 
 import io
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
-from groundstation.flight.files.thrift import ThriftReader
-
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
 
 MOST_CELLS = 12_000_000
 """Of a table, or one a byte of the file where that is more: three hours at 50 Hz with twenty columns; 200 MB while it is read."""
-MOST_ROWS = 4_000_000
-"""Of a table, or one for four bytes of the file where that is more: eleven hours at 100 Hz."""
-LARGEST_PAGE = 2**26
-"""Bytes of a page when unpacked; writers make pages of 1 MB."""
-MOST_COLUMNS = 4096
-"""Of a table; a PX4 log with all its topics has some 3,000."""
+MOST_ROWS = 4_000_000  # of a table, or one for four bytes of the file where that is more: eleven hours at 100 Hz
+LARGEST_PAGE = 2**26  # bytes of a page when unpacked; writers make pages of 1 MB
+MOST_COLUMNS = 4096  # of a table; a PX4 log with all its topics has some 3,000
 MOST_VALUES = 1_000_000
 """Of a footer, or one for 16 bytes of the file where that is more: ten row groups of 3,000 columns; a second or two."""
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_DEEPEST = 12  # nested values; the deepest of parquet.thrift's own (statistics of a column of a row group) is 6
 _MOST_SCHEMA = 100_000  # elements of a list in the footer
 _LONGEST_TEXT = 2**24  # bytes of a text in the footer
 
@@ -61,35 +59,35 @@ def read_parquet(
     try:
         limits = {"thrift_string_size_limit": _LONGEST_TEXT, "thrift_container_size_limit": _MOST_SCHEMA}
         file = pq.ParquetFile(io.BytesIO(data), **limits)
-        out = ParquetColumns(footer=dict(file.schema_arrow.metadata or {}))
+        content = ParquetColumns(footer=dict(file.schema_arrow.metadata or {}))
         _check_size(path, file.metadata, len(file.schema_arrow), len(data), error)
-        plain: dict[str, list[_Chunk]] = {}
+        chunks_by_name: dict[str, list[_Chunk]] = {}
         for i, chunks in enumerate(_chunks(data, len(file.schema))):
-            plain.setdefault(file.schema.column(i).path, []).extend(chunks)
+            chunks_by_name.setdefault(file.schema.column(i).path, []).extend(chunks)
         for item in file.schema_arrow:
-            if item.name not in plain or pa.types.is_nested(item.type):
-                out.words[item.name] = []
+            if item.name not in chunks_by_name or pa.types.is_nested(item.type):
+                content.words[item.name] = []
                 continue
-            _check_pages(path, data, item.name, plain[item.name], error)
+            _check_pages(path, data, item.name, chunks_by_name[item.name], error)
             text = pa.types.is_string(item.type) or pa.types.is_large_string(item.type)
             reader = pq.ParquetFile(io.BytesIO(data), read_dictionary=[item.name], **limits) if text else file
-            _keep(out, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
+            _keep(content, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
     except (pa.ArrowException, OSError, ValueError, OverflowError, KeyError, IndexError, MemoryError) as reason:
-        said = " ".join(str(reason).split())[:200]
-        raise error(f"{path}: not a readable Parquet file ({said or type(reason).__name__})") from reason
-    lengths = {len(v) for v in (*out.numeric.values(), *out.dates.values())}
+        message = " ".join(str(reason).split())[:200]
+        raise error(f"{path}: not a readable Parquet file ({message or type(reason).__name__})") from reason
+    lengths = {len(v) for v in (*content.numeric.values(), *content.dates.values())}
     if len(lengths) > 1:
         raise error(f"{path}: damaged Parquet file: its columns have {min(lengths)} to {max(lengths)} rows")
-    return out
+    return content
 
 
 def _check_size(path: Path, metadata: Any, columns: int, size: int, error: type[UserError]) -> None:
-    most, most_rows = max(MOST_CELLS, size), max(MOST_ROWS, size // 4)
+    most_cells, most_rows = max(MOST_CELLS, size), max(MOST_ROWS, size // 4)
     if columns > MOST_COLUMNS:
         raise error(f"{path}: {columns} columns; at most {MOST_COLUMNS} are read")
-    if metadata.num_rows * columns > most or metadata.num_rows > most_rows:
+    if metadata.num_rows * columns > most_cells or metadata.num_rows > most_rows:
         raise error(
-            f"{path}: {metadata.num_rows} rows of {columns} columns; at most {most_rows} rows and {most} cells are read; "
+            f"{path}: {metadata.num_rows} rows of {columns} columns; at most {most_rows} rows and {most_cells} cells are read; "
             "write it in parts, or with fewer columns"
         )
 
@@ -101,12 +99,14 @@ def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
     if pa.types.is_timestamp(column.type):
         stamps = column.cast(pa.int64())
         first = pc.min(stamps).as_py() or 0
-        scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        scale = _SECONDS[column.type.unit]
         out.dates[name], out.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
         return
     if pa.types.is_duration(column.type) or pa.types.is_time(column.type):
-        whole = column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
-        out.dates[name] = _floats(whole) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
+        integers = (
+            column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
+        )
+        out.dates[name] = _floats(integers) * _SECONDS[column.type.unit]
         return
     if pa.types.is_dictionary(column.type):
         column = column.unify_dictionaries()
@@ -135,16 +135,12 @@ def _floats(column: Any) -> Array:
 
 
 def _cells(words: list[str], column: Any) -> list[str]:
-    shown = [*words, ""]
-    return [shown[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
+    labels = [*words, ""]
+    return [labels[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """Where the pages of a column in a row group stand, by the footer."""
-
-    first: int
-    end: int
+_Chunk = tuple[int, int]
+"""Where the pages of a column in a row group begin and end, by the footer."""
 
 
 def _chunks(data: bytes, columns: int) -> list[list[_Chunk]]:
@@ -153,8 +149,8 @@ def _chunks(data: bytes, columns: int) -> list[list[_Chunk]]:
 
     Raises ValueError where the footer is none.
     """
-    at = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
-    footer = ThriftReader(data, at, max(MOST_VALUES, len(data) // 16)).struct()
+    position = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    footer = ThriftReader(data, position, max(MOST_VALUES, len(data) // 16)).struct()
     groups = [[_chunk(column, len(data)) for column in _structs(group.get(1))] for group in _structs(footer.get(4))]
     if any(len(group) != columns for group in groups):
         raise ValueError("a row group has not one chunk for each column")
@@ -172,7 +168,7 @@ def _chunk(column: dict[int, Any], size: int) -> _Chunk:
         first = dictionary
     if not 0 < first <= size or packed < 0:
         raise ValueError(f"a column at byte {first} of {size}")
-    return _Chunk(first, min(first + packed, size))
+    return first, min(first + packed, size)
 
 
 def _structs(value: Any) -> list[dict[int, Any]]:
@@ -183,10 +179,9 @@ def _structs(value: Any) -> list[dict[int, Any]]:
 
 def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error: type[UserError]) -> None:
     """Raise `error` when a page of a column would unpack to more than LARGEST_PAGE."""
-    for chunk in chunks:
-        at = chunk.first
-        while at < chunk.end:
-            reader = ThriftReader(data, at)
+    for position, end in chunks:
+        while position < end:
+            reader = ThriftReader(data, position)
             header = reader.struct()
             unpacked, packed = header.get(2), header.get(3)
             if not isinstance(unpacked, int) or not isinstance(packed, int):
@@ -195,4 +190,78 @@ def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error
                 raise error(
                     f"{path}: column {name}: a page of {unpacked} bytes unpacked; at most {LARGEST_PAGE} are read"
                 )
-            at = reader.end + packed
+            position = reader.end + packed
+
+
+class ThriftReader:
+    """Reads values one after the other. end: where the next one begins. most: values that are read, those of lists and
+    structs included.
+
+    Raises ValueError where the bytes are no such value or more of them: never anything else.
+    """
+
+    def __init__(self, data: bytes, at: int = 0, most: int = 1000) -> None:
+        self._data = data
+        self._left = most
+        self.end = at
+
+    def struct(self, depth: int = _DEEPEST) -> dict[int, Any]:
+        """Value of each field by its number; the last one counts where a number stands twice."""
+        fields: dict[int, Any] = {}
+        number = 0
+        while (head := self._byte()) != 0:
+            number = number + (head >> 4) if head >> 4 else self._signed()
+            fields[number] = self._value(head & 15, depth) if head & 15 not in (1, 2) else self._counted(head & 15 == 1)
+        return fields
+
+    def _value(self, kind: int, depth: int) -> Any:
+        """3 byte, 4 to 6 integers, 7 double, 8 bytes, 9, 10 lists, 12 struct; 1, 2 booleans of a list stand in a byte."""
+        self._counted()
+        if depth <= 0:
+            raise ValueError("a header nested too deep")
+        if kind in (1, 2, 3):
+            return self._byte()
+        if kind in (4, 5, 6):
+            return self._signed()
+        if kind == 7:
+            return struct.unpack("<d", self._take(8))[0]
+        if kind == 8:
+            return self._take(self._varint())
+        if kind in (9, 10):
+            return self._list(depth)
+        if kind == 12:
+            return self.struct(depth - 1)
+        raise ValueError("a header that is none")
+
+    def _counted(self, value: bool = True) -> bool:
+        self._left -= 1
+        if self._left < 0:
+            raise ValueError("a header of too many values")
+        return value
+
+    def _list(self, depth: int) -> list[Any]:
+        head = self._byte()
+        length = head >> 4 if head >> 4 < 15 else self._varint()
+        return [self._value(head & 15, depth - 1) for _ in range(length)]
+
+    def _byte(self) -> int:
+        return self._take(1)[0]
+
+    def _take(self, length: int) -> bytes:
+        if length > len(self._data) - self.end:
+            raise ValueError("a header runs out of the file")
+        self.end += length
+        return self._data[self.end - length : self.end]
+
+    def _varint(self) -> int:
+        value = 0
+        for shift in range(0, 70, 7):
+            byte = self._byte()
+            value |= (byte & 127) << shift
+            if byte < 128:
+                return value
+        raise ValueError("a header holds a number without end")
+
+    def _signed(self) -> int:
+        value = self._varint()
+        return value >> 1 ^ -(value & 1)

@@ -12,17 +12,18 @@ from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import check_file
 from daq.contract.plain_words import listed, one_line, plain_name
 from daq.contract.recordings.flight_rows import as_mapping, json_object
-from groundstation.flight.credible_columns import credible_values, plain_names
 from groundstation.flight.errors import FlightError
 from groundstation.flight.files.csv_columns import read_csv
 from groundstation.flight.files.parquet_columns import read_parquet
+from groundstation.flight.findings import Finding, from_meta, unknown_columns
 from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance
-from groundstation.flight.notes import Note, from_meta, unknown_columns
 from groundstation.flight.writing import FLIGHT_TOPIC, METADATA_NAME, value_digest
 
+LARGEST = 1e12
+"""No quantity of a flight in SI units is as large; squares and sums of what is smaller stay far from the largest float."""
 FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
 
-_Read = tuple[dict[str, Array], Provenance, list[Note | str]]
+_Read = tuple[dict[str, Array], Provenance, list[Finding | str]]
 
 
 def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
@@ -49,8 +50,8 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
     if segment is not None and np.any(np.abs(segment) > 2**31):
         raise FlightError(f"{path}: column segment holds {np.max(np.abs(segment)):g}; number segments from 0")
     columns = plain_names(columns)
-    columns, beyond = credible_values(columns)
-    notes += beyond
+    columns, value_notes = credible_values(columns)
+    notes += value_notes
     unknown = [c for c in columns if c not in COLUMN_BY_NAME]
     if unknown:
         notes.append(unknown_columns({c: c for c in unknown}))
@@ -68,17 +69,17 @@ def _read_csv(path: Path) -> _Read:
 
 
 def _read_parquet(path: Path) -> _Read:
-    found = read_parquet(path, FlightError)
-    notes: list[Note | str] = [
-        f"column {plain_name(name)} is not numeric: left out" for name in (*found.words, *found.dates)
+    content = read_parquet(path, FlightError)
+    notes: list[Finding | str] = [
+        f"column {plain_name(name)} is not numeric: left out" for name in (*content.words, *content.dates)
     ]
     if len(notes) > 30:
         notes = [*notes[:30], f"{len(notes) - 30} more columns are not numeric: left out"]
-    meta = found.footer.get(METADATA_NAME.encode())
-    about = json_object(meta) if meta else {}
-    if meta and not about:
+    meta = content.footer.get(METADATA_NAME.encode())
+    origin = json_object(meta) if meta else {}
+    if meta and not origin:
         notes.append("what the file says of its origin cannot be read: taken as not known")
-    return found.numeric, _provenance_from(about) if about else Provenance(), notes
+    return content.numeric, _provenance_from(origin) if origin else Provenance(), notes
 
 
 def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
@@ -115,10 +116,35 @@ def _read_mcap(path: Path) -> _Read:
     if len(flights) > 1:
         raise FlightError(f"{path}: {len(flights)} flights one behind the other in one file; calibrate each by itself")
     table = flight_rows(flight)
-    meta, text, stated = described(flight)
-    if stated != value_digest(text, table.names, table.values):
+    meta, text, digest = described(flight)
+    if digest != value_digest(text, table.names, table.values):
         raise FlightError(
             f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
         )
     columns = {n: table.values[:, i] for i, n in enumerate(table.names)}
     return columns, _provenance_from(meta), [*from_meta(meta)]
+
+
+def credible_values(columns: Mapping[str, Array]) -> tuple[dict[str, Array], list[str]]:
+    """The columns with NaN for what no instrument measures, and notes on it: infinities, and values beyond LARGEST."""
+    credible, notes = dict(columns), []
+    for name, values in columns.items():
+        for problem, mask in (
+            ("infinite values", np.isinf(values)),
+            (f"values beyond {LARGEST:g}", np.isfinite(values) & (np.abs(values) > LARGEST)),
+        ):
+            if mask.any() and (name in COLUMN_BY_NAME or problem.startswith("inf")):
+                credible[name] = np.where(mask, np.nan, credible[name])
+                notes.append(f"column {name}: {int(mask.sum())} {problem} taken as not measured")
+    return credible, notes
+
+
+def plain_names(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The columns under names that can be shown anywhere, each of its own."""
+    renamed: dict[str, Array] = {}
+    for name, values in columns.items():
+        label = plain_name(name)
+        while label in renamed:
+            label = f"{label[:100]}_{len(renamed)}"
+        renamed[label] = values
+    return renamed

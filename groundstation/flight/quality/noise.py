@@ -1,13 +1,22 @@
-"""Noise of a channel from its own samples."""
+"""What samples can tell at all: the noise of a channel from its own samples, and whether they come fast enough."""
+
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from groundstation.flight.arrays import Array
+from groundstation.flight.flight import Flight
 
 _MAD_TO_SIGMA = 1.482602218505602  # of a normal distribution
 _THIRD_DIFFERENCE_GAIN = 20.0  # variance of y3 - 3 y2 + 3 y1 - y0 for white y of variance 1
 _FEWEST = 12
+
+FAST = ("p", "q", "r", "ax", "ay", "az", "phi", "theta", "alpha", "beta", "delta_e", "delta_a", "delta_r")
+"""Columns that follow the fast modes; airspeed, height and heading may come slower."""
+SLOWEST = 5.0
+"""Samples a second below which roll damping and short period pass between two of them: their time constants are 0.05 to 0.5 s.
+Telemetry of 4 Hz gave derivatives hundreds of bounds off, of 10 Hz right ones."""
+GOOD = 20.0  # [Hz] from which the roll damping of a light aircraft can be identified well
 
 
 def noise(values: Array) -> float | None:
@@ -21,3 +30,21 @@ def noise(values: Array) -> float | None:
     if third.size < _FEWEST:
         return None
     return float(_MAD_TO_SIGMA * np.median(np.abs(third - np.median(third))) / np.sqrt(_THIRD_DIFFERENCE_GAIN))
+
+
+def too_slow(flight: Flight, columns: Iterable[str]) -> str:
+    """Why a flight is too slow for a model that uses some columns; empty where it is not."""
+    sample_rate = 1.0 / flight.sample_interval
+    model_columns = set(columns)
+    rates = {
+        c: min(flight.native_rate(c) or sample_rate, sample_rate)
+        for c in FAST
+        if c in model_columns and flight.measured(c)
+    }
+    slow = {c: rate for c, rate in rates.items() if rate < SLOWEST}
+    if not slow:
+        return ""
+    return (
+        f"{', '.join(slow)} come at {min(slow.values()):.2g} Hz, too slow for any model of the motion: log at least "
+        f"{2 * SLOWEST:.0f} Hz, better {GOOD:.0f} Hz or more"
+    )

@@ -3,20 +3,19 @@
 Each suspicion names the column, what is seen, and the unit or sign that would explain it.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.constants import FOOT, GRAVITY, MILE_PER_HOUR, NAUTICAL_MILE, RADIAN
-from groundstation.flight.windows import line, summed, windows
+from groundstation.flight.arrays import Array, integral, slope_and_agreement, windows
+from groundstation.flight.findings import Finding, FindingKind
+from groundstation.flight.kinematics import GYROS, heading_rate
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
-Turned = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
-"""Columns -> what they would agree with, and motion against its cause in every window, with them turned."""
+Reversals = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
+"""Columns -> what they would agree with, and motion against its cause in every window, with their signs reversed."""
 
 
 AGREE = 0.85  # share of a motion that has to be explained with a sign turned
@@ -24,9 +23,6 @@ LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
 
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
-_RUNS_ON = {"phi": "p", "psi": "r"}
-"""Angles that may run on through half a turn where they are not wrapped: with the gyro that turns them."""
-
 _RADIANS = (0.5, 2.0)
 """Slope of an angle in radians against what its gyro turns: 57 in degrees, and -1 of the wrong sign."""
 
@@ -47,75 +43,66 @@ _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Suspicion:
-    """columns: that look wrong; what: is seen, and what would explain it."""
-
-    columns: tuple[str, ...]
-    what: str
-
-    @property
-    def text(self) -> str:
-        return f"{', '.join(self.columns)}: {self.what}"
-
-
 PULL_AGREES = 0.25
 """Of the normal force that pitch rate, speed and attitude make, by which az may differ: angle of attack, and its change."""
 
 
-def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
+def suspicions(time: Array, columns: Columns) -> list[Finding]:
     """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
-    checks: Iterable[Iterator[Suspicion]] = (
-        _time(time),
-        _gravity(present),
-        _angles(time, present),
-        _rates(present),
-        _speed(present),
-        _others(present),
-        _attitude_rate(time, present),
-        _pressure_speed(present),
-        _ground_speed(present),
-        _sideways(time, present),
-        _upwards(time, present),
+    checks = (
+        _time,
+        _gravity,
+        _angles,
+        _rates,
+        _speed,
+        _others,
+        _attitude_rate,
+        _pressure_speed,
+        _ground_speed,
+        _sideways,
+        _upwards,
     )
     with np.errstate(
         over="ignore", divide="ignore", invalid="ignore"
     ):  # of absurd values, which the checks themselves find
-        return [suspicion for check in checks for suspicion in check]
+        return [finding for check in checks for finding in check(time, present)]
+
+
+def _suspect(columns: str | tuple[str, ...], what: str) -> Finding:
+    """what: is seen, and what would explain it."""
+    columns = (columns,) if isinstance(columns, str) else columns
+    return Finding(FindingKind.UNLIKELY, f"{', '.join(columns)}: {what}", columns=columns)
 
 
 def _median(values: Array) -> float:
     return float(np.nanmedian(values))
 
 
-def _time(time: Array) -> Iterator[Suspicion]:
+def _time(time: Array, c: Columns) -> Iterator[Finding]:
     if _shuffled(time):
         time = np.sort(time)
     steps = np.diff(time)
     backwards = float(np.mean(steps < 0)) if steps.size else 0.0
     steps = steps[steps > 0]
     if backwards > 0.02:
-        yield Suspicion(
-            ("time",), f"runs backwards from {backwards:.0%} of the rows to the next; is this the time column?"
-        )
+        yield _suspect("time", f"runs backwards from {backwards:.0%} of the rows to the next; is this the time column?")
+        return  # the steps of a column that is not time, or of shuffled rows, say nothing of its unit
     if not steps.size:
         return
-    if backwards > 0.02:
-        return  # the steps of a column that is not time, or of shuffled rows, say nothing of its unit
     interval = float(np.median(steps))
     for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         if interval >= 4 and 1e-3 <= interval * scale <= 0.5:
-            yield Suspicion(("time",), f"{interval:g} s from sample to sample; is the column in {unit}?")
+            yield _suspect("time", f"{interval:g} s from sample to sample; is the column in {unit}?")
             return
     if interval > 2:
-        yield Suspicion(
-            ("time",), f"{interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
+        yield _suspect(
+            "time", f"{interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
         )
     elif interval < 1e-4:
         units = [u for u, scale in _LONG_UNITS.items() if _USUAL_STEP[0] <= interval * scale <= _USUAL_STEP[1]]
-        likely = " or ".join(units) if units else "min, h or days"
-        yield Suspicion(("time",), f"{interval:.3g} s from sample to sample; is the column in {likely}?")
+        candidates = " or ".join(units) if units else "min, h or days"
+        yield _suspect("time", f"{interval:.3g} s from sample to sample; is the column in {candidates}?")
 
 
 def _shuffled(time: Array) -> bool:
@@ -128,7 +115,7 @@ def _shuffled(time: Array) -> bool:
     return interval > 0 and float(np.mean(np.abs(steps - interval) < 0.2 * interval)) > 0.9
 
 
-def _gravity(c: Columns) -> Iterator[Suspicion]:
+def _gravity(time: Array, c: Columns) -> Iterator[Finding]:
     if not all(a in c for a in ("ax", "ay", "az")):
         return
     size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
@@ -139,11 +126,9 @@ def _gravity(c: Columns) -> Iterator[Suspicion]:
             hint = "an accelerometer in level flight shows one g: is gravity taken out of ax, ay, az?"
         else:
             hint = f"are ax, ay, az in {unit}?" if unit else "check unit and axes of ax, ay, az"
-        yield Suspicion(("ax", "ay", "az"), f"the median specific force is {size:.4g}, not near 9.8 m/s2; {hint}")
+        yield _suspect(("ax", "ay", "az"), f"the median specific force is {size:.4g}, not near 9.8 m/s2; {hint}")
     elif _median(c["az"]) > 0.5 * GRAVITY:
-        yield Suspicion(
-            ("az",), "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1"
-        )
+        yield _suspect("az", "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1")
 
 
 def _pulled(c: Columns) -> bool:
@@ -151,58 +136,56 @@ def _pulled(c: Columns) -> bool:
     if not all(n in c for n in ("q", "V", "phi", "theta")):
         return False
     with np.errstate(invalid="ignore"):
-        made = -(GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"]) + c["q"] * c["V"])
-        known = np.isfinite(made) & np.isfinite(c["az"])
-    if not known.any():
+        normal_force = -(GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"]) + c["q"] * c["V"])
+        finite = np.isfinite(normal_force) & np.isfinite(c["az"])
+    if not finite.any():
         return False
-    ratio = float(np.median(c["az"][known])) / (float(np.median(made[known])) or np.nan)
+    ratio = float(np.median(c["az"][finite])) / (float(np.median(normal_force[finite])) or np.nan)
     return abs(ratio - 1.0) < PULL_AGREES
 
 
-def _angles(time: Array, c: Columns) -> Iterator[Suspicion]:
+def _angles(time: Array, c: Columns) -> Iterator[Finding]:
     for name in _ANGLES:
         if name in c:
             low, high = COLUMN_BY_NAME[name].plausible
             lowest, highest = float(np.nanmin(c[name])), float(np.nanmax(c[name]))
-            worst = highest if highest > -lowest else lowest
-            if (lowest < low - 1e-3 or highest > high + 1e-3) and not runs_on(time, c, name):
-                unit = "deg" if abs(worst) <= 370 else "cdeg or us"
-                yield Suspicion(
-                    (name,), f"reaches {worst:.4g} rad, beyond {high if worst > 0 else low:.3g}; is it in {unit}?"
-                )
+            extreme = highest if highest > -lowest else lowest
+            if (lowest < low - 1e-3 or highest > high + 1e-3) and not is_unwrapped(time, c, name):
+                unit = "deg" if abs(extreme) <= 370 else "cdeg or us"
+                limit = high if extreme > 0 else low
+                yield _suspect(name, f"reaches {extreme:.4g} rad, beyond {limit:.3g}; is it in {unit}?")
 
 
-def runs_on(time: Array, c: Columns, name: str) -> bool:
+def is_unwrapped(time: Array, c: Columns, name: str) -> bool:
     """Whether an angle (N,) beyond its range is one that was not wrapped: in radians by what the gyros turn.
 
     False without gyros, or where they turn too little to tell the unit.
     """
-    if name not in _RUNS_ON or not all(n in c for n in (name, _RUNS_ON[name])):
+    if name not in ("phi", "psi") or not all(n in c for n in (name, GYROS[name])):
         return False
-    turning = c[_RUNS_ON[name]] if name == "phi" else _heading_rate(c)
-    slope = _integral_slope(time, c[name], turning)
+    slope = _angle_slope(time, c, name)
     return slope is not None and _RADIANS[0] < slope < _RADIANS[1]
 
 
-def _rates(c: Columns) -> Iterator[Suspicion]:
+def _rates(time: Array, c: Columns) -> Iterator[Finding]:
     for name in _RATES:
         if name in c:
             high = COLUMN_BY_NAME[name].plausible[1]
-            worst = float(np.nanmax(np.abs(c[name])))
-            if worst > high:
-                yield Suspicion((name,), f"reaches {worst:.4g} rad/s, beyond {high:g}; is it in deg/s?")
+            largest = float(np.nanmax(np.abs(c[name])))
+            if largest > high:
+                yield _suspect(name, f"reaches {largest:.4g} rad/s, beyond {high:g}; is it in deg/s?")
 
 
-def _speed(c: Columns) -> Iterator[Suspicion]:
+def _speed(time: Array, c: Columns) -> Iterator[Finding]:
     if "V" not in c:
         return
     high, middle = COLUMN_BY_NAME["V"].plausible[1], _median(c["V"])
     if middle > high:
         unit = "cm/s" if middle / 100.0 <= high else "mm/s"
-        yield Suspicion(("V",), f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
+        yield _suspect("V", f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
 
 
-def _others(c: Columns) -> Iterator[Suspicion]:
+def _others(time: Array, c: Columns) -> Iterator[Finding]:
     for name, values in c.items():
         if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
             continue
@@ -213,135 +196,131 @@ def _others(c: Columns) -> Iterator[Suspicion]:
         key = "mx" if name in ("my", "mz") else name
         unit = next((u for u, a, b in _OTHER_UNITS.get(key, ()) if a <= abs(middle) <= b or a <= middle <= b), None)
         hint = f"is it in {unit}?" if unit else "check its unit"
-        yield Suspicion(
-            (name,), f"median {middle:.4g} {COLUMN_BY_NAME[name].unit}, outside {low:.4g} to {high:.4g}; {hint}"
+        yield _suspect(
+            name, f"median {middle:.4g} {COLUMN_BY_NAME[name].unit}, outside {low:.4g} to {high:.4g}; {hint}"
         )
 
 
-def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
+def _attitude_rate(time: Array, c: Columns) -> Iterator[Finding]:
     """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1; one ratio of all three that
     is another is the clock's."""
-    if (runs := _clock_ratio(time, c)) is not None:
-        told = f"runs {max(runs, 1 / runs):.3g} times too {'slowly' if runs < 1 else 'fast'}"
-        yield Suspicion(("time",), f"{told} for attitude to be what the gyros turn: check the time unit")
+    ratio = _clock_ratio(time, c)
+    if ratio is not None:
+        words = f"runs {max(ratio, 1 / ratio):.3g} times too {'slowly' if ratio < 1 else 'fast'}"
+        yield _suspect("time", f"{words} for attitude to be what the gyros turn: check the time unit")
         return
-    for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
-        if angle not in c or rate not in c:
-            continue
-        turning = c[rate] if angle != "psi" else _heading_rate(c)
-        slope = _integral_slope(time, c[angle], turning)
+    for angle, rate in GYROS.items():
+        slope = _angle_slope(time, c, angle) if angle in c and rate in c else None
         if slope is None:
             continue
         if 0.5 < abs(slope) / RADIAN < 2:
-            yield Suspicion((angle,), f"moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?")
+            yield _suspect(angle, f"moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?")
         elif 0.5 < abs(slope) * RADIAN < 2:
-            yield Suspicion((rate,), f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
+            yield _suspect(rate, f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
         elif -2 < slope < -0.5:
-            yield Suspicion((rate,), f"turns against {angle}; one of them has the wrong sign (sign = -1)")
+            yield _suspect(rate, f"turns against {angle}; one of them has the wrong sign (sign = -1)")
 
 
 def _clock_ratio(time: Array, c: Columns) -> float | None:
     """How many times too fast time runs by every angle and its gyro alike; None where they do not agree on one, or it is a ratio
     that another unit of the angles makes."""
-    slopes = []
-    for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
-        if angle in c and rate in c:
-            turning = c[rate] if angle != "psi" else _heading_rate(c)
-            slopes.append(_integral_slope(time, c[angle], turning) or 0.0)
-    sound = [s for s in slopes if s > 0.0]
-    if len(sound) < 2 or max(sound) > 1.2 * min(sound):
+    slopes = [_angle_slope(time, c, angle) or 0.0 for angle, rate in GYROS.items() if angle in c and rate in c]
+    positive = [s for s in slopes if s > 0.0]
+    if len(positive) < 2 or max(positive) > 1.2 * min(positive):
         return None
-    middle = float(np.median(sound))
-    usual = (0.5 < middle < 2.0) or (0.5 < middle / RADIAN < 2.0) or (0.5 < middle * RADIAN < 2.0)
-    return None if usual else 1.0 / middle
+    middle = float(np.median(positive))
+    by_unit = (0.5 < middle < 2.0) or (0.5 < middle / RADIAN < 2.0) or (0.5 < middle * RADIAN < 2.0)
+    return None if by_unit else 1.0 / middle
 
 
-def _heading_rate(c: Columns) -> Array:
-    """What psi gathers; r alone where attitude is not measured, or not in radians."""
-    if not all(n in c for n in ("q", "phi", "theta")) or any(np.nanmax(np.abs(c[n])) > 1.6 for n in ("phi", "theta")):
-        return c["r"]
-    return np.asarray((c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])) / np.cos(c["theta"]))
+def _angle_slope(time: Array, c: Columns, angle: str) -> float | None:
+    """Slope of phi, theta or psi against what its gyro turns; psi against r alone without attitude in rad."""
+    in_radians = all(n in c for n in ("q", "phi", "theta")) and all(
+        np.nanmax(np.abs(c[n])) <= 1.6 for n in ("phi", "theta")
+    )
+    rate = heading_rate(c) if angle == "psi" and in_radians else c[GYROS[angle]]
+    return _integral_slope(time, c[angle], rate)
 
 
-def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
+def _sideways(time: Array, c: Columns) -> Iterator[Finding]:
     """Sideways motion: V beta grows by p w - r u + g sin(phi) cos(theta) + ay. Tells the unit of V, and a sign."""
-    if (
-        not all(n in c for n in ("ay", "p", "r", "phi", "theta", "beta", "V"))
-        or float(np.nanmax(np.abs(c["phi"]))) > 1.6
-    ):
+    measured = all(n in c for n in ("ay", "p", "r", "phi", "theta", "beta", "V"))
+    if not measured or float(np.nanmax(np.abs(c["phi"]))) > 1.6:
         return
     alpha = c["alpha"] if "alpha" in c and float(np.nanmax(np.abs(c["alpha"]))) < 1 else np.zeros_like(c["V"])
     v, force, weight = c["V"] * c["beta"], c["ay"], GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
     yawing, rolling = c["V"] * c["r"] * np.cos(alpha), c["V"] * c["p"] * np.sin(alpha)
     parts = list(windows(time, v, yawing, rolling, force, weight))
-    slope, agreement = line([(v + summed(t, r - p), summed(t, f + g)) for t, v, r, p, f, g in parts])
+    slope, agreement = slope_and_agreement([(v + integral(t, r - p), integral(t, f + g)) for t, v, r, p, f, g in parts])
     if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
         units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
         if units:
-            likely = " or ".join(units)
-            yield Suspicion(
-                ("V",), f"{1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {likely}?"
+            text = (
+                f"{1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {' or '.join(units)}?"
             )
+            yield _suspect("V", text)
             return
     bank: tuple[str, ...] = ("phi", "p") if (_integral_slope(time, c["phi"], c["p"]) or 0.0) >= 0.0 else ("phi",)
-    rolled = -1.0 if "p" in bank else 1.0
-    turned: Turned = {  # the force is the smallest part, and tells no sign of its own
-        ("beta",): ("ay, r and phi", [(summed(t, r - p) - v, summed(t, f + g)) for t, v, r, p, f, g in parts]),
-        bank: ("ay, r and beta", [(v + summed(t, r - rolled * p), summed(t, f - g)) for t, v, r, p, f, g in parts]),
-        ("r",): ("ay, phi and beta", [(v - summed(t, r + p), summed(t, f + g)) for t, v, r, p, f, g in parts]),
+    roll_sign = -1.0 if "p" in bank else 1.0
+    reversals: Reversals = {  # the force is the smallest part, and tells no sign of its own
+        ("beta",): ("ay, r and phi", [(integral(t, r - p) - v, integral(t, f + g)) for t, v, r, p, f, g in parts]),
+        bank: (
+            "ay, r and beta",
+            [(v + integral(t, r - roll_sign * p), integral(t, f - g)) for t, v, r, p, f, g in parts],
+        ),
+        ("r",): ("ay, phi and beta", [(v - integral(t, r + p), integral(t, f + g)) for t, v, r, p, f, g in parts]),
     }
-    yield from _turned("sideways", agreement if slope > 0 else 0.0, turned)
+    yield from _wrong_signs("sideways", agreement if slope > 0 else 0.0, reversals)
 
 
-def _upwards(time: Array, c: Columns) -> Iterator[Suspicion]:
+def _upwards(time: Array, c: Columns) -> Iterator[Finding]:
     """Motion along z: V alpha grows by q u - p v + g cos(phi) cos(theta) + az. Tells the sign of a vane and of a gyro."""
     if not all(n in c for n in ("az", "q", "theta", "alpha", "V")):
         return
-    still = np.zeros_like(c["V"])
-    bank, rolling, slip = (c.get(n, still) for n in ("phi", "p", "beta"))
+    zero = np.zeros_like(c["V"])
+    bank, rolling, slip = (c.get(n, zero) for n in ("phi", "p", "beta"))
     if any(float(np.nanmax(np.abs(angle))) > 1.6 for angle in (c["theta"], c["alpha"], bank)):
         return
     w, pitching = c["V"] * np.sin(c["alpha"]), c["V"] * np.cos(c["alpha"]) * c["q"]
     force = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(bank) - rolling * c["V"] * slip
     parts = list(windows(time, w, pitching, force))
-    slope, agreement = line([(w - summed(t, q), summed(t, f)) for t, w, q, f in parts])
+    slope, agreement = slope_and_agreement([(w - integral(t, q), integral(t, f)) for t, w, q, f in parts])
     pitch: tuple[str, ...] = ("q", "theta") if (_integral_slope(time, c["theta"], c["q"]) or 0.0) >= 0.0 else ("q",)
-    turned: Turned = {
-        ("alpha",): ("az and q", [(-w - summed(t, q), summed(t, f)) for t, w, q, f in parts]),
-        pitch: ("az and alpha", [(w + summed(t, q), summed(t, f)) for t, w, q, f in parts]),
+    reversals: Reversals = {
+        ("alpha",): ("az and q", [(-w - integral(t, q), integral(t, f)) for t, w, q, f in parts]),
+        pitch: ("az and alpha", [(w + integral(t, q), integral(t, f)) for t, w, q, f in parts]),
     }
-    yield from _turned("vertical", agreement if slope > 0 else 0.0, turned)
+    yield from _wrong_signs("vertical", agreement if slope > 0 else 0.0, reversals)
 
 
-def _turned(motion: str, agreement: float, turned: Turned) -> Iterator[Suspicion]:
+def _wrong_signs(motion: str, agreement: float, reversals: Reversals) -> Iterator[Finding]:
     """The columns that, turned, would make a motion agree. agreement: share of it explained as it is. An angle and its rate that
     agree with each other, as of a left-handed roll, are turned together."""
-    found = [(columns, others, *line(pairs)) for columns, (others, pairs) in turned.items()]
-    columns, others, slope, share = max(found, key=lambda f: f[3] if abs(f[2] - 1.0) < 0.25 else 0.0)
+    fits = [(columns, reference, *slope_and_agreement(pairs)) for columns, (reference, pairs) in reversals.items()]
+    columns, reference, slope, share = max(fits, key=lambda fit: fit[3] if abs(fit[2] - 1.0) < 0.25 else 0.0)
     if share > AGREE and abs(slope - 1.0) < 0.25 and (1.0 - share) < LEFT * (1.0 - agreement):
-        wrong = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
-        yield Suspicion(
-            columns, f"turned, it would agree with the {motion} motion that {others} make; {wrong} wrong (sign = -1)?"
-        )
+        question = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
+        text = f"turned, it would agree with the {motion} motion that {reference} make; {question} wrong (sign = -1)?"
+        yield _suspect(columns, text)
 
 
 def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
     """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
-    pairs = [(summed(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in windows(time, angle, rate)]
-    slope, agreement = line(pairs)
+    pairs = [(integral(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in windows(time, angle, rate)]
+    slope, agreement = slope_and_agreement(pairs)
     return slope if agreement >= 0.7 else None  # else the two do not show the same motion
 
 
-def _pressure_speed(c: Columns) -> Iterator[Suspicion]:
+def _pressure_speed(time: Array, c: Columns) -> Iterator[Finding]:
     if "V" not in c or "p_dynamic" not in c:
         return
     rho = c.get("rho", np.full_like(c["V"], 1.2))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = c["V"] / np.sqrt(2 * np.where(c["p_dynamic"] > 20, c["p_dynamic"], np.nan) / rho)
-    yield from _speed_ratio("V", ratio, "the dynamic pressure gives", 0.08)
+    yield from _speed_ratio(ratio, "the dynamic pressure gives", 0.08)
 
 
-def _ground_speed(c: Columns) -> Iterator[Suspicion]:
+def _ground_speed(time: Array, c: Columns) -> Iterator[Finding]:
     if "p_dynamic" in c or not all(n in c for n in ("V", "vn", "ve")):
         return
     ground = np.hypot(c["vn"], c["ve"])
@@ -349,14 +328,14 @@ def _ground_speed(c: Columns) -> Iterator[Suspicion]:
         ratio = np.where(ground > 5, c["V"] / ground, np.nan)
     # wind makes the ratio wander: only a ratio far beyond what wind does is a mistake
     if np.isfinite(ratio).sum() > 20 and _median(ratio) > 1.7:
-        yield from _speed_ratio("V", ratio, "GPS gives", 0.15)
+        yield from _speed_ratio(ratio, "GPS gives", 0.15)
 
 
-def _speed_ratio(name: str, ratio: Array, source: str, tolerance: float) -> Iterator[Suspicion]:
+def _speed_ratio(ratio: Array, source: str, tolerance: float) -> Iterator[Finding]:
     if np.isfinite(ratio).sum() < 5:
         return
     middle = _median(ratio)
     for unit, factor in _SPEED_UNITS.items():
         if abs(middle / factor - 1) < tolerance:
-            yield Suspicion((name,), f"{middle:.3g} times the speed that {source}; is it in {unit}?")
+            yield _suspect("V", f"{middle:.3g} times the speed that {source}; is it in {unit}?")
             return

@@ -1,21 +1,25 @@
-"""Repeated values of a channel, told apart by what the motion must have done to it: a coarse step, a slow sensor, a stuck one.
+"""Repeated values of a channel, classified by what the motion must have done to it: a coarse step, a slow or a stuck sensor.
 
 A quantised channel repeats while the aircraft hardly moves it; a slow one repeats in step, and jumps by many quanta where
 a new value comes; a stuck one repeats though its own noise, or the motion that the other channels show, must have moved it
 by several quanta. The quantum is read off the data. Values closer than `SAME` of the range count as equal, so that dither
 far below the quantum changes nothing.
+
+Whole records repeat, too: sensors have noise, so two flights never show the same numbers for a second. Where they do, a joint
+fit counts them twice, and a flight held out proves nothing.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.flight.arrays import Array, Mask, integral, true_runs
 from groundstation.flight.flight import Flight
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from groundstation.flight.kinematics import EULER_RATES
+from groundstation.flight.manoeuvres import CONTROLS
 
 SAME = 1e-9  # of the range: four orders above the rounding of doubles, far below a step of 24 bit (6e-8)
 STUCK = 1.0  # s of one value, at least
@@ -33,11 +37,11 @@ FEWEST = 40  # samples from which any of this can be told
 ALTERNATING = -0.4  # lag-one correlation of third differences: -0.75 for white noise, positive for a smooth curve
 GAUSSIAN = 0.6744897501960817  # median of the absolute value of a standard normal variable
 THIRD = np.sqrt(20.0)  # standard deviation of a third difference of white noise of 1
+SMOOTHED = 5  # samples of a running mean over slopes of an attitude
 
-SENSED = (
-    "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "altitude", "p_static", "p_dynamic",
-)  # fmt: skip
-"""Columns of sensors that the motion of the aircraft moves."""
+MOVING = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V")
+"""Columns that change from sample to sample in flight: a repeated value there is an old value."""
+SENSED = (*MOVING, "altitude", "p_static", "p_dynamic")  # columns of sensors that the motion of the aircraft moves
 
 
 @dataclass(frozen=True)
@@ -64,23 +68,22 @@ class RepeatedValues:
 def repeats(flight: Flight, column: str) -> RepeatedValues:
     """Judge the repeated values of one column of a flight."""
     values = flight[column]
-    nothing = np.zeros(len(flight), bool)
-    known = values[np.isfinite(values)]
-    if (
-        known.size < FEWEST or np.ptp(known) == 0.0 or flight.held(column) is not None
-    ):  # a command rests, and is no sensor
-        return RepeatedValues(column, 0.0, nothing, nothing, nothing, 0.0)
-    step = quantum(known)
-    same = _same(flight, values)
-    held, rate = _held(flight, values, same, step)
-    runs = _long_runs(flight, same)
-    judge = _Judge(flight, column, values, same, held, step, runs)
-    stuck, rest = nothing.copy(), nothing.copy()
+    no_samples = np.zeros(len(flight), bool)
+    finite = values[np.isfinite(values)]
+    commanded = flight.held(column) is not None  # a command rests, and is no sensor
+    if finite.size < FEWEST or np.ptp(finite) == 0.0 or commanded:
+        return RepeatedValues(column, 0.0, no_samples, no_samples, no_samples, 0.0)
+    step = quantum(finite)
+    repeated = _same(flight, values)
+    held_samples, rate = _held(flight, values, repeated, step)
+    runs = _long_runs(flight, repeated)
+    evidence = _StuckEvidence(flight, column, repeated, held_samples, step, runs)
+    stuck, at_rest = no_samples.copy(), no_samples.copy()
     for a, b in runs:
-        resting = judge.all_rest(a, b)
-        rest[a:b] |= resting
-        stuck[a:b] |= not resting and (judge.noise_stopped(a, b) or judge.motion_missed(a, b))
-    return RepeatedValues(column, step, held & ~stuck, stuck, rest, rate)
+        rests = evidence.all_rest(a, b)
+        at_rest[a:b] |= rests
+        stuck[a:b] |= not rests and (evidence.noise_stopped() or evidence.motion_missed(a, b))
+    return RepeatedValues(column, step, held_samples & ~stuck, stuck, at_rest, rate)
 
 
 def quantum(values: Array) -> float:
@@ -100,26 +103,19 @@ def span_of(values: Array) -> float:
     return float(high - low) or float(np.ptp(values))
 
 
-def runs_of(mask: Mask) -> list[tuple[int, int]]:
-    """[start, stop) of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def _same(flight: Flight, values: Array) -> Mask:
     """(N,) whether a sample shows the value of the one before, of the same segment."""
     span = span_of(values[np.isfinite(values)])
-    same = np.zeros(values.size, bool)
+    repeated = np.zeros(values.size, bool)
     with np.errstate(invalid="ignore"):
-        same[1:] = (np.abs(np.diff(values)) <= SAME * span) & (np.diff(flight.segment) == 0)
-    return same
+        repeated[1:] = (np.abs(np.diff(values)) <= SAME * span) & (np.diff(flight.segment) == 0)
+    return repeated
 
 
 def _long_runs(flight: Flight, same: Mask) -> list[tuple[int, int]]:
     """[start, stop) of values repeated for as long as a stuck sensor would."""
-    whole = [(a - 1, b) for a, b in runs_of(same)]
-    time = flight.time
-    return [(a, b) for a, b in whole if b - a >= STUCK_SAMPLES and time[b - 1] - time[a] >= STUCK]
+    runs = [(a - 1, b) for a, b in true_runs(same)]
+    return [(a, b) for a, b in runs if b - a >= STUCK_SAMPLES and flight.time[b - 1] - flight.time[a] >= STUCK]
 
 
 def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask, float]:
@@ -132,37 +128,30 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
     jump = np.abs(np.diff(values[starts]))  # into the next value
     big = jump >= BIG * step
     # a value between two big steps: what was held there was moved meanwhile
-    between = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
-    holds = length[1:][between]
+    complete = big[:-1] & big[1:] & (length[1:] * flight.sample_interval <= LONGEST_HOLD)
+    holds = length[1:][complete]
     if holds.size < SLOW_RUNS or float(np.mean(holds >= 2)) < SLOW_SHARE:
         return none, 0.0
-    usual = float(np.median(holds))
-    if float(np.mean(np.abs(holds - usual) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * usual + 1.0)) > LATE:
+    typical = float(np.median(holds))
+    if float(np.mean(np.abs(holds - typical) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * typical + 1.0)) > LATE:
         return none, 0.0
     return same.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
 
 
-class _Judge:
-    """Evidence on the long runs of one column."""
+class _StuckEvidence:
+    """Whether the sensor of one column is stuck in a long run of one value. runs: all of them."""
 
     def __init__(
-        self,
-        flight: Flight,
-        column: str,
-        values: Array,
-        same: Mask,
-        held: Mask,
-        step: float,
-        runs: list[tuple[int, int]],
+        self, flight: Flight, column: str, same: Mask, held: Mask, step: float, runs: list[tuple[int, int]]
     ) -> None:
-        self.flight, self.column, self.step, self.runs = flight, column, step, runs
-        self.still = np.zeros(values.size, bool)
+        self.flight, self.step, self.values = flight, step, flight[column]
+        self.still = np.zeros(len(flight), bool)
         for a, b in runs:
             self.still[a:b] = True
-        self.alive = values[~self.still & ~held & np.isfinite(values)]
-        self.repeated = float(np.mean(same[~self.still & ~held])) if self.alive.size else 0.0
-        self.shadow = shadow(flight, column, ~self.still) if runs else None
-        self.values = values
+        live = ~self.still & ~held
+        self.alive = self.values[live & np.isfinite(self.values)]
+        self.repeated = float(np.mean(same[live])) if self.alive.size else 0.0
+        self.shadow = predicted_channel(flight, column, ~self.still) if runs else None
         self._flicker: dict[str, float] = {}
         self.others = [c for c in SENSED if c != column and flight.measured(c)]
 
@@ -173,14 +162,14 @@ class _Judge:
     def _moves(self, column: str, a: int, b: int) -> bool:
         """Whether another column moves by more than the flicker of its last digit in a run."""
         if column not in self._flicker:
-            known = self.flight[column][np.isfinite(self.flight[column])]
-            self._flicker[column] = max(SAME * span_of(known), BIG * quantum(known))
-        inside = self.flight[column][a:b]
-        inside = inside[np.isfinite(inside)]
-        return bool(inside.size > 1 and np.ptp(inside) > self._flicker[column])
+            finite = self.flight[column][np.isfinite(self.flight[column])]
+            self._flicker[column] = max(SAME * span_of(finite), BIG * quantum(finite))
+        values = self.flight[column][a:b]
+        values = values[np.isfinite(values)]
+        return bool(values.size > 1 and np.ptp(values) > self._flicker[column])
 
-    def noise_stopped(self, a: int, b: int) -> bool:
-        """Whether noise of at least one quantum, which the channel shows elsewhere, is missing in a run."""
+    def noise_stopped(self) -> bool:
+        """Whether noise of at least one quantum, which the channel shows elsewhere, is missing in the runs."""
         if self.alive.size < STUCK_SAMPLES or self.repeated > REPEATED:
             return False
         third = np.diff(self.alive, 3)
@@ -194,15 +183,15 @@ class _Judge:
         predicted = self.shadow[a:b]
         if not np.isfinite(predicted).all():
             return False
-        moved = float(np.ptp(predicted))
-        return moved > SEVERAL * self.step and moved > BEYOND_ERROR * self._usual_error(b - a)
+        movement = float(np.ptp(predicted))
+        return movement > SEVERAL * self.step and movement > BEYOND_ERROR * self._usual_error(b - a)
 
     def _usual_error(self, length: int) -> float:
         """Movement within a stretch of that length that prediction and channel disagree on where it does not stand still."""
         assert self.shadow is not None
-        off = np.where(self.still, np.nan, self.values - self.shadow)
-        whole = [off[k : k + length] for k in range(0, off.size - length, max(1, length // 2))]
-        errors = [float(np.ptp(w)) for w in whole if np.isfinite(w).all()]
+        error = np.where(self.still, np.nan, self.values - self.shadow)
+        stretches = [error[k : k + length] for k in range(0, error.size - length, max(1, length // 2))]
+        errors = [float(np.ptp(stretch)) for stretch in stretches if np.isfinite(stretch).all()]
         return float(np.median(errors)) if len(errors) >= 3 else np.inf
 
 
@@ -218,27 +207,19 @@ def _alternating(third: Array) -> bool:
 # ------------------------------------------------------------------------------- what the other channels say of a channel
 
 
-def shadow(flight: Flight, column: str, trusted: Mask) -> Array | None:
+def predicted_channel(flight: Flight, column: str, trusted: Mask) -> Array | None:
     """(N,) the channel as the others show it, up to constants and slow drift; None where they cannot. trusted: (N,) samples
     that may be learnt from.
 
     Attitude from the rates and rates from the attitude, by kinematics; other channels by regression on the rest.
     """
-    made = _KINEMATIC.get(column)
-    if made is not None and all(flight.measured(c) for c in made.needs):
-        return made.build({c: flight[c] for c in made.needs}, flight)
+    kinematics = _KINEMATICS.get(column)
+    if kinematics is not None and all(flight.measured(c) for c in kinematics[0]):
+        return kinematics[1](flight)
     if column not in SENSED:
         return None
-    names = [c for c in (*SENSED, *CONTROLS) if c != column and flight.measured(c)]
-    return _regressed(flight, column, names, trusted)
-
-
-CONTROLS = ("delta_e", "delta_a", "delta_r")
-
-
-def _regressed(flight: Flight, column: str, names: Sequence[str], trusted: Mask) -> Array | None:
-    columns = [_standard(flight[c]) for c in names]
-    X = np.column_stack([np.ones(len(flight)), *(c for c in columns if c is not None)])
+    predictors = [_standardised(flight[c]) for c in (*SENSED, *CONTROLS) if c != column and flight.measured(c)]
+    X = np.column_stack([np.ones(len(flight)), *(c for c in predictors if c is not None)])
     rows = trusted & np.isfinite(flight[column]) & np.isfinite(X).all(axis=1)
     if rows.sum() < 4 * X.shape[1]:
         return None
@@ -246,61 +227,84 @@ def _regressed(flight: Flight, column: str, names: Sequence[str], trusted: Mask)
     return np.asarray(X @ beta)
 
 
-def _standard(values: Array) -> Array | None:
+def _standardised(values: Array) -> Array | None:
     spread = float(np.nanstd(values))
     return (values - float(np.nanmean(values))) / spread if spread > 0.0 else None
 
 
-@dataclass(frozen=True)
-class _Made:
-    needs: tuple[str, ...]
-    build: Callable[[Mapping[str, Array], Flight], Array]
-
-
-def _integrated(rate: Array, flight: Flight) -> Array:
-    """Running integral of a rate, from zero in each segment (trapezoidal rule)."""
-    result = np.full(rate.size, np.nan)
+def _angle(name: str, flight: Flight) -> Array:
+    """An angle of attitude by what the gyros turn, from zero in each segment."""
+    rate = EULER_RATES[name](flight)
+    angle = np.full(rate.size, np.nan)
     for part in flight.segments:
-        mean = 0.5 * (rate[part][1:] + rate[part][:-1])
-        result[part] = np.concatenate([[0.0], np.cumsum(mean * np.diff(flight.time[part]))])
-    return result
+        angle[part] = integral(flight.time[part], rate[part])
+    return angle
 
 
-def _turn(c: Mapping[str, Array]) -> Array:
-    """Rate of turn about the vertical times cos(theta) [rad/s]."""
-    return c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])
-
-
-_SMOOTHED = 5  # samples of a running mean over slopes of an attitude
-
-
-def _slope(angle: Array, flight: Flight) -> Array:
-    """Slope [rad/s] of an attitude, over a few samples."""
-    result = np.full(angle.size, np.nan)
-    kernel = np.full(_SMOOTHED, 1.0 / _SMOOTHED)
+def _angle_slope(name: str, flight: Flight) -> Array:
+    """Slope [rad/s] of an angle of attitude, over a few samples."""
+    slope = np.full(len(flight), np.nan)
+    kernel = np.full(SMOOTHED, 1.0 / SMOOTHED)
     for part in flight.segments:
-        if part.stop - part.start > 2 * _SMOOTHED:
-            result[part] = np.convolve(np.gradient(np.unwrap(angle[part]), flight.time[part]), kernel, "same")
-    return result
+        if part.stop - part.start > 2 * SMOOTHED:
+            slope[part] = np.convolve(np.gradient(np.unwrap(flight[name][part]), flight.time[part]), kernel, "same")
+    return slope
 
 
-_KINEMATIC: Mapping[str, _Made] = {
-    "phi": _Made(("p", "q", "r", "phi", "theta"), lambda c, f: _integrated(c["p"] + np.tan(c["theta"]) * _turn(c), f)),
-    "theta": _Made(
-        ("q", "r", "phi"), lambda c, f: _integrated(c["q"] * np.cos(c["phi"]) - c["r"] * np.sin(c["phi"]), f)
-    ),
-    "psi": _Made(("q", "r", "phi", "theta"), lambda c, f: _integrated(_turn(c) / np.cos(c["theta"]), f)),
-    "p": _Made(("phi", "psi", "theta"), lambda c, f: _slope(c["phi"], f) - _slope(c["psi"], f) * np.sin(c["theta"])),
-    "q": _Made(
-        ("phi", "theta", "psi"),
-        lambda c, f: (
-            _slope(c["theta"], f) * np.cos(c["phi"]) + _slope(c["psi"], f) * np.cos(c["theta"]) * np.sin(c["phi"])
-        ),
-    ),
-    "r": _Made(
-        ("phi", "theta", "psi"),
-        lambda c, f: (
-            _slope(c["psi"], f) * np.cos(c["theta"]) * np.cos(c["phi"]) - _slope(c["theta"], f) * np.sin(c["phi"])
-        ),
-    ),
+def _p(f: Flight) -> Array:
+    return _angle_slope("phi", f) - _angle_slope("psi", f) * np.sin(f["theta"])
+
+
+def _q(f: Flight) -> Array:
+    yaw_part = _angle_slope("psi", f) * np.cos(f["theta"]) * np.sin(f["phi"])
+    return _angle_slope("theta", f) * np.cos(f["phi"]) + yaw_part
+
+
+def _r(f: Flight) -> Array:
+    yaw_part = _angle_slope("psi", f) * np.cos(f["theta"]) * np.cos(f["phi"])
+    return yaw_part - _angle_slope("theta", f) * np.sin(f["phi"])
+
+
+_ATTITUDE = ("phi", "theta", "psi")
+_KINEMATICS: Mapping[str, tuple[tuple[str, ...], Callable[[Flight], Array]]] = {
+    "phi": (("p", "q", "r", "phi", "theta"), partial(_angle, "phi")),
+    "theta": (("q", "r", "phi"), partial(_angle, "theta")),
+    "psi": (("q", "r", "phi", "theta"), partial(_angle, "psi")),
+    "p": (_ATTITUDE, _p),
+    "q": (_ATTITUDE, _q),
+    "r": (_ATTITUDE, _r),
 }
+"""Column -> the columns that kinematics make it of, and how."""
+
+
+# -------------------------------------------------------------------------------------------------- flights that are one record
+
+ROWS_IN_A_ROW = 20  # rows in a row that have to be the same
+ROWS_MOVING = 0.5  # of them have to differ from the row before: aircraft at rest and simulated trims look alike
+SHARED = 0.25  # of the shorter flight: flights simulated without noise may begin alike
+FEWEST_COLUMNS = 3  # that all have measured
+
+
+def one_record_twice(flights: Sequence[Flight]) -> tuple[int, int] | None:
+    """Indices of the first two flights that share a quarter of the shorter one's samples; None where no two do."""
+    columns = [c for c in SENSED if all(f.measured(c) for f in flights)]
+    if len(columns) < FEWEST_COLUMNS:
+        return None
+    prints = [_fingerprints(f, columns) for f in flights]
+    for a, b in combinations(range(len(flights)), 2):
+        shared = len(prints[a] & prints[b])
+        if shared and shared >= SHARED * min(len(flights[a]), len(flights[b])):
+            return a, b
+    return None
+
+
+def _fingerprints(flight: Flight, columns: Sequence[str]) -> set[int]:
+    """A number for the contents of every window of rows that move."""
+    # single precision, so that a file of seven digits is the same; bits, so that what is not measured is; zero and minus zero are
+    rows = np.column_stack([flight[c].astype(np.float32) + np.float32(0.0) for c in columns]).view(np.uint32)
+    changes = np.concatenate([[0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1))])
+    return {
+        hash(rows[end - ROWS_IN_A_ROW : end].tobytes())
+        for end in range(ROWS_IN_A_ROW, len(rows) + 1)
+        if changes[end - 1] - changes[end - ROWS_IN_A_ROW] >= ROWS_MOVING * ROWS_IN_A_ROW
+    }

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundstation.flight.arrays import Array, integral, true_runs
 from groundstation.flight.flight import Flight
-
-Array = NDArray[np.float64]
+from groundstation.flight.kinematics import EULER_RATES, GYROS
 
 _WINDOW = 10.0  # s over which the drift of an integrated rate is a parabola
 _LEAST_RATE = 0.05  # rad/s rms below which an attitude has not moved enough
@@ -30,64 +29,43 @@ class Skew:
 
 def attitude_skew(flight: Flight) -> tuple[Skew, ...]:
     """Delay of phi, theta and psi behind p, q and r, for those that moved enough. Needs all six columns."""
-    if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta", "psi")):
+    if not all(flight.measured(c) for c in (*GYROS, *GYROS.values())):
         return ()
-    out = []
-    phi, theta = flight["phi"], flight["theta"]
-    p, q, r = flight["p"], flight["q"], flight["r"]
-    turn = q * np.sin(phi) + r * np.cos(phi)
-    rates = {
-        "phi": ("p", p + np.tan(theta) * turn),
-        "theta": ("q", q * np.cos(phi) - r * np.sin(phi)),
-        "psi": ("r", turn / np.cos(theta)),
-    }
-    for angle, (gyro, rate) in rates.items():
-        parts = list(_windows(flight, flight[angle], rate))
-        found = _delay([(t, np.unwrap(a), *_integral(t, b)) for t, a, b in parts], _LEAST_RATE)
-        if found is not None:
-            out.append(Skew(angle, gyro, *found))
-    return tuple(out)
+    skews = []
+    for angle, gyro in GYROS.items():
+        windows = _windows(flight, flight[angle], EULER_RATES[angle](flight))
+        delay = _delay([(t, np.unwrap(a), _corrected_integral(t, b), b) for t, a, b in windows], _LEAST_RATE)
+        if delay is not None:
+            skews.append(Skew(angle, gyro, *delay))
+    return tuple(skews)
 
 
 def control_skew(flight: Flight) -> tuple[Skew, ...]:
     """Delay of delta_* behind cmd_*, servo lag included, for those that moved enough."""
-    out = []
-    for axis in "ear":
-        measured, command = f"delta_{axis}", f"cmd_{axis}"
-        if flight.measured(measured) and flight.measured(command):
-            parts = [
-                (t, a, b)
-                for t, a, b in _windows(flight, flight[measured], flight[command])
-                if np.std(b) > _LEAST_SURFACE
-            ]
-            found = _shift(parts)
-            if found is not None:
-                out.append(Skew(measured, command, *found))
-    return tuple(out)
+    skews = []
+    for surface, command in ((f"delta_{axis}", f"cmd_{axis}") for axis in "ear"):
+        if flight.measured(surface) and flight.measured(command):
+            windows = _windows(flight, flight[surface], flight[command])
+            delay = _correlation_delay([w for w in windows if np.std(w[2]) > _LEAST_SURFACE])
+            if delay is not None:
+                skews.append(Skew(surface, command, *delay))
+    return tuple(skews)
 
 
 def _windows(flight: Flight, late: Array, early: Array) -> Iterator[tuple[Array, Array, Array]]:
     """Unbroken stretches of at most _WINDOW seconds of both columns."""
-    for segment in flight.segments:
-        t, a, b = flight.time[segment], late[segment], early[segment]
-        good = np.isfinite(a) & np.isfinite(b)
-        breaks = np.flatnonzero(~good)
-        for part in np.split(np.arange(t.size), breaks):
-            rows = part[good[part]]
-            while rows.size:
-                inside = rows[t[rows] <= t[rows[0]] + _WINDOW]
-                if inside.size >= 20:
-                    yield t[inside], a[inside], b[inside]
-                rows = rows[inside.size :]
+    for start, stop in true_runs(np.isfinite(late) & np.isfinite(early), flight.segments):
+        while start < stop:
+            end = start + int(np.searchsorted(flight.time[start:stop], flight.time[start] + _WINDOW, side="right"))
+            if end - start >= 20:
+                yield flight.time[start:end], late[start:end], early[start:end]
+            start = end
 
 
-def _integral(t: Array, rate: Array) -> tuple[Array, Array]:
-    steps = np.diff(t)
-    trapezoid = 0.5 * (rate[1:] + rate[:-1])
-    # third-order correction of the trapezoid by the change of slope (Euler-Maclaurin)
-    slope = np.gradient(rate, t)
-    area = steps * trapezoid - steps**2 / 12 * np.diff(slope)
-    return np.concatenate([[0.0], np.cumsum(area)]), rate
+def _corrected_integral(t: Array, rate: Array) -> Array:
+    """Running integral with the trapezoid's third-order correction by the change of slope (Euler-Maclaurin)."""
+    correction = np.cumsum(np.diff(t) ** 2 / 12 * np.diff(np.gradient(rate, t)))
+    return integral(t, rate) - np.concatenate([[0.0], correction])
 
 
 def _delay(parts: list[tuple[Array, Array, Array, Array]], least: float) -> tuple[float, float] | None:
@@ -95,17 +73,17 @@ def _delay(parts: list[tuple[Array, Array, Array, Array]], least: float) -> tupl
 
     The integrated angle is moved in time until what remains has no part along the rate (Gauss-Newton on the delay).
     """
-    parts = [p for p in parts if float(np.std(p[3])) > least]
+    parts = [part for part in parts if float(np.std(part[3])) > least]
     if not parts:
         return None
     delay = 0.0
     for _ in range(6):
         top = bottom = 0.0
         residuals = []
-        for t, angle, integral, rate in parts:
-            moved, slope = np.interp(t - delay, t, integral), np.interp(t - delay, t, rate)
+        for t, angle, gyro_angle, rate in parts:
+            shifted, slope = np.interp(t - delay, t, gyro_angle), np.interp(t - delay, t, rate)
             trend = np.vander((t - t.mean()) / _WINDOW, 3)
-            difference, slope = (_without(trend, v) for v in (moved - angle, slope))
+            difference, slope = (_without(trend, v) for v in (shifted - angle, slope))
             top, bottom = top + float(slope @ difference), bottom + float(slope @ slope)
             residuals.append((slope, difference))
         if bottom <= 0:
@@ -125,39 +103,35 @@ def _coloured(parts: list[tuple[Array, Array]], step: float, bottom: float) -> f
     """One sigma of the delay with the residual's own autocorrelation: var = sum_k R(k) (s_i s_i+k) / (s s)^2."""
     total = 0.0
     for slope, difference in parts:
-        left = difference - step * slope
-        for lag in range(min(20, left.size)):
+        residual = difference - step * slope
+        n = residual.size
+        for lag in range(min(20, n)):
             weight = (1 if lag == 0 else 2) * (1 - lag / 20)
-            total += (
-                weight
-                * float(left[lag:] @ left[: left.size - lag])
-                / left.size
-                * float(slope[lag:] @ slope[: slope.size - lag])
-            )
+            autocovariance = float(residual[lag:] @ residual[: n - lag]) / n
+            total += weight * autocovariance * float(slope[lag:] @ slope[: n - lag])
     return float(np.sqrt(max(total, 0.0)) / bottom) if total > 0 else float(np.sqrt(abs(step) / bottom))
 
 
-def _shift(parts: list[tuple[Array, Array, Array]]) -> tuple[float, float] | None:
+def _correlation_delay(parts: list[tuple[Array, Array, Array]]) -> tuple[float, float] | None:
     """Delay of the first signal behind the second at the largest cross-correlation, to a fraction of a sample."""
     if not parts:
         return None
     interval = float(np.median(np.diff(parts[0][0])))
     lags = np.arange(-0.15, 0.4, interval / 10)
     cost = np.zeros(lags.size)
-    samples = 0
-    curvature = 0.0
-    for t, late, early in parts:
-        scale = float(np.std(late) / np.std(early)) if np.std(early) > 0 else 1.0
+    samples, curvature = 0, 0.0
+    for t, response, command in parts:
+        scale = float(np.std(response) / np.std(command)) if np.std(command) > 0 else 1.0
         for i, lag in enumerate(lags):
-            moved = scale * np.interp(t - lag, t, early)
-            cost[i] += float(np.sum((late - late.mean() - moved + moved.mean()) ** 2))
+            shifted = scale * np.interp(t - lag, t, command)
+            cost[i] += float(np.sum((response - response.mean() - shifted + shifted.mean()) ** 2))
         samples += t.size
-        curvature += float(np.sum((scale * np.gradient(early, t)) ** 2))
-    best = int(np.argmin(cost))
-    if best in (0, lags.size - 1) or curvature <= 0:
+        curvature += float(np.sum((scale * np.gradient(command, t)) ** 2))
+    lowest = int(np.argmin(cost))
+    if lowest in (0, lags.size - 1) or curvature <= 0:
         return None
-    left, middle, right = cost[best - 1 : best + 2]
-    bend = left - 2 * middle + right
-    fraction = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    left_cost, middle, right_cost = cost[lowest - 1 : lowest + 2]
+    bend = left_cost - 2 * middle + right_cost
+    fraction = 0.5 * (left_cost - right_cost) / bend if bend > 0 else 0.0
     sigma2 = middle / max(samples - 1, 1)
-    return float(lags[best] + fraction * (lags[1] - lags[0])), float(np.sqrt(sigma2 / curvature))
+    return float(lags[lowest] + fraction * (lags[1] - lags[0])), float(np.sqrt(sigma2 / curvature))

@@ -2,18 +2,16 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from groundstation.importers.series import TimeSeries
 
-LONGEST = 32
-"""Elements of an array that become series: 32 outputs of an autopilot; longer ones are images and clouds."""
-DEEPEST = 8
-"""Messages within messages."""
-MOST = 2_000
-"""Numbers of one message."""
+LONGEST = 32  # elements of an array that become series: 32 outputs of an autopilot; longer ones are images and clouds
+DEEPEST = 8  # messages within messages
+MOST = 2_000  # numbers of one message
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
@@ -26,7 +24,7 @@ class Topic:
     time: list[float] = field(default_factory=list)
     columns: dict[str, list[float]] = field(default_factory=dict)
 
-    def add(self, time: float, row: Mapping[str, float]) -> None:
+    def add_message(self, time: float, row: Mapping[str, float]) -> None:
         """Keep a message; NaN where it lacks a field that others have."""
         count = len(self.time)
         for name, value in row.items():
@@ -41,27 +39,20 @@ class Topic:
         unit_of_stamp: of a field `timestamp`, of kinds that have their own.
         """
         count = len(self.time)
-        made = {n: np.array([*v, *[np.nan] * (count - len(v))]) for n, v in self.columns.items()}
+        columns = {n: np.array([*v, *[np.nan] * (count - len(v))]) for n, v in self.columns.items()}
         time = np.array(self.time)
-        if unit_of_stamp is not None and "timestamp" in made:
-            time = made["timestamp"] * unit_of_stamp
-        elif all(n in made for n in STAMP) and np.all(made[STAMP[0]] + made[STAMP[1]] > 0):
-            time = made[STAMP[0]] + 1e-9 * made[STAMP[1]]
+        if unit_of_stamp is not None and "timestamp" in columns:
+            time = columns["timestamp"] * unit_of_stamp
+        elif all(n in columns for n in STAMP) and np.all(columns[STAMP[0]] + columns[STAMP[1]] > 0):
+            time = columns[STAMP[0]] + 1e-9 * columns[STAMP[1]]
         order = np.argsort(time, kind="stable")
-        skipped = ("header.", "timestamp")
-        return {
-            f"{prefix}.{n}": TimeSeries(time[order], v[order]) for n, v in made.items() if not n.startswith(skipped)
-        }
+        columns = {n: v for n, v in columns.items() if not n.startswith(("header.", "timestamp"))}
+        return {f"{prefix}.{n}": TimeSeries(time[order], v[order]) for n, v in columns.items()}
 
 
 def numbers_of(message: Any) -> dict[str, float]:
     """Every number in a message, by the path of its fields: `linear_acceleration.x`, `channels[3]`."""
-    found: dict[str, float] = {}
-    for name, value in _walk("", message, DEEPEST):
-        found[name] = value
-        if len(found) >= MOST:
-            break
-    return found
+    return dict(islice(_walk("", message, DEEPEST), MOST))
 
 
 def _walk(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:

@@ -10,6 +10,7 @@ import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +23,12 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 HEADER_OPCODE, HEADER_AT = 1, 17  # the header record, and where its profile begins
 HEAD_BYTES = 4096  # read to find the profile
 LARGEST_RECORD = 256 << 20  # bytes of one record of an MCAP file: a chunk of a bag has a few megabytes
-_DAMAGE = (
-    ValueError,
-    KeyError,
-    IndexError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    EOFError,
-    MemoryError,
-    struct.error,
-)
-_WITHOUT = "a package is missing: pip install 'sideslip[ground]'"
-
+_DAMAGE = (ValueError, LookupError, TypeError, AttributeError, OverflowError, EOFError, MemoryError, struct.error)
 Decode = Callable[[bytes], Any]
+
+
+class UnknownSchemaError(Exception):
+    """Messages of a kind that nothing here decodes."""
 
 
 @dataclass
@@ -47,18 +40,28 @@ class Bag:
     damaged: int = 0
     notes: list[str] = field(default_factory=list)
 
-    def take(self, name: str, kind: str, time_ns: int, data: bytes, decode: Decode) -> None:
+    def decoder(self, topic: str, what: str, make: Callable[[], Decode]) -> Decode | None:
+        """What reads the messages of a topic; None where its schema or definition (`what`) cannot be read; `unread` says why."""
+        try:
+            return make()
+        except ModuleNotFoundError:
+            self.unread[topic] = "a package is missing: pip install 'sideslip[ground]'"
+        except UnknownSchemaError as error:
+            self.unread[topic] = str(error)
+        except Exception as error:  # noqa: BLE001 - a schema may be anything
+            self.unread[topic] = f"its {what} cannot be read ({type(error).__name__})"
+        return None
+
+    def add_message(self, name: str, kind: str, time_ns: int, data: bytes, decode: Decode) -> None:
         """Decode and keep a message."""
         try:
             row = numbers_of(decode(data))
-        except _DAMAGE:
-            self.damaged += 1
-            return
         except Exception as error:  # noqa: BLE001 - protobuf and struct raise classes of their own for damaged bytes
             self.damaged += 1
-            self.unread.setdefault(name, type(error).__name__)
+            if not isinstance(error, _DAMAGE):
+                self.unread.setdefault(name, type(error).__name__)
             return
-        self.topics.setdefault(name, Topic(name, kind)).add(time_ns * 1e-9, row)
+        self.topics.setdefault(name, Topic(name, kind)).add_message(time_ns * 1e-9, row)
 
 
 def read_bag(path: Path) -> Bag:
@@ -67,14 +70,13 @@ def read_bag(path: Path) -> Bag:
         head = file.read(len(SQLITE))
     bag = _sqlite(path) if head == SQLITE else _mcap(path)
     if not bag.topics:
-        why = "; ".join(f"{t}: {w}" for t, w in list(bag.unread.items())[:4]) or "it holds no messages"
-        raise ImportDataError(f"{path}: no message of this bag can be read: {why}")
+        reasons = "; ".join(f"{t}: {w}" for t, w in list(bag.unread.items())[:4]) or "it holds no messages"
+        raise ImportDataError(f"{path}: no message of this bag can be read: {reasons}")
     if bag.damaged:
         bag.notes.append(f"{bag.damaged} messages of the bag are damaged and left out")
     if bag.unread:
-        bag.notes.append(
-            "topics that cannot be read: " + ", ".join(f"{t} ({w})" for t, w in list(bag.unread.items())[:12])
-        )
+        unread = ", ".join(f"{t} ({w})" for t, w in list(bag.unread.items())[:12])
+        bag.notes.append(f"topics that cannot be read: {unread}")
     return bag
 
 
@@ -116,8 +118,8 @@ def _mcap(path: Path) -> Bag:
     decoders: dict[int, Decode | None] = {}
     try:
         with path.open("rb") as file:
-            every: Iterator[Any] = StreamReader(file, record_size_limit=LARGEST_RECORD).records
-            for record in every:
+            records: Iterator[Any] = StreamReader(file, record_size_limit=LARGEST_RECORD).records
+            for record in records:
                 match type(record).__name__:
                     case "Schema":
                         schemas[record.id] = record
@@ -127,10 +129,12 @@ def _mcap(path: Path) -> Bag:
                         channel = channels[record.channel_id]
                         schema = schemas.get(channel.schema_id)
                         if record.channel_id not in decoders:
-                            decoders[record.channel_id] = _decoder(bag, channel, schema)
+                            make = partial(_mcap_decoder, channel, schema)
+                            decoders[record.channel_id] = bag.decoder(channel.topic, "schema", make)
                         decode = decoders[record.channel_id]
                         if decode is not None:
-                            bag.take(channel.topic, schema.name if schema else "", record.log_time, record.data, decode)
+                            kind = schema.name if schema else ""
+                            bag.add_message(channel.topic, kind, record.log_time, record.data, decode)
     except (McapError, *_DAMAGE) as error:
         if not bag.topics:
             raise ImportDataError(
@@ -140,31 +144,22 @@ def _mcap(path: Path) -> Bag:
     return bag
 
 
-def _decoder(bag: Bag, channel: Any, schema: Any) -> Decode | None:
-    """What reads the messages of a channel; None, and why in the bag, where nothing does."""
-    try:
-        if channel.message_encoding == "json":
-            return json.loads
-        if channel.message_encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
-            return _cdr(schema.name, schema.data.decode())
-        if channel.message_encoding == "protobuf" and schema is not None:
-            return _protobuf(schema)
-    except ModuleNotFoundError:
-        bag.unread[channel.topic] = _WITHOUT
-        return None
-    except Exception as error:  # noqa: BLE001 - a schema may be anything
-        bag.unread[channel.topic] = f"its schema cannot be read ({type(error).__name__})"
-        return None
+def _mcap_decoder(channel: Any, schema: Any) -> Decode:
+    if channel.message_encoding == "json":
+        return json.loads
+    if channel.message_encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
+        return _cdr(schema.name, schema.data.decode())
+    if channel.message_encoding == "protobuf" and schema is not None:
+        return _protobuf(schema)
     kind = f"{channel.message_encoding or 'no encoding'} with {schema.encoding if schema else 'no'} schema"
-    bag.unread[channel.topic] = f"{kind} is not known; cdr with ros2msg, protobuf and json are"
-    return None
+    raise UnknownSchemaError(f"{kind} is not known; cdr with ros2msg, protobuf and json are")
 
 
 def _cdr(name: str, definition: str) -> Decode:
     from mcap_ros2.decoder import generate_dynamic
 
-    made: Mapping[str, Decode] = generate_dynamic(name, definition)
-    return made[name] if name in made else made[name.replace("/msg/", "/")]
+    decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
+    return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
 
 
 def _protobuf(schema: Any) -> Decode:
@@ -180,26 +175,24 @@ def _protobuf(schema: Any) -> Decode:
 
 
 def _sqlite(path: Path) -> Bag:
-    from groundstation.importers.formats.ros_definitions import STANDARD
-
     bag = Bag()
     try:
         with sqlite3.connect(f"file:{path.resolve()}?mode=ro", uri=True) as file:
-            names = {row[0] for row in file.execute("select name from sqlite_master where type = 'table'")}
-            if not {"topics", "messages"} <= names:
+            tables = {row[0] for row in file.execute("select name from sqlite_master where type = 'table'")}
+            if not {"topics", "messages"} <= tables:
                 raise ImportDataError(f"{path}: an SQLite file, but no ROS 2 bag: it has no tables topics and messages")
-            defined = dict(_definitions(file)) if "message_definitions" in names else {}
+            query = "select topic_type, encoded_message_definition from message_definitions where encoding = 'ros2msg'"
+            definitions: dict[str, str] = dict(file.execute(query)) if "message_definitions" in tables else {}
             topics = {number: (name, kind) for number, name, kind in file.execute("select id, name, type from topics")}
-            decoders: dict[int, Decode | None] = {}
-            for number, (name, kind) in topics.items():
-                text = defined.get(kind) or STANDARD.get(kind)
-                decoders[number] = _cdr_or_why(bag, name, kind, text)
-            for number, stamp, data in file.execute(
-                "select topic_id, timestamp, data from messages order by timestamp"
-            ):
+            decoders = {
+                number: bag.decoder(name, "definition", partial(_sqlite_decoder, kind, definitions))
+                for number, (name, kind) in topics.items()
+            }
+            query = "select topic_id, timestamp, data from messages order by timestamp"
+            for number, stamp, data in file.execute(query):
                 decode = decoders.get(number)
                 if decode is not None and isinstance(data, bytes) and isinstance(stamp, int):
-                    bag.take(*topics[number], stamp, data, decode)
+                    bag.add_message(*topics[number], stamp, data, decode)
     except sqlite3.Error as error:
         if not bag.topics:
             raise ImportDataError(f"{path}: damaged SQLite bag ({error})") from error
@@ -207,22 +200,12 @@ def _sqlite(path: Path) -> Bag:
     return bag
 
 
-def _definitions(file: sqlite3.Connection) -> Iterator[tuple[str, str]]:
-    yield from file.execute(
-        "select topic_type, encoded_message_definition from message_definitions where encoding = 'ros2msg'"
-    )
+def _sqlite_decoder(kind: str, definitions: Mapping[str, str]) -> Decode:
+    from groundstation.importers.formats.ros_definitions import STANDARD
 
-
-def _cdr_or_why(bag: Bag, name: str, kind: str, text: str | None) -> Decode | None:
+    text = definitions.get(kind) or STANDARD.get(kind)
     if text is None:
-        bag.unread[name] = (
+        raise UnknownSchemaError(
             f"{kind}: this bag carries no definitions; convert it with 'ros2 bag convert' to MCAP, which does"
         )
-        return None
-    try:
-        return _cdr(kind, text)
-    except ModuleNotFoundError:
-        bag.unread[name] = _WITHOUT
-    except Exception as error:  # noqa: BLE001 - a definition may be anything
-        bag.unread[name] = f"its definition cannot be read ({type(error).__name__})"
-    return None
+    return _cdr(kind, text)

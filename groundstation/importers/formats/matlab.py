@@ -5,46 +5,82 @@ several structs with the same fields, an array or a cell of structs. Vectors in 
 columns of a matrix `data[0]`, members of a list `signals[0].values`. A struct `units` beside the vectors says their units.
 """
 
+import io
+import json
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, plain_name
+from groundstation.flight.arrays import Array
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import ImportedTable
 from groundstation.importers.mapping import FileFormat
 
-Array = NDArray[np.float64]
-
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_ASIDE = ("units", "meaning", "about")
-"""Structs beside the vectors that `sideslip export` writes."""
-MOST_RECORDS = 1000
-"""Of a file; each becomes a segment."""
-_FEWEST_ROWS = 2
-
-
-def read_matlab(path: Path, layout: FileFormat) -> list[ImportedTable]:
-    """The records of a MATLAB file, in order. Raises ImportDataError for a file that cannot be read or holds none."""
-    return tables_of(path, *read_variables(path), layout)
+_ASIDE = ("units", "meaning", "about")  # structs beside the vectors that `sideslip export` writes
+MOST_RECORDS = 1000  # of a file; each becomes a segment
+FEWEST_ROWS = 2
+LEAST_UNPACKED, MOST_TIMES_PACKED = 2**26, 16
+"""A file may unpack to 64 MiB, or to 16 times its length: numbers of flights pack to a half, constants to nothing."""
+SECONDS = 60  # for a file; 100 MB take some 2 s
+_CHILD = Path(__file__).with_name("matlab_child.py")
+_NO_PACKAGE = 3  # its exit status
 
 
 def read_variables(path: Path) -> tuple[dict[str, Any], int]:
-    """The variables of a MATLAB file, and how many could not be read. Raises ImportDataError for a file that is none."""
+    """Variables by name: dictionaries (structs), lists (cells, arrays of structs), texts and arrays of numbers; and how many
+    parts were left out.
+
+    Read in a process of its own, whose memory and time are limited. Raises ImportDataError for a file that is none.
+    """
     data = read_bytes(path, error=ImportDataError)
-    if _HDF5 in (data[:8], data[512:520]):
-        from groundstation.importers.formats.matlab_v73 import read_v73
+    version = "7.3" if _HDF5 in (data[:8], data[512:520]) else "5"
+    if version == "5" and data[126:128] not in (b"IM", b"MI"):
+        raise ImportDataError(
+            f"{path}: not a MATLAB 5 or 7.3 file; save it with -v7 or -v7.3 (older ones, of MATLAB 4, are not read)"
+        )
+    most_bytes = max(LEAST_UNPACKED, MOST_TIMES_PACKED * len(data))
+    child = [sys.executable, "-I", str(_CHILD), str(path.absolute()), str(most_bytes)]
+    try:
+        process = subprocess.run(child, capture_output=True, timeout=SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        raise ImportDataError(
+            f"{path}: damaged MATLAB {version} file (no end after {SECONDS} s); save it anew"
+        ) from None
+    if process.returncode == _NO_PACKAGE:
+        raise ImportDataError(
+            f"{path}: reading MATLAB 7.3 files needs the package h5py; pip install 'sideslip[ground]'"
+        )
+    if process.returncode < 0 and version == "5":
+        raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it anew")
+    if process.returncode:
+        raise ImportDataError(
+            f"{path}: damaged MATLAB {version} file, or larger than {most_bytes} bytes when unpacked; save it anew with -v7"
+        )
+    with np.load(io.BytesIO(process.stdout), allow_pickle=False) as arrays:
+        tree = json.loads(str(arrays["tree"]))
+        return {n: _from_tree(v, arrays) for n, v in tree["variables"].items()}, int(tree["left_out"])
 
-        return read_v73(path)
-    from groundstation.importers.formats.matlab_v5 import read_v5
 
-    return read_v5(path, data)
+def _from_tree(node: Any, arrays: Any) -> Any:
+    match node:
+        case {"array": str(name)}:
+            return arrays[name]
+        case {"struct": dict(fields)}:
+            return {n: _from_tree(v, arrays) for n, v in fields.items()}
+        case {"list": list(items)}:
+            return [_from_tree(v, arrays) for v in items]
+        case {"text": str(text)}:
+            return text
+    return None
 
 
 def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: FileFormat) -> list[ImportedTable]:
@@ -53,9 +89,9 @@ def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: F
     records = _records(_chosen(path, variables, layout.variable))[:MOST_RECORDS]
     tables = [table for table in (_table(record, notes) for record in records) if table.numeric]
     if not tables:
-        found = listed(map(plain_name, variables), 12) or "nothing that can be read"
+        names = listed(map(plain_name, variables), 12) or "nothing that can be read"
         raise ImportDataError(
-            f"{path}: no vectors of numbers over time in it; found {found}; tables, timetables and objects are read by MATLAB "
+            f"{path}: no vectors of numbers over time in it; found {names}; tables, timetables and objects are read by MATLAB "
             "only: save a struct of vectors, for example with table2struct(T, 'ToScalar', true)"
         )
     return tables
@@ -79,35 +115,35 @@ def _records(found: Any) -> list[Mapping[str, Any]]:
         return []
     if any(_is_vector(v) for n, v in found.items() if n not in _ASIDE):
         return [found]
-    inside = {n: v for n, v in found.items() if n not in _ASIDE and isinstance(v, (dict, list))}
-    several = [r for v in inside.values() for r in _records(v)]
-    alike = len({frozenset(r) for r in several}) == 1
+    containers = {n: v for n, v in found.items() if n not in _ASIDE and isinstance(v, (dict, list))}
+    several = [r for v in containers.values() for r in _records(v)]
+    same_fields = len({frozenset(r) for r in several}) == 1
     # structs of different fields are parts of one record, not records
-    return several if alike and several else [found]
+    return several if same_fields and several else [found]
 
 
 def _is_vector(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.size >= _FEWEST_ROWS
+    return isinstance(value, np.ndarray) and value.size >= FEWEST_ROWS
 
 
 def _table(record: Mapping[str, Any], notes: tuple[str, ...]) -> ImportedTable:
-    leaves = {name: v for name, v in _leaves(record) if v.size >= _FEWEST_ROWS}
+    leaves = {name: v for name, v in _leaves(record) if v.size >= FEWEST_ROWS}
     rows = Counter(max(v.shape) for v in leaves.values())
     if not rows:
         return ImportedTable({}, {})
     length = rows.most_common(1)[0][0]
     numeric: dict[str, Array] = {}
-    other = []
+    skipped = []
     for name, values in leaves.items():
         columns = _columns(name, values, length)
         if columns:
             numeric |= columns
         else:
-            other.append(plain_name(name))
+            skipped.append(plain_name(name))
     numeric = dict(list(numeric.items())[:MOST_COLUMNS])
     units = {n: u for n, u in _texts(record.get("units", {})) if n in numeric}
-    if other:
-        notes = (*notes, f"arrays that are not of {length} samples, left out: {listed(other, 12)}")
+    if skipped:
+        notes = (*notes, f"arrays that are not of {length} samples, left out: {listed(skipped, 12)}")
     return ImportedTable(
         {n: np.where(np.isinf(v), np.nan, v) for n, v in numeric.items()}, {}, units=units, notes=notes
     )

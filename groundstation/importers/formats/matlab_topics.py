@@ -8,21 +8,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from groundstation.importers.formats.attitude import with_attitudes
-from groundstation.importers.formats.dataflash import with_velocities
+from groundstation.flight.arrays import Array
+from groundstation.importers.attitude import with_attitudes
+from groundstation.importers.formats.dataflash import TIME_UNITS, with_velocities
+from groundstation.importers.formats.matlab import FEWEST_ROWS
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
-from groundstation.importers.series import Log, TimeSeries
-
-Array = NDArray[np.float64]
+from groundstation.importers.series import Log, TimeSeries, instance_rows
 
 _LABEL = "_label"
-_DATAFLASH_TIME = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 _PX4_TIME = {"timestamp": 1e-6}
 _OWN_TIME = {"time": 1.0, "t": 1.0, "Time": 1.0, "time_s": 1.0}
-FEWEST_ROWS = 2
 
 
 def topics_of(variables: object) -> tuple[Log, Map] | None:
@@ -32,7 +29,7 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
     topics = _labelled(variables) or _structs(variables)
     if len(topics) < 2:
         return None
-    for kind, times, base in (("dataflash", _DATAFLASH_TIME, "ardupilot"), ("ulog", _PX4_TIME, "px4")):
+    for kind, times, base in (("dataflash", TIME_UNITS, "ardupilot"), ("ulog", _PX4_TIME, "px4")):
         series = _series(topics, times, by_instance=kind == "dataflash")
         if series:
             log = Log(kind, with_attitudes(series))
@@ -48,45 +45,42 @@ def topics_of(variables: object) -> tuple[Log, Map] | None:
 
 def _labelled(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
     """Topic -> column -> values, of matrices with their labels beside them."""
-    out = {}
+    topics = {}
     for name, table in variables.items():
         labels = variables.get(f"{name}{_LABEL}")
         if not isinstance(table, np.ndarray) or table.ndim != 2 or not isinstance(labels, list):
             continue
         words = [str(w).strip() for w in labels]
         if table.shape[1] == len(words) and table.shape[0] >= FEWEST_ROWS:
-            out[name] = {word: np.asarray(table[:, i], float) for i, word in enumerate(words)}
-    return out
+            topics[name] = {word: np.asarray(table[:, i], float) for i, word in enumerate(words)}
+    return topics
 
 
 def _structs(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
     """The same of structs of vectors."""
-    out = {}
+    topics = {}
     for name, content in variables.items():
         if isinstance(content, Mapping):
             fields = {n: np.ravel(v).astype(float) for n, v in content.items() if isinstance(v, np.ndarray)}
             if fields and len({v.size for v in fields.values()}) == 1:
-                out[name] = fields
-    return out
+                topics[name] = fields
+    return topics
 
 
 def _series(
     topics: Mapping[str, Mapping[str, Array]], times: Mapping[str, float], *, by_instance: bool
 ) -> dict[str, TimeSeries]:
     """Series 'TOPIC.field', further instances by a field I as 'TOPIC[1].field', of the topics that have one of the times."""
-    out: dict[str, TimeSeries] = {}
+    series: dict[str, TimeSeries] = {}
     for topic, fields in topics.items():
         stamp = next((t for t in times if t in fields), None)
         if stamp is None:
             continue
         time = fields[stamp] * times[stamp]
-        which = fields["I"] if by_instance and "I" in fields else np.zeros(time.size)
-        numbers = np.unique(which[np.isfinite(which)])[:256]
-        for number in numbers:
-            rows = which == number
-            head = topic if number == numbers[0] else f"{topic}[{number:g}]"
-            out |= {f"{head}.{n}": TimeSeries(time[rows], v[rows]) for n, v in fields.items() if n != stamp}
-    return out
+        number = fields["I"] if by_instance and "I" in fields else np.zeros(time.size)
+        for instance, use in instance_rows(topic, number).items():
+            series |= {f"{instance}.{n}": TimeSeries(time[use], v[use]) for n, v in fields.items() if n != stamp}
+    return series
 
 
 def _by_name(series: Mapping[str, TimeSeries]) -> Map:

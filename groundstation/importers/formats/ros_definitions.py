@@ -34,7 +34,8 @@ _MESSAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "sensor_msgs/msg/Temperature": ("std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n", ()),
     "geometry_msgs/msg/Vector3Stamped": ("std_msgs/Header header\ngeometry_msgs/Vector3 vector\n", ("geometry_msgs/Vector3",)),
     "geometry_msgs/msg/QuaternionStamped": (
-        "std_msgs/Header header\ngeometry_msgs/Quaternion quaternion\n", ("geometry_msgs/Quaternion",),
+        "std_msgs/Header header\ngeometry_msgs/Quaternion quaternion\n",
+        ("geometry_msgs/Quaternion",),
     ),
     "geometry_msgs/msg/TwistStamped": (
         "std_msgs/Header header\ngeometry_msgs/Twist twist\n", ("geometry_msgs/Twist", "geometry_msgs/Vector3"),
@@ -54,8 +55,8 @@ _MESSAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _whole(text: str, parts: tuple[str, ...]) -> str:
-    every = ("std_msgs/Header", "builtin_interfaces/Time", *parts)
-    return text + "".join(f"{_LINE}\nMSG: {n}\n{_PARTS[n]}" for n in every)
+    names = ("std_msgs/Header", "builtin_interfaces/Time", *parts)
+    return text + "".join(f"{_LINE}\nMSG: {n}\n{_PARTS[n]}" for n in names)
 
 
 STANDARD: Mapping[str, str] = {name: _whole(*made) for name, made in _MESSAGES.items()}

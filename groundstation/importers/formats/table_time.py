@@ -7,23 +7,21 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.plain_words import listed, one_line
+from groundstation.flight.arrays import Array, Mask
+from groundstation.flight.files.csv_columns import is_number
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import Time
 from groundstation.importers.units import find_unit
 
-Array = NDArray[np.float64]
-
 DAY = 86400.0
-APART = 1.0
-"""Time [s] put between records of one file whose clock begins anew, or was set back."""
-SHORTEST_RUN = 8
-"""Rows between two falls of a clock that was set; shorter runs are rows out of order."""
+APART = 1.0  # [s] put between records of one file whose clock begins anew, or was set back
+SHORTEST_RUN = 8  # rows between two falls of a clock that was set; shorter runs are rows out of order
 EXCEL_DAYS, MATLAB_DAYS = (30_000.0, 80_000.0), (700_000.0, 800_000.0)
 """Numbers of days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
 
@@ -53,43 +51,34 @@ def stamps_of(
 
     Raises ImportDataError naming column and cell for a time that cannot be read.
     """
-    found = _read(path, numeric, words, dates, time)
-    found = replace(found, seconds=found.seconds + time.offset)
-    if time.restarts:
-        if not (np.diff(found.seconds) <= 0).any():
-            raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
-        return _in_a_row(found, np.diff(found.seconds) <= 0)
-    return _set_back(found)
-
-
-def _read(
-    path: Path,
-    numeric: Mapping[str, Array],
-    words: Mapping[str, Sequence[str]],
-    dates: Mapping[str, Array],
-    time: Time,
-) -> Stamps:
     name = time.column
     if name is None:
         rows = len(next(iter(numeric.values()), np.zeros(0)))
-        return Stamps(np.arange(rows) / float(time.rate_hz or 1.0))
-    if name in dates:
-        return Stamps(dates[name])
-    if name in words:
-        return _of_words(path, name, words[name], words.get(time.date or "", ()), time)
-    if name not in numeric:
-        raise ImportDataError(
-            f"{path}: no column {name!r} for the time; found {listed([*numeric, *words, *dates], 12)}"
-        )
-    if time.unit == "iso":
-        raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
-    return _of_numbers(path, name, numeric[name], time)
+        stamps = Stamps(np.arange(rows) / float(time.rate_hz or 1.0))
+    elif name in dates:
+        stamps = Stamps(dates[name])
+    elif name in words:
+        stamps = _of_words(path, name, words[name], words.get(time.date or "", ()), time)
+    elif name in numeric:
+        stamps = _of_numbers(path, name, numeric[name], time)
+    else:
+        columns = listed([*numeric, *words, *dates], 12)
+        raise ImportDataError(f"{path}: no column {name!r} for the time; found {columns}")
+    stamps = replace(stamps, seconds=stamps.seconds + time.offset)
+    if not time.restarts:
+        return _records_where_set_back(stamps)
+    restarts = np.diff(stamps.seconds) <= 0
+    if not restarts.any():
+        raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
+    return _in_a_row(stamps, restarts)
 
 
 # ------------------------------------------------------------------------------------------------------------- numbers
 
 
 def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
+    if time.unit == "iso":
+        raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
     unit = find_unit(time.unit)
     if unit is None or unit.si != "s":
         raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h, days or iso")
@@ -104,17 +93,19 @@ def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
     # large stamps (us since 1970, days since 1899) lose digits as seconds in double precision: count from the first
     first = np.nanmin(values) if unit.scale != 1 and np.nanmin(values) * unit.scale > 1e6 else 0.0
     seconds = np.asarray((values - first) * unit.scale)
+    origin = float(first * unit.scale)
     if unit.scale == DAY:
         evened = _evened(seconds)
-        said = [f"time column {name}: days {epoch}" if epoch else f"time column {name}: days"]
-        said += ["its stamps are coarse, and were put on even times"] if evened is not None else []
-        return Stamps(seconds if evened is None else evened, notes=tuple(said), origin=float(first * unit.scale))
+        note = f"time column {name}: days {epoch}" if epoch else f"time column {name}: days"
+        if evened is None:
+            return Stamps(seconds, notes=(note,), origin=origin)
+        return Stamps(evened, notes=(note, "its stamps are coarse, and were put on even times"), origin=origin)
     spread = _spread(seconds)
     if spread is not None:
         return Stamps(
             spread, notes=(f"time column {name} has whole seconds only: its rows were spread over each second",)
         )
-    return Stamps(seconds, origin=float(first * unit.scale))
+    return Stamps(seconds, origin=origin)
 
 
 def _epoch(values: Array) -> str:
@@ -139,9 +130,9 @@ def _evened(seconds: Array) -> Array | None:
     quantum = float(np.min(np.diff(kinds))) if kinds.size > 1 else 0.0
     row = np.arange(seconds.size)
     step = (seconds[-1] - seconds[0]) / (seconds.size - 1)
-    even = seconds[0] + step * row
-    even = even + float(np.median(seconds - even))
-    return even if np.max(np.abs(seconds - even)) <= 1.1 * quantum else None
+    regular = seconds[0] + step * row
+    regular = regular + float(np.median(seconds - regular))
+    return regular if np.max(np.abs(seconds - regular)) <= 1.1 * quantum else None
 
 
 def _spread(seconds: Array) -> Array | None:
@@ -155,13 +146,12 @@ def _spread(seconds: Array) -> Array | None:
     counts = np.diff(np.append(begins, seconds.size))
     if counts.size < 3 or np.median(counts) < 2:
         return None
-    usual = float(np.median(counts[1:-1]))
-    within = np.arange(seconds.size) - np.repeat(begins, counts)
-    per = np.maximum(np.repeat(counts, counts), usual)
-    out = seconds + within / per
-    missing = max(usual - counts[0], 0.0)
-    out[: counts[0]] += missing / usual
-    return np.asarray(out)
+    typical = float(np.median(counts[1:-1]))
+    row_in_second = np.arange(seconds.size) - np.repeat(begins, counts)
+    rows_per_second = np.maximum(np.repeat(counts, counts), typical)
+    spread = seconds + row_in_second / rows_per_second
+    spread[: counts[0]] += max(typical - counts[0], 0.0) / typical
+    return np.asarray(spread)
 
 
 # --------------------------------------------------------------------------------------------------------------- words
@@ -172,19 +162,11 @@ def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], 
     if _CLOCK.fullmatch(first):
         return _clocks(path, name, cells, days)
     if time.unit != "iso" and not _is_date(first):
-        bad = next((c for c in cells if c and not _is_number(c)), first)
+        word = next((c for c in cells if c and not is_number(c)), first)
         raise ImportDataError(
-            f'{path}: time column {name!r} holds {one_line(bad, 60)!r}, not a number; dates need unit = "iso"'
+            f'{path}: time column {name!r} holds {one_line(word, 60)!r}, not a number; dates need unit = "iso"'
         )
     return _dates(path, name, cells)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_date(cell: str) -> bool:
@@ -208,20 +190,19 @@ def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
         raise ImportDataError(f"{path}: time column {name!r} is empty")
     zoned = [s.tzinfo is not None for s in stamps]
     if any(zoned) and not all(zoned):
-        with_zone, without = zoned.index(True), zoned.index(False)
+        with_zone, zoneless = zoned.index(True), zoned.index(False)
         raise ImportDataError(
-            f"{path}: time column {name!r}: row {without + 1} ({one_line(cells[without], 40)}) has no time zone, row "
+            f"{path}: time column {name!r}: row {zoneless + 1} ({one_line(cells[zoneless], 40)}) has no time zone, row "
             f"{with_zone + 1} ({one_line(cells[with_zone], 40)}) has one; write the same in all rows"
         )
-    since = datetime(1970, 1, 1, tzinfo=UTC if zoned[0] else None)
-    return Stamps(
-        np.array([(s - stamps[0]).total_seconds() for s in stamps]), origin=(stamps[0] - since).total_seconds()
-    )
+    epoch = datetime(1970, 1, 1, tzinfo=UTC if zoned[0] else None)
+    seconds = np.array([(s - stamps[0]).total_seconds() for s in stamps])
+    return Stamps(seconds, origin=(stamps[0] - epoch).total_seconds())
 
 
 def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
     """Times of day, with the day of the year before them (IRIG) or a column of dates beside; midnight is passed."""
-    out = np.full(len(cells), np.nan)
+    clock = np.full(len(cells), np.nan)
     irig = False
     for i, cell in enumerate(cells):
         match = _CLOCK.fullmatch(cell)
@@ -232,15 +213,15 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
         if match is not None:
             irig = irig or match[1] is not None
             second = float(match[4].replace(",", ".").replace(":", "."))
-            out[i] = DAY * float(match[1] or 0) + 3600.0 * float(match[2]) + 60.0 * float(match[3]) + second
+            clock[i] = DAY * float(match[1] or 0) + 3600.0 * float(match[2]) + 60.0 * float(match[3]) + second
     if days and not irig:
-        out = out + DAY * _day_numbers(days)
+        clock = clock + DAY * _day_numbers(days)
     else:
-        falls = np.diff(np.where(np.isfinite(out), out, 0.0)) < -0.5 * DAY
-        out = out + (DAY if not irig else 0.0) * np.concatenate([[0.0], np.cumsum(falls)])
-    first = np.nanmin(out) if np.isfinite(out).any() else 0.0
+        falls = np.diff(np.where(np.isfinite(clock), clock, 0.0)) < -0.5 * DAY
+        clock = clock + (DAY if not irig else 0.0) * np.concatenate([[0.0], np.cumsum(falls)])
+    first = np.nanmin(clock) if np.isfinite(clock).any() else 0.0
     words = "IRIG time (day of the year first)" if irig else "time of day" + (" and a column of dates" if days else "")
-    return Stamps(out - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
+    return Stamps(clock - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
 
 
 def _day_numbers(days: Sequence[str]) -> Array:
@@ -255,52 +236,48 @@ def _day_numbers(days: Sequence[str]) -> Array:
 # ------------------------------------------------------------------------------------------------------ clocks set back
 
 
-def _set_back(found: Stamps) -> Stamps:
+def _records_where_set_back(stamps: Stamps) -> Stamps:
     """Where the clock falls back between two long runs of rows and goes over times that it has shown, a record of its own begins:
     such rows are not sorted into one another. Runs that lie apart are rows in another order, which sorting mends."""
-    seconds = found.seconds
+    seconds = stamps.seconds
     if not np.all(np.isfinite(seconds)):
-        return found
+        return stamps
     falls = np.diff(seconds) < 0
-    edges = [0, *(np.flatnonzero(falls) + 1).tolist(), seconds.size]
-    runs = list(zip(edges[:-1], edges[1:], strict=True))
+    runs = list(pairwise([0, *(np.flatnonzero(falls) + 1).tolist(), seconds.size]))
     if len(runs) < 2 or min(b - a for a, b in runs) < SHORTEST_RUN:
-        return found
-    overlap = any(seconds[b - 1] >= seconds[a0] for (a0, _), (a, b) in zip(runs[:-1], runs[1:], strict=True))
-    if not overlap:
-        return found
-    first = runs[1][0]
+        return stamps
+    if not any(seconds[b - 1] >= seconds[start] for (start, _), (a, b) in pairwise(runs)):
+        return stamps
+    row = runs[1][0]
+    repeats = f", and {len(runs) - 2} times more" if len(runs) > 2 else ""
     text = (
-        f"the clock falls back by {seconds[first - 1] - seconds[first]:.4g} s after row {first} (t = {seconds[first - 1]:.4g} s)"
-        f"{f', and {len(runs) - 2} times more' if len(runs) > 2 else ''}: what follows is a record of its own"
+        f"the clock falls back by {seconds[row - 1] - seconds[row]:.4g} s after row {row} (t = {seconds[row - 1]:.4g} s)"
+        f"{repeats}: what follows is a record of its own"
     )
-    return _in_a_row(replace(found, notes=(*found.notes, text)), falls)
+    return _in_a_row(replace(stamps, notes=(*stamps.notes, text)), falls)
 
 
-def _in_a_row(found: Stamps, anew: NDArray[np.bool_]) -> Stamps:
-    """Records one after the other in time, APART, and the number of each. anew: (N-1,) where one begins."""
-    number = np.concatenate([[0.0], np.cumsum(anew)])
-    step = np.diff(found.seconds)
-    shift = np.concatenate([[0.0], np.cumsum(np.where(anew, APART - step, 0.0))])
-    return replace(found, seconds=found.seconds + shift, record=number)
+def _in_a_row(stamps: Stamps, restarts: Mask) -> Stamps:
+    """Records one after the other in time, APART, and the number of each. restarts: (N-1,) where one begins."""
+    number = np.concatenate([[0.0], np.cumsum(restarts)])
+    step = np.diff(stamps.seconds)
+    shift = np.concatenate([[0.0], np.cumsum(np.where(restarts, APART - step, 0.0))])
+    return replace(stamps, seconds=stamps.seconds + shift, record=number)
 
 
 SENTINELS = (-9999.0, -999.0, -99999.0, -9999.99, -999.99, -32768.0, 9999.0, 99999.0, 1e20, -1e20)
 """Numbers that programs write where there is none."""
-FAR = 5.0
-"""Times as large as everything else in a column, from which such a number is none of its values."""
+FAR = 5.0  # times as large as everything else in a column, from which such a number is none of its values
 
 
 def without_sentinels(columns: Mapping[str, Array], shown: Callable[[str], str]) -> tuple[dict[str, Array], list[str]]:
     """The columns with NaN for numbers that stand for none, and notes on them."""
-    out, notes = dict(columns), []
+    cleaned, notes = dict(columns), []
     for name, values in columns.items():
         for number in SENTINELS:
-            hit = values == number
-            if not hit.any():
-                continue
-            rest = values[np.isfinite(values) & ~hit]
+            sentinel = values == number
+            rest = values[np.isfinite(values) & ~sentinel] if sentinel.any() else np.zeros(0)
             if rest.size >= 3 and FAR * float(np.max(np.abs(rest))) < abs(number):
-                out[name] = np.where(hit, np.nan, out[name])
-                notes.append(f"column {shown(name)}: {int(hit.sum())} cells of {number:g} taken as not measured")
-    return out, notes
+                cleaned[name] = np.where(sentinel, np.nan, cleaned[name])
+                notes.append(f"column {shown(name)}: {int(sentinel.sum())} cells of {number:g} taken as not measured")
+    return cleaned, notes

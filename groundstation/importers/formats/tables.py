@@ -7,41 +7,39 @@ import re
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, one_line, plain_name
+from groundstation.flight.arrays import Array
+from groundstation.flight.files.csv_columns import plain_columns
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parquet
-from groundstation.flight.files.plain_csv import plain_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.table_time import stamps_of, without_sentinels
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
 from groundstation.importers.series import Log, TimeSeries
 from groundstation.importers.units import conversion, find_unit
 
-Array = NDArray[np.float64]
-
-WORDS_AMONG_NUMBERS = 0.1
-"""A column with a larger share of cells that are no numbers is one of words."""
-
+RECORD = "record number"  # series that counts the records of a file in which time begins anew
+WORDS_AMONG_NUMBERS = 0.1  # a column with a larger share of cells that are no numbers is one of words
+DATE_NAMES = ("date", "Date", "DATE")  # columns that hold the day beside a time of day
+_TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
 _ALIKE = 4  # lines below the column names that must have as many cells
 _LONGEST_PREAMBLE = 200
-
+_CELLS_AT_ONCE = 400_000  # turned into numbers together: 30 MB as text
+_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _DECIMAL_POINT = re.compile(r"^\s*[-+]?\d*\.\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^\s*(?P<name>[^\[\](]+?)\s*[\[(]\s*(?P<unit>[^\])]*)\s*[\])]\s*$")
-
-
-_CELLS_AT_ONCE = 400_000  # turned into numbers together: 30 MB as text
-
-
-_TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
-DATE_NAMES = ("date", "Date", "DATE")
-"""Columns that hold the day beside a time of day."""
+_DIGIT = re.compile(r"\d")
+_BLANK_LINES = re.compile(r"^(?:[^\S\n]*+(?:#[^\n]*+)?\n)++", re.MULTILINE)
+"""Lines in a row with nothing in them but a remark."""
+_LINE = re.compile(r"[^\n]+")
+NAME_THE_TIME = "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
 
 
 def _bare(header: str) -> str:
@@ -74,18 +72,20 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Impo
             return _read_csv(path, layout, can_be_time, needs_time=time is None or time.column is not None)
         except csv.Error as error:
             raise ImportDataError(f"{path}: not a readable table ({error}); is it a CSV?") from error
-    found = read_parquet(path, ImportDataError, can_be_time)
-    numeric = {name: np.where(np.isinf(values), np.nan, values) for name, values in found.numeric.items()}
-    return ImportedTable(numeric, found.words, found.dates, found.firsts)
+    content = read_parquet(path, ImportDataError, can_be_time)
+    numeric = {name: np.where(np.isinf(values), np.nan, values) for name, values in content.numeric.items()}
+    return ImportedTable(numeric, content.words, content.dates, content.firsts)
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:
-    text = _NOTHING.sub("", _text(path).replace("\r\n", "\n").replace("\r", "\n") + "\n")
-    text, cut = _without_cut_line(text, layout)
+    text = _BLANK_LINES.sub("", _text(path).replace("\r\n", "\n").replace("\r", "\n") + "\n")
+    text, notes = _without_cut_line(text, layout)
     first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
-    last = text[text.rfind("\n", 0, -1) + 1 : -1]
-    above = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last, layout)
-    lines = itertools.islice(_lines(text), above, None)
+    last_line = text[text.rfind("\n", 0, -1) + 1 : -1]
+    preamble = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last_line, layout)
+    if preamble and not layout.header_line:
+        notes.insert(0, f"{preamble} lines above the column names passed over")
+    lines = itertools.islice(_lines(text), preamble, None)
     top = next(lines, None)
     if top is None:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
@@ -93,48 +93,49 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     rows = _cells(itertools.chain([top], lines), delimiter)
     header = [h.strip() for h in (list(layout.names) or next(rows))]
     _check_header(path, header)
-    if needs_time and not any(can_be_time(h) and h not in DATE_NAMES for h in header):
+    if needs_time:
+        _check_time_column(path, header, can_be_time)
+    first_rows = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + 50))
+    if not first_rows:
+        raise ImportDataError(f"{path}: no table with a header line and rows in it")
+    units = _unit_row(header, first_rows[0])
+    decimal = layout.decimal or _decimal(delimiter, first_rows)
+    body_start = preamble + (not layout.names) + layout.skip_after_header + bool(units)
+    columns = _plain_columns(text, header, body_start, delimiter, decimal)
+    if columns:
+        numeric = {h: v for h, v in zip(header, columns, strict=True) if h}
+        return ImportedTable(numeric, {}, units=units, notes=tuple(notes))
+    body = itertools.chain(first_rows[1:] if units else first_rows, rows)
+    cells = _MixedColumns(path, header, decimal, preamble + 2 + layout.skip_after_header + bool(units), can_be_time)
+    cells.read(body, needs_time)
+    return cells.table(units, notes)
+
+
+def _check_time_column(path: Path, header: list[str], can_be_time: Callable[[str], bool]) -> None:
+    if not any(can_be_time(h) and h not in DATE_NAMES for h in header):
         raise ImportDataError(
-            f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; "
-            "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
+            f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; {NAME_THE_TIME}"
         )
-    if needs_time and len(header) == 1:
+    if len(header) == 1:
         raise ImportDataError(
             f"{path}: one column only, {header[0]!r}, and nothing beside it; if the cells are parted by a character that was not "
             'seen, say which in a mapping file: [file] delimiter = "|"'
         )
-    start = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + 50))
-    if not start:
-        raise ImportDataError(f"{path}: no table with a header line and rows in it")
-    units = _unit_row(header, start[0])
-    passed_over = (f"{above} lines above the column names passed over",) if above and not layout.header_line else ()
-    passed_over = (*passed_over, *cut)
-    decimal = layout.decimal or _decimal(delimiter, start)
-    below = above + (not layout.names) + layout.skip_after_header + bool(units)
-    plain = _plain(text, header, below, delimiter, decimal)
-    if plain:
-        return ImportedTable(
-            {h: v for h, v in zip(header, plain, strict=True) if h}, {}, units=units, notes=passed_over
-        )
-    body = itertools.chain(start[1:] if units else start, rows)
-    first = above + 2 + layout.skip_after_header + bool(units)
-    columns = _Columns(header, decimal, first, can_be_time)
-    columns.take(path, body, needs_time)
-    return columns.table(units, passed_over)
 
 
-class _Columns:
-    """Cells turned into numbers, some hundred thousand at a time."""
+class _MixedColumns:
+    """Cells turned into numbers, some hundred thousand at a time. first: line of the first row."""
 
-    def __init__(self, header: list[str], decimal: str, first: int, can_be_time: Callable[[str], bool]) -> None:
-        self._header, self._decimal, self._row = header, decimal, first
+    def __init__(
+        self, path: Path, header: list[str], decimal: str, first: int, can_be_time: Callable[[str], bool]
+    ) -> None:
+        self._path, self._header, self._decimal, self._first, self._row = path, header, decimal, first, first
         self._values: list[list[Array]] = [[] for _ in header]
         self._wrong = [0] * len(header)
         self._example: list[tuple[str, int] | None] = [None] * len(header)
         self._words: dict[int, list[str]] = {i: [] for i, name in enumerate(header) if can_be_time(name)}
-        self._first = first
 
-    def take(self, path: Path, rows: Iterator[list[str]], needs_time: bool) -> None:
+    def read(self, rows: Iterator[list[str]], needs_time: bool) -> None:
         """Use all rows. Raises ImportDataError naming the line that has not as many cells as the header.
 
         needs_time: one of the columns that can be the time must hold it; where none of some hundred thousand rows has a digit
@@ -146,59 +147,49 @@ class _Columns:
             if set(map(len, block)) != {width}:
                 uneven = next(i for i, row in enumerate(block) if len(row) != width)
                 raise ImportDataError(
-                    f"{path}: table line {self._row + uneven} has {len(block[uneven])} cells, the header has {width}; if the "
-                    "column names stand further down, say in which line in a mapping file: [file] header_line"
+                    f"{self._path}: table line {self._row + uneven} has {len(block[uneven])} cells, the header has {width}; if "
+                    "the column names stand further down, say in which line in a mapping file: [file] header_line"
                 )
-            by_column = list(zip(*block, strict=True))
+            columns = list(zip(*block, strict=True))
             if needs_time and len(block) == at_once and self._row == self._first:
-                self._check_time(path, by_column)
-            for i, cells in enumerate(by_column):
-                self._take_column(i, cells)
+                self._check_time(columns)
+            for i, cells in enumerate(columns):
+                values, bad_rows = _numbers(cells, self._decimal)
+                self._values[i].append(values)
+                self._wrong[i] += len(bad_rows)
+                if bad_rows and self._example[i] is None:
+                    self._example[i] = (cells[bad_rows[0]].strip(), self._row + bad_rows[0])
+                if i in self._words:
+                    self._words[i] += [cell.strip() for cell in cells]
             self._row += len(block)
 
-    def _check_time(self, path: Path, by_column: Sequence[Sequence[str]]) -> None:
-        if any(_DIGIT.search(" ".join(by_column[i])) for i in self._words):
+    def _check_time(self, columns: Sequence[Sequence[str]]) -> None:
+        if any(_DIGIT.search(" ".join(columns[i])) for i in self._words):
             return
         i = next(iter(self._words))
-        word = next((cell.strip() for cell in by_column[i] if cell.strip()), "")
+        word = next((cell.strip() for cell in columns[i] if cell.strip()), "")
         raise ImportDataError(
-            f"{path}: time column {self._header[i]!r} holds {one_line(word, 60)!r} and the like, neither numbers nor dates"
+            f"{self._path}: time column {self._header[i]!r} holds {one_line(word, 60)!r} and the like, neither numbers nor dates"
         )
 
-    def _take_column(self, i: int, cells: Sequence[str]) -> None:
-        values, wrong = _numbers(cells, self._decimal)
-        self._values[i].append(values)
-        self._wrong[i] += len(wrong)
-        if wrong and self._example[i] is None:
-            self._example[i] = (cells[wrong[0]].strip(), self._row + wrong[0])
-        if i in self._words:
-            self._words[i] += [cell.strip() for cell in cells]
-
-    def table(self, units: dict[str, str], notes: tuple[str, ...]) -> ImportedTable:
+    def table(self, units: dict[str, str], notes: list[str]) -> ImportedTable:
         """What was read."""
         numeric: dict[str, Array] = {}
         words: dict[str, list[str]] = {}
-        said = list(notes)
         for i, name in enumerate(self._header):
+            example = self._example[i]
             if not name:
                 continue
-            example = self._example[i]
             if self._wrong[i] > WORDS_AMONG_NUMBERS * (self._row - self._first):
                 words[name] = self._words.get(i, [])
                 continue
             numeric[name] = np.concatenate(self._values[i]) if self._values[i] else np.zeros(0)
             if example is not None:
-                said.append(
+                notes.append(
                     f"column {plain_name(name)}: {self._wrong[i]} cells that are no numbers (the first "
                     f"{one_line(example[0], 60)!r} in table line {example[1]}) taken as not measured"
                 )
-        return ImportedTable(numeric, words, units=units, notes=tuple(said))
-
-
-_DIGIT = re.compile(r"\d")
-_NOTHING = re.compile(r"^(?:[^\S\n]*+(?:#[^\n]*+)?\n)++", re.MULTILINE)
-"""Lines in a row with nothing in them but a remark."""
-_LINE = re.compile(r"[^\n]+")
+        return ImportedTable(numeric, words, units=units, notes=tuple(notes))
 
 
 def _lines(text: str) -> Iterator[str]:
@@ -206,29 +197,28 @@ def _lines(text: str) -> Iterator[str]:
     return (line[0] for line in _LINE.finditer(text))
 
 
-def _without_cut_line(text: str, layout: FileFormat) -> tuple[str, tuple[str, ...]]:
+def _without_cut_line(text: str, layout: FileFormat) -> tuple[str, list[str]]:
     """The text without a last line that has fewer cells than the two before it, as a program that died leaves it; and a note."""
     ends = [len(text)]
     for _ in range(3):
         ends.append(text.rfind("\n", 0, max(ends[-1] - 1, 0)) + 1)
     lines = [text[b : a - 1] for a, b in itertools.pairwise(ends)]
     if ends[-1] == 0 or not all(lines):
-        return text, ()
+        return text, []
     delimiter = layout.delimiter or _delimiter(lines[1])
     counts = [len(row) for row in _cells(lines, delimiter)]
     if len(counts) < 3 or not counts[0] < counts[1] == counts[2]:
-        return text, ()
+        return text, []
     note = f"the last line is cut off ({counts[0]} of {counts[1]} cells): left out"
-    return text[: ends[1]], (note,)
+    return text[: ends[1]], [note]
 
 
-def _plain(text: str, header: list[str], above: int, delimiter: str, decimal: str) -> list[Array] | None:
+def _plain_columns(text: str, header: list[str], above: int, delimiter: str, decimal: str) -> list[Array] | None:
     """The columns below so many lines, where they are nothing but numbers."""
     if '"' in text or delimiter == " " or len(set(header)) < len(header):
         return None
-    columns = plain_columns(
-        text.encode(), header, skip_lines=above, delimiter=delimiter, decimal=decimal, empty=tuple(_EMPTY)
-    )
+    style = {"delimiter": delimiter, "decimal": decimal}
+    columns = plain_columns(text.encode(), header, skip_lines=above, empty=tuple(_EMPTY), **style)
     return columns and [np.where(np.isinf(values), np.nan, values) for values in columns]
 
 
@@ -278,14 +268,14 @@ def _check_header(path: Path, header: list[str]) -> None:
             f"{path}: the first line holds numbers, not column names; add a line of names above it (time,ax,ay,...) "
             "or give them in a mapping file: [file] names = [...]"
         )
-    twice = sorted(name for name, count in Counter(header).items() if name and count > 1)
-    if twice:
-        raise ImportDataError(f"{path}: column {plain_name(twice[0])!r} appears twice in the header")
+    duplicates = sorted(name for name, count in Counter(header).items() if name and count > 1)
+    if duplicates:
+        raise ImportDataError(f"{path}: column {plain_name(duplicates[0])!r} appears twice in the header")
 
 
 def _delimiter(line: str) -> str:
-    found = max((";", "\t", ","), key=line.count)
-    return found if found in line else " "
+    delimiter = max((";", "\t", ","), key=line.count)
+    return delimiter if delimiter in line else " "
 
 
 def _decimal(delimiter: str, body: list[list[str]]) -> str:
@@ -293,9 +283,8 @@ def _decimal(delimiter: str, body: list[list[str]]) -> str:
     if delimiter == ",":
         return "."
     cells = [cell for row in body[:50] for cell in row]
-    return (
-        "," if any(_DECIMAL_COMMA.match(c) for c in cells) and not any(_DECIMAL_POINT.match(c) for c in cells) else "."
-    )
+    comma, point = (any(pattern.match(c) for c in cells) for pattern in (_DECIMAL_COMMA, _DECIMAL_POINT))
+    return "," if comma and not point else "."
 
 
 def _unit_row(header: list[str], row: list[str]) -> dict[str, str]:
@@ -309,27 +298,24 @@ def _unit_row(header: list[str], row: list[str]) -> dict[str, str]:
     return {h: c for h, c in zip(header, cells, strict=True) if h and c}
 
 
-_EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
-
-
 def _numbers(cells: Sequence[str], decimal: str) -> tuple[Array, list[int]]:
     """Values, NaN where empty, infinite or no number; and the rows of the cells that are no numbers."""
     if decimal == ",":
         cells = [c.replace(",", ".") for c in cells]
-    wrong: list[int] = []
+    bad_rows: list[int] = []
     try:
         values = np.array(cells, float)
     except ValueError:
         values = np.full(len(cells), np.nan)
-        known: dict[str, float | None] = {}  # the same words stand in a column again and again
+        number = lru_cache(maxsize=None)(_number)  # the same words stand in a column again and again
         for i, cell in enumerate(cells):
-            value = known[cell] if cell in known else known.setdefault(cell, _number(cell))
+            value = number(cell)
             if value is None:
-                wrong.append(i)
+                bad_rows.append(i)
             else:
                 values[i] = value
     values[np.isinf(values)] = np.nan
-    return values, wrong
+    return values, bad_rows
 
 
 def _number(cell: str) -> float | None:
@@ -352,8 +338,7 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
     Raises ImportDataError for a unit of another quantity.
     """
     columns: dict[str, tuple[ColumnSource, ...]] = {}
-    time = None
-    segment = date = None
+    time = segment = date = None
     notes = []
     for name in [*table.numeric, *table.words, *table.dates]:
         match = _HEADER_UNIT.match(name)
@@ -366,14 +351,13 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
             segment = name
         elif bare in COLUMN_BY_NAME and bare not in given:
             si = COLUMN_BY_NAME[bare].unit
-            known = find_unit(unit) is not None
-            if unit and known:
+            if unit and find_unit(unit) is None:
+                taken_as = f"taken as {si or 'it stands'}"
+                notes.append(f"header {plain_name(name)!r}: {plain_name(unit)!r} is not a unit known here; {taken_as}")
+                unit = ""
+            if unit:
                 conversion(unit, bare, si)
-            elif unit:
-                notes.append(
-                    f"header {plain_name(name)!r}: {plain_name(unit)!r} is not a unit known here; taken as {si or 'it stands'}"
-                )
-            columns[bare] = (ColumnSource(column=name, unit=unit if unit and known else si),)
+            columns[bare] = (ColumnSource(column=name, unit=unit or si),)
     if time is None and len(table.dates) == 1:
         time = Time(column=next(iter(table.dates)))
     if time is not None and date is not None and time.column in table.words:
@@ -384,28 +368,22 @@ def header_map(table: ImportedTable, given: Container[str] = ()) -> tuple[Map, t
 def table_log(path: Path, table: ImportedTable, time: Time | None) -> Log:
     """The table as series over its time column [s]. Raises ImportDataError when there is none."""
     if time is None:
-        raise ImportDataError(
-            f"{path}: no column 'time'; found {listed([*table.numeric, *table.words, *table.dates], 12)}; "
-            "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
-        )
-    found = stamps_of(path, table.numeric, table.words, table.dates, time)
-    aside = {time.column, time.date}
-    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in aside}, plain_name)
-    if found.record is not None:
-        numeric[RECORD] = found.record
-    series = {name: TimeSeries(found.seconds, values) for name, values in numeric.items()}
-    text_columns = tuple(w for w in (*table.words, *table.dates) if w not in aside)
+        columns = listed([*table.numeric, *table.words, *table.dates], 12)
+        raise ImportDataError(f"{path}: no column 'time'; found {columns}; {NAME_THE_TIME}")
+    stamps = stamps_of(path, table.numeric, table.words, table.dates, time)
+    time_columns = {time.column, time.date}
+    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in time_columns}, plain_name)
+    if stamps.record is not None:
+        numeric[RECORD] = stamps.record
+    series = {name: TimeSeries(stamps.seconds, values) for name, values in numeric.items()}
+    text_columns = tuple(w for w in (*table.words, *table.dates) if w not in time_columns)
     units = {**_header_units(series), **table.units}
-    notes = (*table.notes, *found.notes, *absent)
-    origin = found.origin + table.firsts.get(time.column or "", 0.0)
+    notes = (*table.notes, *stamps.notes, *absent)
+    origin = stamps.origin + table.firsts.get(time.column or "", 0.0)
     return Log("table", series, common=True, notes=notes, text_columns=text_columns, units=units, origin=origin)
 
 
 def _header_units(names: Iterable[str]) -> dict[str, str]:
     """Units that stand in brackets behind a name."""
-    found = {name: _HEADER_UNIT.match(name) for name in names}
-    return {name: match["unit"] for name, match in found.items() if match}
-
-
-RECORD = "record number"
-"""Counts the records of a file in which time begins anew."""
+    matches = {name: _HEADER_UNIT.match(name) for name in names}
+    return {name: match["unit"] for name, match in matches.items() if match}

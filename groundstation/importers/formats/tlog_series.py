@@ -7,55 +7,49 @@ Where the autopilot's clock falls back, or stands still while the receiver's goe
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flight.contradictions import Contradiction
-from groundstation.flight.marks import FlightMode, Mark, Marks, changes
-from groundstation.importers.modes import ARMED, armings, heartbeat_mode, words
+from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
+from groundstation.importers.modes import ARMED, armings, heartbeat_mode, mark_text
 from groundstation.importers.series import Array, TimeSeries
 
 LONGEST_ARRAY = 32
 """Elements of an array field that become series (the 32 outputs of ACTUATOR_OUTPUT_STATUS); longer ones are blocks of bytes."""
-# Values that mean "not known" in the message definitions, by message and field.
 _NOT_KNOWN = {
-    ("SYS_STATUS", "voltage_battery"): 65535,
-    ("SYS_STATUS", "current_battery"): -1,
-    ("GPS_RAW_INT", "vel"): 65535,
-    ("GPS_RAW_INT", "cog"): 65535,
-    ("GPS_RAW_INT", "eph"): 65535,
-    ("GPS_RAW_INT", "epv"): 65535,
+    **{("SYS_STATUS", "voltage_battery"): 65535, ("SYS_STATUS", "current_battery"): -1},
+    **{("GPS_RAW_INT", name): 65535 for name in ("vel", "cog", "eph", "epv")},
     ("GLOBAL_POSITION_INT", "hdg"): 65535,
 }
+"""Values that mean "not known" in the message definitions, by message and field."""
 _INSTANCE = {"SERVO_OUTPUT_RAW": "port", "HIGHRES_IMU": "id", "BATTERY_STATUS": "id", "DISTANCE_SENSOR": "id"}
 """Message -> field that tells its several senders of one component apart."""
 _FIX_3D = 3
-AUTOPILOT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 FALLS_BACK = 1.0
 """[s] by which the own clock of a later message is earlier only after a boot: messages are some tenths of a second old."""
 STOOD_STILL = 10.0
 """[s] more between two messages by the receiver's clock than by the sender's, which had a pause, too: it was off between."""
-DENSE = 0.3
-"""[s] between two messages with a time, between which one without can be placed by its order."""
-CLOCK_RATE = 0.02
-"""Difference of rate of the sender's and the receiver's clock that no quartz has."""
-LONG_ENOUGH = 20.0
-"""[s] over which late deliveries do not look like another rate."""
+DENSE = 0.3  # [s] between two messages with a time, between which one without can be placed by its order
+CLOCK_RATE = 0.02  # difference of rate of the sender's and the receiver's clock that no quartz has
+LONG_ENOUGH = 20.0  # [s] over which late deliveries do not look like another rate
 
 
 @dataclass(frozen=True)
 class ReceivedMessages:
     """Messages of one kind from one component, in the order of the file: table (n,) records; stamps (n,) time received [s];
-    places (n,) of each in the file."""
+    places (n,) of each in the file; rank (n,) by which messages of all kinds are in the order in which they were sent."""
 
     name: str
     component: int
     table: NDArray[np.void]
     stamps: Array
     places: NDArray[np.int64]
+    rank: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def own(self) -> Array:
@@ -69,7 +63,8 @@ class ReceivedMessages:
 
     def part(self, use: NDArray[np.bool_]) -> "ReceivedMessages":
         """Some of the messages."""
-        return ReceivedMessages(self.name, self.component, self.table[use], self.stamps[use], self.places[use])
+        arrays = {n: getattr(self, n)[use] for n in ("table", "stamps", "places", "rank")}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True)
@@ -96,24 +91,28 @@ class _Clock:
         """Receiver's less sender's clock [s] of the message that came least late."""
         return float(np.min(self.stamp - self.own)) if self.own.size else 0.0
 
+    def part(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> "_Clock":
+        """Some of the messages."""
+        return _Clock(self.place[rows], self.stamp[rows], self.own[rows])
+
 
 def by_boot(received: Sequence[ReceivedMessages]) -> list[Boot]:
     """The series of each boot, in the order of the file."""
     component = _autopilot(received)
-    order = _sent_in_order(received)
-    own = [r for r in received if r.component == component]
-    clock = _clock(own, order)
-    edges = _boots(clock)
-    first = _Clock(*(a[: edges[1]] for a in (clock.place, clock.stamp, clock.own)))
+    received = _ranked(received)
+    clock = _clock([r for r in received if r.component == component])
+    edges = _boot_edges(clock)
+    first_offset = clock.part(slice(0, edges[1])).offset
     boots = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
-        part = _Clock(clock.place[begin:end], clock.stamp[begin:end], clock.own[begin:end])
+    for begin, end in pairwise(edges):
+        part = clock.part(slice(begin, end))
         low = -np.inf if begin == 0 else float(clock.place[begin])
         high = np.inf if end == clock.own.size else float(clock.place[end])
-        inside = [r.part((order(r) >= low) & (order(r) < high)) for r in received]
-        late = part.offset - first.offset if part.own.size else 0.0
-        series, notes = _series([r for r in inside if len(r.table)], component, order, part, late)
-        marks = _marks(inside, component, order, part).moved(late)
+        messages = [r.part((r.rank >= low) & (r.rank < high)) for r in received]
+        messages = [r for r in messages if len(r.table)]
+        delay = part.offset - first_offset if part.own.size else 0.0
+        series, notes = _series(messages, component, part, delay)
+        marks = _marks([r for r in messages if r.component == component], part).moved(delay)
         boots.append(Boot(series, component, notes, tuple(_clock_rates(part)), marks))
     return [b for b in boots if b.series]
 
@@ -125,36 +124,26 @@ def _autopilot(received: Sequence[ReceivedMessages]) -> int:
         return AUTOPILOT
     weight = dict.fromkeys(components, (0, 0))
     for r in received:
-        attitudes, every = weight[r.component]
-        weight[r.component] = (attitudes + (len(r.table) if r.name == "ATTITUDE" else 0), every + len(r.table))
+        attitudes, messages = weight[r.component]
+        weight[r.component] = (attitudes + (len(r.table) if r.name == "ATTITUDE" else 0), messages + len(r.table))
     return max(weight, key=lambda c: weight[c])
 
 
-class _Order:
-    """Rank of each message: its place in the file, or by the receiver's clock where the file is not in order of it."""
-
-    def __init__(self, received: Sequence[ReceivedMessages]) -> None:
-        places = np.concatenate([r.places for r in received])
-        stamps = np.concatenate([r.stamps for r in received])[np.argsort(places, kind="stable")]
-        self._by_stamp = bool(np.any(np.diff(stamps) < -FALLS_BACK))
-
-    def __call__(self, r: ReceivedMessages) -> Array:
-        return r.stamps if self._by_stamp else r.places.astype(float)
+def _ranked(received: Sequence[ReceivedMessages]) -> list[ReceivedMessages]:
+    """With the rank of each message: its place in the file, or by the receiver's clock where the file is not in order of it."""
+    places = np.concatenate([r.places for r in received])
+    stamps = np.concatenate([r.stamps for r in received])[np.argsort(places, kind="stable")]
+    by_stamp = bool(np.any(np.diff(stamps) < -FALLS_BACK))
+    return [replace(r, rank=r.stamps if by_stamp else r.places.astype(float)) for r in received]
 
 
-def _sent_in_order(received: Sequence[ReceivedMessages]) -> _Order:
-    return _Order(received)
-
-
-def _clock(own: Sequence[ReceivedMessages], order: _Order) -> _Clock:
-    place = np.concatenate([order(r) for r in own])
-    stamp = np.concatenate([r.stamps for r in own])
-    time = np.concatenate([r.own for r in own])
-    keep = np.flatnonzero(np.isfinite(time))
-    keep = keep[np.lexsort((time[keep], place[keep]))]
-    clock = _Clock(place[keep], stamp[keep], time[keep])
+def _clock(received: Sequence[ReceivedMessages]) -> _Clock:
+    time = np.concatenate([r.own for r in received])
+    clock = _Clock(np.concatenate([r.rank for r in received]), np.concatenate([r.stamps for r in received]), time)
+    order = np.lexsort((clock.own, clock.place))
+    clock = clock.part(order[np.isfinite(clock.own[order])])
     wild = np.abs(clock.own - _median_of_five(clock.own)) > STOOD_STILL  # a damaged time among sound ones
-    return _Clock(clock.place[~wild], clock.stamp[~wild], clock.own[~wild])
+    return clock.part(~wild)
 
 
 def _median_of_five(values: Array) -> Array:
@@ -164,57 +153,59 @@ def _median_of_five(values: Array) -> Array:
     return np.asarray(np.median(windows, axis=1))
 
 
-def _boots(clock: _Clock) -> list[int]:
+def _boot_edges(clock: _Clock) -> list[int]:
     """Where each boot begins among the messages with a time, and the end."""
-    step, passed = np.diff(clock.own), np.diff(clock.stamp)
-    anew = (step < -FALLS_BACK) | ((step > FALLS_BACK) & (passed - step > STOOD_STILL))
+    step, receiver_step = np.diff(clock.own), np.diff(clock.stamp)
+    anew = (step < -FALLS_BACK) | ((step > FALLS_BACK) & (receiver_step - step > STOOD_STILL))
     return [0, *(np.flatnonzero(anew) + 1).tolist(), clock.own.size]
 
 
 def _series(
-    received: Sequence[ReceivedMessages], component: int, order: _Order, clock: _Clock, late: float
+    received: Sequence[ReceivedMessages], component: int, clock: _Clock, late: float
 ) -> tuple[dict[str, TimeSeries], tuple[str, ...]]:
     series: dict[str, TimeSeries] = {}
-    others = set()
     for r in received:
-        time = _time(r, component, order, clock) + late
+        time = _time(r, component, clock) + late
         head = "" if r.component == component else f"{r.component}:"
-        others |= {r.component} - {component}
         for label, use in _instances(r):
             for name, values in _fields(r.table):
                 series[f"{head}{r.name}{label}.{name}"] = _known(r, name, time, values, use)
-    told = ", ".join(map(str, sorted(others)))
-    notes = (f"messages of component {told} stand under names like {min(others)}:ATTITUDE.roll",) if others else ()
-    return series, notes
+    components = sorted({r.component for r in received} - {component})
+    if not components:
+        return series, ()
+    names = ", ".join(map(str, components))
+    return series, (f"messages of component {names} stand under names like {components[0]}:ATTITUDE.roll",)
 
 
-def _marks(received: Sequence[ReceivedMessages], component: int, order: _Order, clock: _Clock) -> Marks:
+def _marks(received: Sequence[ReceivedMessages], clock: _Clock) -> Marks:
     """Modes by the heartbeats of the autopilot, its messages, and when its motors were armed."""
     modes: tuple[FlightMode, ...] = ()
     events: tuple[Mark, ...] = ()
     messages: list[Mark] = []
     for r in received:
-        if r.component != component or not len(r.table) or r.name not in ("HEARTBEAT", "STATUSTEXT"):
+        if r.name not in ("HEARTBEAT", "STATUSTEXT"):
             continue
-        time = _time(r, component, order, clock).tolist()
+        time = _time(r, r.component, clock).tolist()
         if r.name == "STATUSTEXT":
-            messages += [Mark(t, words(text)) for t, text in zip(time, r.table["text"].tolist(), strict=True) if text]
+            messages += [
+                Mark(t, mark_text(text)) for t, text in zip(time, r.table["text"].tolist(), strict=True) if text
+            ]
             continue
         fields = (r.table[n].tolist() for n in ("type", "autopilot", "custom_mode"))
         names = [heartbeat_mode(*row) for row in zip(*fields, strict=True)]
-        modes = changes(time, names, max(time, default=0.0))
+        modes = mode_changes(time, names, max(time, default=0.0))
         events = armings(time, (r.table["base_mode"] & ARMED > 0).tolist())
     return Marks(modes, events, tuple(messages))
 
 
 def _instances(r: ReceivedMessages) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Each sender of a message within the component, as it is called, and which messages are its own."""
-    by = _INSTANCE.get(r.name)
-    if by is None or by not in (r.table.dtype.names or ()):
+    field = _INSTANCE.get(r.name)
+    if field is None or field not in (r.table.dtype.names or ()):
         yield "", np.ones(len(r.table), bool)
         return
-    for number in np.unique(r.table[by]).tolist():
-        yield (f"[{number}]" if number else ""), r.table[by] == number
+    for number in np.unique(r.table[field]).tolist():
+        yield (f"[{number}]" if number else ""), r.table[field] == number
 
 
 def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
@@ -230,28 +221,27 @@ def _fields(table: NDArray[np.void]) -> Iterator[tuple[str, Array]]:
             yield from ((f"{name}[{i}]", numbers[:, i]) for i in range(numbers.shape[1]))
 
 
-def _time(r: ReceivedMessages, component: int, order: _Order, clock: _Clock) -> Array:
+def _time(r: ReceivedMessages, component: int, clock: _Clock) -> Array:
     """Time of messages on the autopilot's clock [s]."""
     by_receiver = r.stamps - clock.offset
-    own = r.own if r.component == component else np.full(len(r.table), np.nan)
+    sender_time = r.own if r.component == component else np.full(len(r.table), np.nan)
     if clock.own.size < 2:
-        return np.where(np.isfinite(own), own, by_receiver)
-    place = order(r)
-    after = np.clip(np.searchsorted(clock.place, place), 1, clock.own.size - 1)
+        return np.where(np.isfinite(sender_time), sender_time, by_receiver)
+    following = np.clip(np.searchsorted(clock.place, r.rank), 1, clock.own.size - 1)
     delay = clock.stamp - clock.own
     spread = float(np.subtract(*np.percentile(delay, [95, 5])))  # a burst is late by up to its length
-    dense = np.abs(clock.own[after] - clock.own[after - 1]) < max(DENSE, spread)
-    by_order = np.interp(place, clock.place, clock.own)
-    between = dense & (place >= clock.place[0]) & (place <= clock.place[-1])
-    return np.where(np.isfinite(own), own, np.where(between, by_order, by_receiver))
+    dense = np.abs(clock.own[following] - clock.own[following - 1]) < max(DENSE, spread)
+    by_order = np.interp(r.rank, clock.place, clock.own)
+    placeable = dense & (r.rank >= clock.place[0]) & (r.rank <= clock.place[-1])
+    return np.where(np.isfinite(sender_time), sender_time, np.where(placeable, by_order, by_receiver))
 
 
 def _known(r: ReceivedMessages, name: str, time: Array, values: Array, use: NDArray[np.bool_]) -> TimeSeries:
     """The samples of which the definition of the message does not say that they are none."""
-    good = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
+    usable = use & (values != _NOT_KNOWN.get((r.name, name), np.nan))
     if r.name == "GPS_RAW_INT" and name in ("lat", "lon", "alt"):
-        good &= r.table["fix_type"] >= _FIX_3D
-    return TimeSeries(time, values) if good.all() else TimeSeries(time[good], values[good])
+        usable &= r.table["fix_type"] >= _FIX_3D
+    return TimeSeries(time, values) if usable.all() else TimeSeries(time[usable], values[usable])
 
 
 def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
@@ -260,16 +250,14 @@ def _clock_rates(clock: _Clock) -> Iterator[Contradiction]:
         return
     half = clock.own.size // 2
     delay = clock.stamp - clock.own
-    early, later = delay[:half], delay[half:]
-    middle = (float(np.median(clock.own[:half])), float(np.median(clock.own[half:])))
-    drift = (float(np.median(later)) - float(np.median(early))) / max(middle[1] - middle[0], 1e-9)
+    rise, span = (float(np.median(v[half:])) - float(np.median(v[:half])) for v in (delay, clock.own))
+    drift = rise / max(span, 1e-9)
     if abs(drift) <= CLOCK_RATE:
         return
     text = (
         f"the receiver's clock runs {1.0 + drift:.3g} times as fast as the aircraft's own; the aircraft's is used: if it is "
         "wrong, all rates are"
     )
-    yield Contradiction(
-        ("receiver's clock", "aircraft's clock"), text, 1.0 + drift, moves=f"derivatives by p, q and r by {abs(drift):.0%}",
-        stops=abs(drift) > 0.05,
-    )  # fmt: skip
+    moves = f"derivatives by p, q and r by {abs(drift):.0%}"
+    sides = ("receiver's clock", "aircraft's clock")
+    yield Contradiction(sides, text, 1.0 + drift, moves=moves, stops=abs(drift) > 0.05)

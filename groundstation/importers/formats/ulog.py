@@ -11,19 +11,16 @@ import numpy as np
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import LONGEST_NAME, one_line
-from groundstation.flight.marks import FlightMode, Mark, Marks, changes
+from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
+from groundstation.importers.attitude import euler_from_quaternion
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.attitude import euler_from_quaternion
-from groundstation.importers.formats.ulog_scan import MAGIC, Sound, sound_messages
-from groundstation.importers.modes import PX4_NAVIGATION, armings, words
+from groundstation.importers.formats.ulog_scan import MAGIC, UlogScan
+from groundstation.importers.modes import PX4_NAVIGATION, armings, mark_text
 from groundstation.importers.series import Log, TimeSeries
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
 """What pyulog raises on bytes that are not what was written."""
-
-
-PX4_ARMED = 2
-"""vehicle_status.arming_state ARMING_STATE_ARMED."""
+PX4_ARMED = 2  # vehicle_status.arming_state ARMING_STATE_ARMED
 
 
 def read_ulog(path: Path) -> Log:
@@ -39,12 +36,12 @@ def read_ulog(path: Path) -> Log:
     data = read_bytes(path, error=ImportDataError)
     if not data.startswith(MAGIC):
         raise ImportDataError(f"{path}: not a ULog file (its first bytes are not 'ULog')")
-    sound = sound_messages(data)
-    said = io.StringIO()
+    scan = UlogScan(data)
+    printed = io.StringIO()
     try:
-        # pyulog prints about damage; it is told in the notes instead
-        with contextlib.redirect_stdout(said):
-            log = ULog(io.BytesIO(sound.stream))
+        # pyulog prints about damage; the notes say it instead
+        with contextlib.redirect_stdout(printed):
+            log = ULog(io.BytesIO(scan.stream))
     except (*_DAMAGE, ULogException, ULogIncompatibleFlagException) as error:
         raise ImportDataError(f"{path}: damaged ULog ({type(error).__name__}: {error})") from error
     series: dict[str, TimeSeries] = {}
@@ -57,34 +54,29 @@ def read_ulog(path: Path) -> Log:
             if field != "timestamp" and time.size:
                 with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged sample
                     series[f"{prefix}.{field}"] = TimeSeries(time, np.asarray(values, float))
-        quaternion = [series.get(f"{prefix}.q[{i}]") for i in range(4)]
-        if all(q is not None for q in quaternion):
-            angles = euler_from_quaternion(*(q.values for q in quaternion if q is not None))
-            series.update(
-                {f"{prefix}.{n}": TimeSeries(time, a) for n, a in zip(("roll", "pitch", "yaw"), angles, strict=True)}
-            )
+        quaternion = [series[n].values for n in (f"{prefix}.q[{i}]" for i in range(4)) if n in series]
+        if len(quaternion) == 4:
+            series |= {f"{prefix}.{n}": TimeSeries(time, a) for n, a in euler_from_quaternion(*quaternion).items()}
     if not series:
         raise ImportDataError(f"{path}: no data in this ULog")
     notes = []
-    if sound.skipped or log.file_corruption or said.getvalue().strip():
-        notes.append(f"the ULog is damaged in places ({sound.skipped} bytes); what could be read is used")
-    if sound.dropouts:
-        lost = sound.dropped_ms / 1000
-        notes.append(f"the logger of this ULog reports {sound.dropouts} dropouts, together {lost:.3g} s")
+    if scan.skipped or log.file_corruption or printed.getvalue().strip():
+        notes.append(f"the ULog is damaged in places ({scan.skipped} bytes); what could be read is used")
+    if scan.dropouts:
+        seconds = scan.dropped_ms / 1000
+        notes.append(f"the logger of this ULog reports {scan.dropouts} dropouts, together {seconds:.3g} s")
     system = one_line(str(log.msg_info_dict.get("ver_sw", "")), LONGEST_NAME)
     detail = {"firmware": system} if system else {}
-    return Log(
-        "ulog", series, notes=tuple(notes), detail=detail, parameters=sound.parameters, marks=_marks(series, sound)
-    )
+    marks = _marks(series, scan)
+    return Log("ulog", series, notes=tuple(notes), detail=detail, parameters=scan.parameters, marks=marks)
 
 
-def _marks(series: dict[str, TimeSeries], sound: Sound) -> Marks:
+def _marks(series: dict[str, TimeSeries], scan: UlogScan) -> Marks:
     """Modes and arming by vehicle_status, messages as the logger kept them."""
     mode, arming = series.get("vehicle_status.nav_state"), series.get("vehicle_status.arming_state")
-    end = max(float(s.time[-1]) for s in series.values())
     modes: tuple[FlightMode, ...] = ()
     if mode is not None:
         names = [PX4_NAVIGATION.get(int(n), f"mode {n:g}") if np.isfinite(n) else "unknown" for n in mode.values]
-        modes = changes(mode.time.tolist(), names, end)
+        modes = mode_changes(mode.time.tolist(), names, max(float(s.time[-1]) for s in series.values()))
     events = armings(arming.time.tolist(), (arming.values == PX4_ARMED).tolist()) if arming is not None else ()
-    return Marks(modes, events, tuple(Mark(t, words(text)) for t, text in sound.logged))
+    return Marks(modes, events, tuple(Mark(t, mark_text(text)) for t, text in scan.logged))

@@ -10,8 +10,8 @@ Format: PX4 user guide, "ULog File Format".
 import math
 import re
 import struct
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,33 +28,15 @@ _SIZES = {
     "float": 4, "double": 8, "bool": 1, "char": 1,
 }  # fmt: skip
 
-MOST_BYTES = 2**16
-"""Of one sample of a topic: the length of a message is a 16-bit number."""
-MOST_FIELDS = 100_000
-"""Of all topics of a log together; a PX4 log has some 10,000."""
-MOST_LOGGED = 20_000
-"""Messages in words, and parameters."""
-DEEPEST = 16
-"""Formats within formats; PX4 has two."""
+MOST_BYTES = 2**16  # of one sample of a topic: the length of a message is a 16-bit number
+MOST_FIELDS = 100_000  # of all topics of a log together; a PX4 log has some 10,000
+MOST_LOGGED = 20_000  # messages in words, and parameters
+DEEPEST = 16  # formats within formats; PX4 has two
 
 _FIELD = re.compile(rb"([A-Za-z_][\w/]*)(?:\[(\d{1,5})\])? ([!-9<-~]+)")
 _FORMAT_HEAD = re.compile(rb"(?s:..)F[A-Za-z_][\w/]{0,60}:")
 _SYNC_MESSAGE = struct.pack("<HB", len(SYNC), ord("S")) + SYNC
 _BLOCK = 2**16  # bytes searched at once for the next message of a known topic
-
-
-@dataclass(frozen=True)
-class Sound:
-    """The sound messages of a ULog. stream: a ULog of formats, subscriptions and data only; skipped: bytes of damage;
-    dropouts: how many its logger reports, together dropped_ms long. logged: messages in words with their time [s]; parameters:
-    each as last stated."""
-
-    stream: bytes
-    skipped: int
-    dropouts: int
-    dropped_ms: int
-    logged: tuple[tuple[float, str], ...] = ()
-    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,54 +46,50 @@ class _Field:
     name: str
 
 
-def sound_messages(data: bytes) -> Sound:
-    """Look at each message of a ULog once. `data` begins with MAGIC."""
-    scan = _UlogScan(data)
-    scan.run()
-    return Sound(
-        b"".join([data[:HEADER], *scan.head, *scan.body]),
-        scan.skipped,
-        scan.dropouts,
-        scan.dropped_ms,
-        tuple(scan.logged),
-        scan.parameters,
-    )
+class UlogScan:
+    """The sound messages of a ULog, each looked at once. `data` begins with MAGIC.
 
+    skipped: bytes of damage; dropouts: how many its logger reports, together dropped_ms long. logged: messages in words with
+    their time [s]; parameters: each as last stated.
+    """
 
-class _UlogScan:
     def __init__(self, data: bytes) -> None:
-        self.data = data
-        self.head: list[bytes] = []
-        self.body: list[bytes] = []
+        self._data = data
+        self._head: list[bytes] = []
+        self._body: list[bytes] = []
         self.skipped = self.dropouts = self.dropped_ms = 0
         self.logged: list[tuple[float, str]] = []
         self.parameters: dict[str, float] = {}
         self._formats: dict[str, tuple[_Field, ...]] = {}
-        self._topics = np.zeros(
-            (2, 2**16), np.int64
-        )  # shortest and longest sample by message id, 0 where not announced
-        self._announced = 0
-        self._fields = 0
+        # shortest and longest sample by message id, 0 where not announced
+        self._topics = np.zeros((2, 2**16), np.int64)
+        self._announced = self._fields = 0
         self._sync = -1
         self._appended: list[int] = []  # offsets where data were appended after a crash
         self._block: tuple[int, int, Integers] = (-1, -1, np.zeros(0, np.int64))
+        self._run()
 
-    def run(self) -> None:
+    @property
+    def stream(self) -> bytes:
+        """A ULog of formats, subscriptions and data only."""
+        return b"".join([self._data[:HEADER], *self._head, *self._body])
+
+    def _run(self) -> None:
         """Go through the file once."""
-        at = HEADER
-        while at < len(self.data):
-            size = self._sound(at)
-            following = at + size if size else self._following(at + 1)
-            boundary = next((offset for offset in self._appended if at < offset < following), None)
+        start = HEADER
+        while start < len(self._data):
+            size = self._message_size(start)
+            following = start + size if size else self._following(start + 1)
+            boundary = next((offset for offset in self._appended if start < offset < following), None)
             if boundary is not None:  # the message that a crash has cut ends where the appended data begin
                 size, following = 0, boundary
-            if not (size and self._take(self.data[at + 2], self.data[at + 3 : at + size])):
-                self.skipped += following - at
-            at = following
+            if not (size and self._keep(self._data[start + 2], self._data[start + 3 : start + size])):
+                self.skipped += following - start
+            start = following
 
-    def _sound(self, at: int) -> int:
+    def _message_size(self, at: int) -> int:
         """Length of the message at `at` with its head, 0 where none begins."""
-        data = self.data
+        data = self._data
         if at + 3 > len(data) or data[at + 2] not in _TYPES:
             return 0
         size = 3 + (data[at] | data[at + 1] << 8)
@@ -125,17 +103,17 @@ class _UlogScan:
     def _following(self, at: int) -> int:
         """Where the next message begins of which the bytes themselves say so: data of a known topic, a sync, a format."""
         if self._sync < at:  # each looked for once, not once for each damage before it
-            found_sync = self.data.find(_SYNC_MESSAGE, at)
-            self._sync = found_sync if found_sync >= 0 else len(self.data)
+            position = self._data.find(_SYNC_MESSAGE, at)
+            self._sync = position if position >= 0 else len(self._data)
         end = self._sync
         if not self._announced:
-            match = _FORMAT_HEAD.search(self.data, at, end)
+            match = _FORMAT_HEAD.search(self._data, at, end)
             return match.start() if match else end
         while at < end:
-            found = self._candidates(at // _BLOCK)
-            nearest = int(np.searchsorted(found, at))
-            if nearest < found.size:
-                return min(end, int(found[nearest]))
+            positions = self._candidates(at // _BLOCK)
+            index = int(np.searchsorted(positions, at))
+            if index < positions.size:
+                return min(end, int(positions[index]))
             at = (at // _BLOCK + 1) * _BLOCK
         return end
 
@@ -144,29 +122,29 @@ class _UlogScan:
         if self._block[:2] == (block, self._announced):
             return self._block[2]
         start = block * _BLOCK
-        d = np.frombuffer(self.data, np.uint8, min(_BLOCK + 5, len(self.data) - start), start).astype(np.int64)
+        d = np.frombuffer(self._data, np.uint8, min(_BLOCK + 5, len(self._data) - start), start).astype(np.int64)
         if d.size < 5:
             return np.zeros(0, np.int64)
         size, topic = d[:-4] + 256 * d[1:-3] - 2, d[3:-1] + 256 * d[4:]
         low, high = self._topics[:, topic]
-        found = start + np.flatnonzero((d[2:-2] == _DATA) & (high > 0) & (low <= size) & (size <= high))
-        self._block = (block, self._announced, found)
-        return found
+        positions = start + np.flatnonzero((d[2:-2] == _DATA) & (high > 0) & (low <= size) & (size <= high))
+        self._block = (block, self._announced, positions)
+        return positions
 
-    def _take(self, kind: int, body: bytes) -> bool:
+    def _keep(self, kind: int, body: bytes) -> bool:
         """Keep a message; False when its content is none."""
         match chr(kind):
             case "D":
-                self.body.append(_message(kind, body))
+                self._body.append(_message(kind, body))
             case "F":
                 return self._format(body)
             case "A":
                 return self._subscription(body)
             case "B":
                 self._appended = sorted(_offsets(body))
-                self.head.append(_message(kind, (body[:16] + bytes(40))[:40]))
+                self._head.append(_message(kind, (body[:16] + bytes(40))[:40]))
             case "I" if b" ver_sw" in body[:40]:
-                self.head.append(_message(kind, body))
+                self._head.append(_message(kind, body))
             case "L" | "C" if len(self.logged) < MOST_LOGGED:
                 self._logged(body[1:] if chr(kind) == "L" else body[3:])
             case "P" if len(self.parameters) < MOST_LOGGED:
@@ -192,12 +170,12 @@ class _UlogScan:
 
     def _format(self, body: bytes) -> bool:
         name, colon, text = body.partition(b":")
-        found = [_FIELD.fullmatch(piece) for piece in text.split(b";") if piece]
-        fields = tuple(_Field(m[1].decode(), int(m[2] or 1), m[3].decode()) for m in found if m)
-        if not (colon and fields and len(fields) == len(found) and name.isascii()) or self._announced:
+        matches = [_FIELD.fullmatch(piece) for piece in text.split(b";") if piece]
+        fields = tuple(_Field(m[1].decode(), int(m[2] or 1), m[3].decode()) for m in matches if m)
+        if not (colon and fields and len(fields) == len(matches) and name.isascii()) or self._announced:
             return False
         if name.decode() not in self._formats:
-            self.head.append(_message(ord("F"), body))
+            self._head.append(_message(ord("F"), body))
         self._formats.setdefault(name.decode(), fields)
         return True
 
@@ -215,17 +193,17 @@ class _UlogScan:
         self._topics[:, topic] = shortest, longest
         self._fields += count
         self._announced += 1
-        self.body.append(_message(ord("A"), body))
+        self._body.append(_message(ord("A"), body))
         return True
 
     def _expanded(self, fields: tuple[_Field, ...], depth: int) -> tuple[int, int]:
         """Bytes and number of plain fields in `fields`; MOST_BYTES when they are too many, or a format holds itself."""
         size = count = 0
         for part in fields:
-            one = (_SIZES[part.kind], 1) if part.kind in _SIZES else (MOST_BYTES, 0)
+            element = (_SIZES[part.kind], 1) if part.kind in _SIZES else (MOST_BYTES, 0)
             if part.kind in self._formats and depth:
-                one = self._expanded(self._formats[part.kind], depth - 1)
-            size, count = size + part.count * one[0], count + part.count * one[1]
+                element = self._expanded(self._formats[part.kind], depth - 1)
+            size, count = size + part.count * element[0], count + part.count * element[1]
             if size >= MOST_BYTES:
                 return MOST_BYTES, count
         return size, count

@@ -12,7 +12,7 @@ from estimation.campaign.run import Campaign, CampaignOutcome
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
-from estimation.campaign.workers.serial import SerialEngine
+from estimation.campaign.workers.in_process import SerialEngine
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import signal
 import time
 
 from estimation.estimators.estimator import Estimator, Task
-from estimation.estimators.registry import find
+from estimation.estimators.registry import find_estimator
 from estimation.estimators.result import Result
 
 
@@ -22,7 +22,7 @@ def fit(task: Task) -> Result:
         raise ZeroDivisionError("by design")
     if name.startswith("slow"):
         time.sleep(float(os.environ["SLOW_S"]))
-    return find("ls").fit(task).with_method("hostile")
+    return find_estimator("ls").fit(task).with_method("hostile")
 
 
 HOSTILE = Estimator("hostile", "hostile to its worker", fit)

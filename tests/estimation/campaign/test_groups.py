@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
+from estimation.campaign.aerodynamics.differences import difference_rows, step_rows
 from estimation.campaign.aerodynamics.joint_tables import joint_model_rows
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.aerodynamics.terms import ConditionTerm, with_terms
-from estimation.campaign.claims import told as told_to_a_person
+from estimation.campaign.groups import claims_of as told_to_a_person
 from estimation.campaign.groups import group_rows
 from estimation.campaign.schema import RESULTS, arrow_schema
 from estimation.models import load_model

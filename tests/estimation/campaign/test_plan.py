@@ -10,7 +10,7 @@ from estimation.campaign.keys import seed_of
 from estimation.campaign.plan import CampaignPlan, plan_from
 from estimation.campaign.sources import entries_of
 from estimation.campaign.work_list import WorkList, work_list
-from estimation.estimators.registry import find
+from estimation.estimators.registry import find_estimator
 from sideslip.cli import run
 from sideslip.simulated import simulator
 
@@ -132,4 +132,4 @@ def test_the_seed_of_a_campaign_suits_a_network() -> None:
     assert 1000 * seed > 2**63  # as they are: it overflowed
     assert generator_of(seed, 0).initial_seed() != generator_of(seed, 1).initial_seed()
     assert generator_of(3, 1).initial_seed() == 3001
-    assert find("ngn").needs_aircraft
+    assert find_estimator("ngn").needs_aircraft

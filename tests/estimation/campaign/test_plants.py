@@ -25,7 +25,7 @@ def test_everything_planted_is_told_and_nothing_else(tmp_path: Path) -> None:
     assert {"CY_0", "Cn_0"} <= set(found["moved"])
     assert found["bad told"] == 2
     # the third, a roll gyro 20 % too large, contradicts its own bank angle: refused before any estimate
-    refused = [f.text for f in quality_report(read_flight(tmp_path / "f023.csv")) if f.verdict == "fail"]
+    refused = [f.text for f in quality_report(read_flight(tmp_path / "f023.csv")) if f.severity == "fail"]
     assert len(refused) == 1
     assert refused[0].startswith("phi moves")
     assert found["good told"] == 0

@@ -9,10 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from estimation.aircraft import load_aircraft
-from estimation.campaign.errors import CampaignError, OverdueError
 from estimation.campaign.plan import plan_from, read_plan
 from estimation.campaign.run import CampaignOutcome
-from estimation.campaign.workers.limits import interrupted_after
+from estimation.campaign.tasks import CampaignError, OverdueError
+from estimation.campaign.workers.in_process import interrupted_after
 from estimation.models import load_model
 from estimation.session import runner
 from groundstation.flight import read_flight

@@ -7,9 +7,9 @@ import pytest
 
 import sideslip
 from daq.contract import limits
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.plan import plan_from, read_plan
 from estimation.campaign.sources import entries_of, fetched
+from estimation.campaign.tasks import CampaignError
 
 TRAP = "from pathlib import Path\nPath('sprung').write_text('x')\nclass Model: pass\nOWN = 1\n"
 

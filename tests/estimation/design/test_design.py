@@ -13,14 +13,13 @@ from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 from estimation.aircraft import load_aircraft
 from estimation.answers.designs import with_effects, write_manoeuvre
 from estimation.design import measured_inputs
-from estimation.design.condition import trimmed
 from estimation.design.design import DesignTask, InputDesign, design
-from estimation.design.limits import Limits, load_limits, usual_limits
+from estimation.design.limits import Limits, load_limits, trimmed, usual_limits
 from estimation.design.predict import DesignInformation, fly, information
-from estimation.engine.data import FlightData, Segment
 from estimation.errors import EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
+from estimation.prepare.flight_data import FlightData, Segment
 
 AIRCRAFT = load_aircraft("cdfp")
 LATERAL = load_model("lateral", AIRCRAFT)
@@ -51,7 +50,9 @@ class TestPrediction:
         rest = fly(found.bench, np.zeros((250, 1)), 5.0)
         for name in model.state_names:
             assert np.ptp(rest.signals[name]) < 1e-6, name
-        assert trimmed(model, AIRCRAFT, 16.0, 1.17).of("alpha") == pytest.approx(rest.signals["alpha"][-1], abs=1e-6)
+        assert trimmed(model, AIRCRAFT, 16.0, 1.17).trim_value("alpha") == pytest.approx(
+            rest.signals["alpha"][-1], abs=1e-6
+        )
 
     def test_predicted_bounds_are_those_of_a_fit_to_such_a_flight(self, sines: InputDesign) -> None:
         """The estimator's own Cramer-Rao bounds on a simulated record with the predicted noise."""
@@ -63,7 +64,7 @@ class TestPrediction:
         z = np.column_stack([motion.signals[n][keep] for n in names]) + sigma * rng.standard_normal((keep.size, 5))
         u = np.column_stack(
             [
-                motion.surfaces.get(s.name, np.full(len(motion.time), bench.condition.of(s.name)))[keep]
+                motion.surfaces.get(s.name, np.full(len(motion.time), bench.condition.trim_value(s.name)))[keep]
                 for s in LATERAL.inputs
             ]
         )

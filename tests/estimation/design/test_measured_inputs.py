@@ -9,7 +9,7 @@ import pytest
 from estimation.aircraft import load_aircraft
 from estimation.design import measured_inputs
 from estimation.design.design import DesignTask, InputDesign, design
-from estimation.design.measured_inputs import _scatter, expected
+from estimation.design.measured_inputs import _scatter, expected_errors
 from estimation.models import load_model
 
 AIRCRAFT = load_aircraft("cdfp")
@@ -48,7 +48,7 @@ def test_what_wanders_slowly_hurts_what_is_slow() -> None:
 def test_exact_inputs_leave_the_bound(steps: InputDesign, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measured_inputs, "input_noise", lambda bench, signal: 0.0)
     bounds = steps.best.information.std
-    exact = expected(steps.bench, steps.best.motion, bounds, seed=1, draws=3)
+    exact = expected_errors(steps.bench, steps.best.motion, bounds, seed=1, draws=3)
     for name, bound in bounds.items():
         assert exact[name] == pytest.approx(bound, rel=0.03), name
 
@@ -56,7 +56,7 @@ def test_exact_inputs_leave_the_bound(steps: InputDesign, monkeypatch: pytest.Mo
 def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: InputDesign) -> None:
     usual = steps.expected
     rough = replace(steps.bench, noise={"delta_a": math.radians(0.7), "delta_r": math.radians(0.7)})
-    worse = expected(rough, steps.best.motion, steps.best.information.std, seed=1, draws=10)
+    worse = expected_errors(rough, steps.best.motion, steps.best.information.std, seed=1, draws=10)
     for name, bound in steps.best.information.std.items():
         assert usual[name] > 0.97 * bound, name
     assert worse["Cl_da"] > 3.0 * usual["Cl_da"]
@@ -65,5 +65,5 @@ def test_noisy_inputs_are_told_and_more_of_them_is_worse(steps: InputDesign) -> 
 def test_noise_that_residuals_showed_is_not_counted_twice(steps: InputDesign) -> None:
     """A flight's residuals hold the noise of its inputs already."""
     found = replace(steps.bench, noise_of_residuals=True)
-    once = expected(found, steps.best.motion, steps.best.information.std, seed=1, draws=10)
+    once = expected_errors(found, steps.best.motion, steps.best.information.std, seed=1, draws=10)
     assert once["Cl_p"] < steps.expected["Cl_p"]

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation.engine.data import FlightData, Segment
 from estimation.engine.simulate import simulate
 from estimation.gap.effects import add_effect, catalogue, load_effects
 from estimation.gap.effects.base import EffectParameter, Form
@@ -16,6 +15,7 @@ from estimation.gap.errors import EffectError
 from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
 from estimation.models.load import load_model, read_model, write_model
+from estimation.prepare.flight_data import FlightData, Segment
 
 moved = partial(simulate, compile_="never")  # each model is asked once: compiling it would take longest
 

@@ -21,8 +21,8 @@ from estimation.gap.significance.nulls import input_errors, spectrum, with_error
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
 from estimation.models.load import load_model
-from estimation.signals.preprocess import noise_level
-from estimation.signals.raw_steps import around, near_steps, with_raw_steps
+from estimation.signals.controls import near_steps, step_reach, with_raw_steps
+from estimation.signals.denoise import noise_level
 from groundstation.flight import Flight
 from tests.estimation.gap.candidates_by_hand import candidate
 from tests.studies import gap_benchmark
@@ -82,16 +82,16 @@ def test_the_linear_picture_of_pitching_has_the_short_period_of_the_textbook() -
 
 def test_a_control_is_taken_as_measured_by_its_steps_only() -> None:
     smooth = np.concatenate([np.zeros(20), np.full(20, 0.05)])
-    near = near_steps(smooth, 0.001, 4.0, around(0.05))
+    near = near_steps(smooth, 0.001, 4.0, step_reach(0.05))
     assert np.flatnonzero(near).tolist() == list(range(16, 26))
-    assert not near_steps(smooth, 0.02, 4.0, around(0.05)).any()
+    assert not near_steps(smooth, 0.02, 4.0, step_reach(0.05)).any()
     measured = smooth + 0.001
     measured[20] = np.nan
     taken, where = with_raw_steps(smooth, measured, 0.001, 4.0, 0.05)
     assert np.flatnonzero(where).tolist() == [*range(16, 20), *range(21, 26)]
     np.testing.assert_allclose(taken - smooth, np.where(where, 0.001, 0.0), atol=1e-15)
-    assert [around(1.0 / rate) for rate in (5.0, 10.0)] == [range(-1, 3), range(-2, 4)]
-    assert [around(1.0 / rate) for rate in (20.0, 50.0)] == [range(-3, 7), range(-3, 7)]
+    assert [step_reach(1.0 / rate) for rate in (5.0, 10.0)] == [range(-1, 3), range(-2, 4)]
+    assert [step_reach(1.0 / rate) for rate in (20.0, 50.0)] == [range(-3, 7), range(-3, 7)]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from estimation.answers.designs import with_effects
-from estimation.engine.data import FlightData, Segment
 from estimation.engine.simulate import simulate
 from estimation.engine.transforms import apply_transforms
 from estimation.errors import EstimationError
@@ -17,6 +16,7 @@ from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import InputTransform, Model
 from estimation.models.expressions import FUNCTIONS, evaluate
 from estimation.models.load import load_model
+from estimation.prepare.flight_data import FlightData, Segment
 
 LONGITUDINAL = """CL_alphadot Cm_alphadot downwash_lag CL_alpha2 CL_alpha3 Cm_alpha2 Cm_alpha3 stall_separation stall_hysteresis
 CL_de3 Cm_de3 Cm_alpha_de CD_CL CD_alpha4 CD_de2 CD_q ground_effect wing_compliance thrust_z thrust_tilt thrust_scale mass_error

@@ -14,7 +14,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.pages.report import write_gap_report
 from estimation.gap.shapes.formulas import regressed
 from estimation.gap.shapes.increment import Increment
-from estimation.gap.shapes.lag_swing import late
+from estimation.gap.shapes.lag_swing import lag_behind
 from estimation.gap.shapes.places import Place, coefficient_lines, places_of, products_of, variables_of
 from estimation.gap.shapes.spline import KEPT, Range, basis, curve_lines, lines, polynomial
 from estimation.gap.workflow import Options
@@ -139,7 +139,7 @@ def test_a_line_is_a_formula_only_where_the_base_has_none() -> None:
 
 def test_a_lag_is_behind_a_ramp_by_its_time_constant() -> None:
     time = np.arange(0.0, 6.0, 0.025)
-    behind = late(2.0 * time, time, 0.5)
+    behind = lag_behind(2.0 * time, time, 0.5)
     assert behind[0] == 0.0
     assert behind[-1] == pytest.approx(-2.0 * 0.5, rel=0.06)
 

@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 import sideslip
-from estimation.commands.gap import gap as gap_verb
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
@@ -20,7 +19,7 @@ from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.records.sampling import (
     at_own_rates,
     clock_step,
-    slow,
+    find_slow_control,
     unseen_moves,
     unseen_paths,
     with_lost_rows,
@@ -30,7 +29,8 @@ from estimation.gap.significance.omnibus import restless_times
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance, write_flight
-from groundstation.flight.quality.same_record import one_record_twice
+from groundstation.flight.quality.repeats import one_record_twice
+from sideslip.verbs.gap import gap as gap_verb
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
 
@@ -129,7 +129,7 @@ def test_a_column_that_nobody_asks_for_decides_nothing() -> None:
 def test_a_hole_in_a_slow_control_stays_one() -> None:
     values = empty(noisy(1), 5)
     values[200:260] = np.nan
-    found = slow(built(delta_a=values, p=noisy(2)), "delta_a")
+    found = find_slow_control(built(delta_a=values, p=noisy(2)), "delta_a")
     assert found is not None
     assert np.isnan(found.values[200:256]).all()
     assert np.isfinite(found.values[:196]).all()

@@ -17,7 +17,7 @@ from estimation.gap.fit import baseline as baselines
 from estimation.gap.fit.baseline import (
     Baseline,
     by_regression,
-    deeper,
+    deeper_fit,
     first_values,
     fit_afresh,
     fit_baseline,
@@ -205,9 +205,9 @@ def test_a_base_gives_way_to_a_better_fit_of_its_own(
     made: Any = SimpleNamespace(problem=None, fit=SimpleNamespace(cost=4000.0))
     monkeypatch.setattr(baselines, "growth", lambda problem, found: other if found is again else own)
     monkeypatch.setattr(baselines, "fit_from", lambda problem, found, enough, beyond: again)
-    assert (deeper(made, made.fit) is again) is taken
+    assert (deeper_fit(made, made.fit) is again) is taken
     again.diverged = True
-    assert deeper(made, made.fit) is None
+    assert deeper_fit(made, made.fit) is None
 
 
 def test_a_model_fitted_afresh_takes_the_better_of_two_ends(monkeypatch: pytest.MonkeyPatch, right: Baseline) -> None:
@@ -238,4 +238,4 @@ def test_a_fit_goes_on_from_where_a_model_with_more_states_ended(right: Baseline
     assert len(more.fit.locals[0].x0) == len(right.fit.locals[0].x0) + 1
     back = fit_from(right.problem, more.fit)
     assert back.cost == pytest.approx(right.fit.cost, abs=0.01)
-    assert deeper(right, more.fit) is None
+    assert deeper_fit(right, more.fit) is None

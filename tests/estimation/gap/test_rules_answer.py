@@ -13,7 +13,7 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.decision import beside as beside_shape
 from estimation.gap.decision import conclusion as concluding
 from estimation.gap.decision.beside import without_doubted
-from estimation.gap.decision.conclusion import facts_of, told
+from estimation.gap.decision.conclusion import facts_of, steps_in_words
 from estimation.gap.decision.decide import Decision, with_names
 from estimation.gap.decision.lineage import models
 from estimation.gap.decision.steps import unknown_step
@@ -136,18 +136,21 @@ def test_facts_know_whose_instrument_a_name_blames_and_how_many_effects_were_ask
 def test_an_answer_tells_the_names_that_stand_and_then_the_rest() -> None:
     named = [step("Cn_da"), step("beta_lag")]
     check, floor = stub(origin="sensor"), stub(training_median=1.0)
-    steps = told(Decision(GapVerdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, 1.4, floor)
+    steps = steps_in_words(
+        Decision(GapVerdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, 1.4, floor
+    )
     assert [s.effect for s in steps] == ["Cn_da", "unknown"]
     assert [s.where.origin for s in steps] == ["sensor", ""]
     assert all(s.text for s in steps)
     assert steps[1].gap == Gap(1.4, 1.4, 1.0)
     assert [
-        s.effect for s in told(Decision(GapVerdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, 1.0, floor)
+        s.effect
+        for s in steps_in_words(Decision(GapVerdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, 1.0, floor)
     ] == [
         "Cn_da",
         "beta_lag",
     ]
-    assert told(Decision(GapVerdict.NO_GAP, 0, ()), [], search().omnibus, check, 1.0, floor) == ()
+    assert steps_in_words(Decision(GapVerdict.NO_GAP, 0, ()), [], search().omnibus, check, 1.0, floor) == ()
 
 
 def test_the_rest_is_placed_by_the_signals_above_the_threshold() -> None:
@@ -214,7 +217,7 @@ def test_a_shape_takes_the_place_of_a_doubted_name_beside_which_the_others_stand
         return stub(candidate=candidate, doubted=doubted, round_=stub(baseline=f"before {name}"))
 
     shape = stub(measured=stub(closed=0.99), fitted=stub(increment=stub(place=stub(words="CY by beta"))))
-    monkeypatch.setattr(beside_shape, "searched", lambda *given: stub(shape=shape))
+    monkeypatch.setattr(beside_shape, "search_shape", lambda *given: stub(shape=shape))
     beside: Any = None if found is None else stub(findings=tuple(finding(n) for n in found))
     monkeypatch.setattr(beside_shape, "names_beside", lambda *given: beside)
     kept = [finding("beta_scale"), finding("CY_beta3", doubted=True), *(finding(n) for n in others)]

@@ -16,12 +16,12 @@ from estimation.gap.significance.calibration import (
     name_threshold,
     null_inflation,
 )
-from estimation.gap.significance.kinematic_check import judged, kinematic_model, null_count
+from estimation.gap.significance.kinematic_check import kinematic_model, null_count, origin_of_error
 from estimation.gap.significance.measure import Floors, usual_and_limit
 from estimation.gap.significance.omnibus import (
     OmnibusSignal,
     beside_others,
-    follows,
+    energy_with_activity,
     pooled,
     restless_times,
     standardised,
@@ -122,12 +122,12 @@ def test_the_check_takes_no_more_than_a_hundred_nulls() -> None:
 def test_an_instrument_error_above_its_threshold_is_a_sensor_s(score: float, origin: str) -> None:
     hypotheses = (stub(label="gyro_scale"), stub(label="beta_lag"))
     round_ = stub(threshold=4.0, standardised=lambda: np.array([1.0, score]), screen=stub(hypotheses=hypotheses))
-    found = judged(round_)
+    found = origin_of_error(round_)
     assert (found.origin, found.best, found.score) == (origin, "beta_lag", score)
 
 
 def test_without_an_instrument_to_ask_the_check_is_undecided() -> None:
-    assert judged(stub(threshold=4.0, standardised=lambda: np.zeros(0))).origin == "undecided"
+    assert origin_of_error(stub(threshold=4.0, standardised=lambda: np.zeros(0))).origin == "undecided"
 
 
 # ------------------------------------------------------------------------------------------------ nameless signals
@@ -187,7 +187,7 @@ def scatter_with(activity: float, white: float) -> float:
     """What one sample of that activity and whitened size adds, the 99 others still and quiet."""
     active, series = np.zeros(100), np.zeros((100, 1))
     active[7], series[7] = activity, white
-    return float(follows(active, series, AS_SET)[0])
+    return float(energy_with_activity(active, series, AS_SET)[0])
 
 
 def test_activity_and_energy_of_single_samples_count_up_to_a_limit() -> None:

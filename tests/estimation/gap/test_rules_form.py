@@ -8,9 +8,8 @@ import pytest
 
 from estimation.gap.criteria import AS_SET
 from estimation.gap.shapes import search as searching
-from estimation.gap.shapes.increment import HoldoutPrediction, closed, confirmed
-from estimation.gap.shapes.places import Place, spread_of
-from estimation.gap.shapes.ranking import penalised, ranked
+from estimation.gap.shapes.increment import HoldoutPrediction, closed, predicts_every_flight
+from estimation.gap.shapes.places import Place, penalised, ranked, spread_of
 from estimation.gap.shapes.search import as_good, runners_up
 from estimation.gap.shapes.spline import KEPT, basis
 from estimation.gap.significance.screen import Projected
@@ -33,14 +32,14 @@ def test_the_smoothest_part_may_be_as_large_as_the_coefficient_and_rougher_parts
 
 @pytest.mark.parametrize(("inside", "holds"), [(0.45, True), (0.55, False)])
 def test_a_flight_that_lies_half_outside_what_the_others_flew_is_not_asked(inside: float, holds: bool) -> None:
-    assert confirmed([HoldoutPrediction(0, 1.0, 50.0), HoldoutPrediction(1, inside, -3.0)], AS_SET) is holds
+    assert predicts_every_flight([HoldoutPrediction(0, 1.0, 50.0), HoldoutPrediction(1, inside, -3.0)], AS_SET) is holds
 
 
 def test_one_flight_predicted_worse_is_enough_to_refuse_and_none_to_ask_is_no_confirmation() -> None:
-    assert confirmed([HoldoutPrediction(0, 1.0, 50.0), HoldoutPrediction(1, 1.0, 0.1)], AS_SET)
-    assert not confirmed([HoldoutPrediction(0, 1.0, 500.0), HoldoutPrediction(1, 1.0, -0.1)], AS_SET)
-    assert not confirmed([HoldoutPrediction(0, 0.1, 50.0)], AS_SET)
-    assert not confirmed([], AS_SET)
+    assert predicts_every_flight([HoldoutPrediction(0, 1.0, 50.0), HoldoutPrediction(1, 1.0, 0.1)], AS_SET)
+    assert not predicts_every_flight([HoldoutPrediction(0, 1.0, 500.0), HoldoutPrediction(1, 1.0, -0.1)], AS_SET)
+    assert not predicts_every_flight([HoldoutPrediction(0, 0.1, 50.0)], AS_SET)
+    assert not predicts_every_flight([], AS_SET)
 
 
 @pytest.mark.parametrize(("gain", "asked"), [(74.0, False), (76.0, True)])
@@ -55,7 +54,9 @@ def test_a_shape_gains_three_quarters_of_what_the_best_term_does(
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown, criteria: None)
     monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit: 1.0)
     left: list[float] = []
-    monkeypatch.setattr(searching, "left_out", lambda baseline, fitted, flown: left.append(fitted.gain) or [])
+    monkeypatch.setattr(
+        searching, "holdout_predictions", lambda baseline, fitted, flown: left.append(fitted.gain) or []
+    )
     ranking = stub(order=[0], places=[PLACE], gains=[gain], scores=[9.0], threshold=4.0)
     shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking)
     assert shape is None

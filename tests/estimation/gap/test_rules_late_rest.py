@@ -11,7 +11,14 @@ from estimation.gap.answer.result import GapVerdict
 from estimation.gap.answer.shape import LaggedTerm
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Decision
-from estimation.gap.decision.followers import SIZE, LateRest, beside_memory, hypothesis_of, significant, stands_out
+from estimation.gap.decision.followers import (
+    SIZE,
+    LateRest,
+    beside_memory,
+    hypothesis_of,
+    significant_beside,
+    stands_out,
+)
 from estimation.gap.effects import catalogue
 from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
@@ -37,8 +44,8 @@ def test_a_name_is_needed_beside_a_memory_where_it_would_have_been_named() -> No
     finding: Any = SimpleNamespace(
         candidate=SimpleNamespace(gain=200.0, score=10.0), round_=SimpleNamespace(threshold=4.0)
     )  # inflated twice: a gain of 32 is a score of 4
-    assert not significant(31.0, finding)
-    assert significant(33.0, finding)
+    assert not significant_beside(31.0, finding)
+    assert significant_beside(33.0, finding)
 
 
 def test_a_lag_adds_how_far_its_follower_is_behind() -> None:

@@ -9,7 +9,7 @@ from estimation.gap.answer.result import Gap
 from estimation.gap.answer.shape import HeldInstrument
 from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
-from estimation.gap.decision.unnamed import held_step, judged
+from estimation.gap.decision.unnamed import held_instrument, held_step
 from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
 
@@ -65,7 +65,7 @@ def test_a_channel_twice_as_far_from_the_model_where_it_repeats_holds_its_values
     near = rng.standard_normal(200)
     far = rng.standard_normal(600)
     far *= times * np.sqrt(np.mean(near**2) / np.mean(far**2))
-    held = judged("beta", far, near, STEP, AS_SET)
+    held = held_instrument("beta", far, near, STEP, AS_SET)
     assert (held is not None) is told
     if held is not None:
         assert (held.every, held.share, held.ratio) == pytest.approx((4 * STEP, 0.75, times))
@@ -73,7 +73,7 @@ def test_a_channel_twice_as_far_from_the_model_where_it_repeats_holds_its_values
 
 @pytest.mark.parametrize(("far", "near"), [([], [1.0, 2.0]), ([1.0, 2.0], []), ([1.0, 2.0], [0.0, 0.0])])
 def test_nothing_is_said_of_a_channel_without_both(far: list[float], near: list[float]) -> None:
-    assert judged("beta", np.array(far), np.array(near), STEP, AS_SET) is None
+    assert held_instrument("beta", np.array(far), np.array(near), STEP, AS_SET) is None
 
 
 def test_an_instrument_that_holds_its_values_is_an_unknown_and_no_term_of_the_model() -> None:

@@ -12,7 +12,16 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search import rounds as searching
-from estimation.gap.search.accept import accept, by_timing, doubtful, explains, follows, holds, is_strong, repeats
+from estimation.gap.search.accept import (
+    accept,
+    by_timing,
+    doubtful,
+    explains,
+    followed_by_surfaces,
+    holds_on_holdout,
+    is_strong,
+    repeats_on_flights,
+)
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
@@ -50,7 +59,7 @@ def test_half_as_much_again_as_the_threshold_is_strong(score: float, strong: boo
 def test_an_effect_repeats(
     cross: float | None, strong: bool, timing: bool, gains: tuple[float, ...], repeated: bool
 ) -> None:
-    assert repeats(cross, strong, timing, gains) is repeated
+    assert repeats_on_flights(cross, strong, timing, gains) is repeated
 
 
 @pytest.mark.parametrize(
@@ -68,12 +77,12 @@ def test_an_effect_repeats(
 def test_chance_may_take_on_held_out_flights_what_there_is_to_spare(
     held: float | None, spare: float, stands: bool
 ) -> None:
-    assert holds(held, spare, AS_SET) is stands
+    assert holds_on_holdout(held, spare, AS_SET) is stands
 
 
 @pytest.mark.parametrize(("freed", "followed"), [(45.0, False), (55.0, True)])
 def test_the_base_had_followed_where_timing_frees_half_of_the_gain(freed: float, followed: bool) -> None:
-    assert follows(freed, 100.0, AS_SET) is followed
+    assert followed_by_surfaces(freed, 100.0, AS_SET) is followed
 
 
 @pytest.mark.parametrize(("moved", "followed"), [(0.04, False), (0.06, True)])
@@ -235,13 +244,15 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
         return [elsewhere, rival("new", 999.0), rival("other", 998.0)]
 
     elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
-    monkeypatch.setattr(searching, "deeper", lambda base, fit: fit if fit is elsewhere.fit else None)
+    monkeypatch.setattr(searching, "deeper_fit", lambda base, fit: fit if fit is elsewhere.fit else None)
     monkeypatch.setattr(searching, "hypotheses_for", lambda *args: asked)
     monkeypatch.setattr(searching, "Tangent", lambda *args: None)
     monkeypatch.setattr(searching, "build_screen", lambda *args: stub(hypotheses=asked))
     monkeypatch.setattr(searching, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
     monkeypatch.setattr(searching, "linear_guess", lambda *args: {})
-    monkeypatch.setattr(searching, "alone", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"])
+    monkeypatch.setattr(
+        searching, "individual_inflation", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"]
+    )
     monkeypatch.setattr(searching, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
     monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
     monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
@@ -338,7 +349,7 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(searching, "examine", lambda round_: REST)
     monkeypatch.setattr(searching, "choose", choose)
-    monkeypatch.setattr(searching, "deeper", lambda baseline, fit: leads.get(baseline.name))
+    monkeypatch.setattr(searching, "deeper_fit", lambda baseline, fit: leads.get(baseline.name))
     monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
     setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)

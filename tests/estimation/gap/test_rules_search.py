@@ -13,7 +13,7 @@ from estimation.gap.decision.steps import misfit_of
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.search import confirm
 from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, leading, price
-from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
+from estimation.gap.search.select import Choice, credible_set, material, promise, shared_inflation, worth_comparing
 from estimation.gap.significance.measured_again import own_share
 from estimation.gap.significance.omnibus import Omnibus
 from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
@@ -81,7 +81,7 @@ def test_nonlinear_hypotheses_promise_either_sign_and_are_not_held_against_their
 def test_rivals_share_one_inflation_unless_theirs_is_twice_as_large(own: float, used: float) -> None:
     one = screen([hypothesis("best"), hypothesis("x"), hypothesis("late", "delay")])
     round_ = stub(screen=one, gains=np.array([100.0, 50.0, 50.0]), inflation=np.array([1.0, own, 5.0]), criteria=AS_SET)
-    found = comparable(round_)
+    found = shared_inflation(round_)
     assert found[("x", "x")] == used
     assert found[("late", "late")] == 1.0, "what is judged by a full fit takes the common one"
 
@@ -92,7 +92,7 @@ def test_rivals_of_nearly_one_signature_share_one_inflation_whatever_their_own(c
     gram[0, 1] = gram[1, 0] = cosine
     one = screen([hypothesis("best"), hypothesis("x")], gram)
     round_ = stub(screen=one, gains=np.array([100.0, 99.0]), inflation=np.array([1.0, 9.0]), criteria=AS_SET)
-    assert comparable(round_)[("x", "x")] == used
+    assert shared_inflation(round_)[("x", "x")] == used
 
 
 def test_inflation_divides_what_residuals_gain_and_not_what_priors_do() -> None:

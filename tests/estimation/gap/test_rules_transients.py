@@ -15,7 +15,7 @@ from estimation.gap.answer.shape import EventReport, Happened
 from estimation.gap.answer.words import describe_events
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.decide import Decision, as_unknown, with_shape
-from estimation.gap.decision.unnamed import event_step, happening
+from estimation.gap.decision.unnamed import event_report, event_step
 from estimation.gap.fit.baseline import Baseline
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem
@@ -126,7 +126,7 @@ def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
     assert (burst.event.kind, burst.event.air, burst.event.record) == ("burst", "alpha", 1)
     assert (burst.event.start, burst.event.end) == pytest.approx((8.0, 11.0), abs=0.5)
     assert burst.sizes[0][0] == pytest.approx(0.2 * np.pi / 3.0, abs=4.0 * burst.sizes[0][1])
-    told = happening(burst, round_.baseline.model, "f1")
+    told = event_report(burst, round_.baseline.model, "f1")
     assert told.sizes[0][0] == pytest.approx(0.2, abs=4.0 * told.sizes[0][1])
     assert "a gust changes alpha on f1 from 8.0 to 11.0 s by up to 0.2" in describe_events(Happened([told]))
     assert (told.to_json()["air"], told.to_json()["unit"]) == ("alpha", "rad")

@@ -10,7 +10,7 @@ import pytest
 from estimation.gap.answer.result import Rejected
 from estimation.gap.answer.shape import ShapeCurve
 from estimation.gap.answer.words import describe_curve
-from estimation.gap.decision.unnamed import Alike, alike
+from estimation.gap.decision.unnamed import Alike, effects_of_same_form
 from estimation.gap.effects import catalogue
 from estimation.models.load import load_model
 
@@ -23,7 +23,10 @@ def formula(text: str, a: float = 1.4, std: float = 0.07, **more: tuple[float, f
 
 
 def found(text: str, line: str, a: float = 1.4, *rejected: Rejected) -> list[tuple[str, str, float]]:
-    return [(x.effect, x.parameter, x.estimate[0]) for x in alike([formula(text, a)], line, SIX, EFFECTS, rejected)]
+    return [
+        (x.effect, x.parameter, x.estimate[0])
+        for x in effects_of_same_form([formula(text, a)], line, SIX, EFFECTS, rejected)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -47,17 +50,17 @@ def test_the_effect_is_the_one_that_adds_the_same_function_to_the_same_coefficie
 
 
 def test_a_formula_with_a_width_is_no_effects_form() -> None:
-    assert not alike([formula("a*tanh(beta/w)", w=(0.1, 0.01))], "Cm", SIX, EFFECTS, ())
+    assert not effects_of_same_form([formula("a*tanh(beta/w)", w=(0.1, 0.01))], "Cm", SIX, EFFECTS, ())
 
 
 def test_an_effect_that_the_model_has_already_is_not_told() -> None:
     effect = next(e for e in EFFECTS if e.name == "Cm_beta2")
-    assert not alike([formula("a*beta^2")], "Cm", effect.forms[0].added_to(SIX), EFFECTS, ())
+    assert not effects_of_same_form([formula("a*beta^2")], "Cm", effect.forms[0].added_to(SIX), EFFECTS, ())
 
 
 def test_why_it_is_not_the_name_is_its_range_then_what_the_rounds_said() -> None:
     def why(a: float, *rejected: Rejected) -> str:
-        (one,) = alike([formula("a*beta^2", a)], "Cm", SIX, EFFECTS, rejected)
+        (one,) = effects_of_same_form([formula("a*beta^2", a)], "Cm", SIX, EFFECTS, rejected)
         return one.why_not
 
     said = Rejected("Cm_beta2", "explains only 37% of what a nameless term does")

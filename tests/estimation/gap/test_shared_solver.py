@@ -7,8 +7,8 @@ import pytest
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.estimators.arrow import eliminated, solved
 from estimation.estimators.gauss_newton import LoopOptions, SolverStep, Status, minimise
+from estimation.estimators.normal_equations import eliminated, solved
 from estimation.gap.criteria import AS_SET
 from estimation.gap.fit.fitting import fit
 from estimation.gap.fit.problem import LikelihoodProblem, fine_grid

@@ -9,11 +9,17 @@ import pytest
 from estimation.errors import AircraftError, EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model, write_model
-from estimation.session.proof_of_match import predict
+from estimation.session.proof_of_match import predict_flight
 from estimation.simulation import along_flight
-from estimation.simulation.attach import Free, attach, estimated_about_its_motion, renewed, settled
+from estimation.simulation.attach import (
+    Free,
+    attach,
+    estimated_about_its_motion,
+    motion_settled,
+    renewed_attachment,
+    simulation_of,
+)
 from estimation.simulation.oracle import VARIABLES, SimulationError, States
-from estimation.simulation.spec import simulation_of
 from groundstation.flight import Flight, Provenance, read_flight
 from tests.studies import second_truth as truth
 
@@ -103,9 +109,9 @@ def test_a_linear_simulation_moves_as_the_model_it_is(which: str, short: Flight,
         plain = plain.with_starts(CD_k=0.0)  # the only square
     write_model(plain, tmp_path / "own.toml")
     told = attach(str(tmp_path / "own.toml"), which, [short], free=Free.NOTHING)
-    exact = predict(plain, short).predicted
-    for moving, share in ((told, 0.05), (renewed(told), 2e-3)):
-        off = np.nanstd(predict(moving.model, moving.flights[0]).predicted - exact, axis=0)
+    exact = predict_flight(plain, short).predicted
+    for moving, share in ((told, 0.05), (renewed_attachment(told), 2e-3)):
+        off = np.nanstd(predict_flight(moving.model, moving.flights[0]).predicted - exact, axis=0)
         assert (off < share * np.nanstd(exact, axis=0)).all()
     assert told.model.parameter("k_Cl" if which != "longitudinal" else "k_Cm").start == 1.0
     name = "Cl_p" if which != "longitudinal" else "Cm_q"
@@ -119,13 +125,13 @@ def test_a_moment_by_the_rate_of_alpha_follows_the_model_not_the_measured_rate(
     plain = load_model("longitudinal", "cdfp").with_starts(CD_k=0.0)
     damped = plain.plus(terms={"Cm": "-6*alpha_dot*c/(2*V)"})
     write_model(damped, tmp_path / "own.toml")
-    exact = predict(damped, short).predicted
+    exact = predict_flight(damped, short).predicted
     off = []
     for rate in ("alpha_dot", "no such"):
         monkeypatch.setattr(along_flight, "ALPHA_RATE", rate)
         told = attach(str(tmp_path / "own.toml"), "longitudinal", [short], free=Free.NOTHING)
         assert ("sim_Cm_alpha_dot" in told.model.input_names) == (rate == "alpha_dot")
-        off.append(np.nanstd(predict(told.model, told.flights[0]).predicted - exact, axis=0)[2:4])  # theta, q
+        off.append(np.nanstd(predict_flight(told.model, told.flights[0]).predicted - exact, axis=0)[2:4])  # theta, q
     assert (off[0] < 0.2 * off[1]).all()
 
 
@@ -149,8 +155,11 @@ def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(short: Fl
     cubic = plain.plus(terms={"Cn": "0.3*beta^3"})
     write_model(cubic, tmp_path / "cubic.toml")
     first = attach(str(tmp_path / "cubic.toml"), "lateral", [short], free=Free.NOTHING)
-    exact = predict(cubic, short).predicted
-    off = [np.std(predict(a.model, a.flights[0]).predicted - exact) for a in (first, renewed(first), settled(first))]
+    exact = predict_flight(cubic, short).predicted
+    off = [
+        np.std(predict_flight(a.model, a.flights[0]).predicted - exact)
+        for a in (first, renewed_attachment(first), motion_settled(first))
+    ]
     assert np.std(exact) > 0.1
     assert off[0] > 0.01  # rad and rad/s, of what moves by tenths
     assert off[1] < 0.2 * off[0]

@@ -12,25 +12,23 @@ from click.testing import CliRunner
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
-from estimation.engine.data import prepare
 from estimation.engine.trace import CASADI_FUNCTIONS
 from estimation.gap.effects import catalogue
 from estimation.models import load_model, write_model
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate
-from estimation.simulation.attach import Attached, attach
-from estimation.simulation.exporting import export_to_jsbsim
+from estimation.prepare.pipeline import prepare
+from estimation.simulation.attach import Attached, attach, simulation_of
+from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
 from estimation.simulation.jsbsim.components import chains_of
 from estimation.simulation.jsbsim.export import Written, export_aircraft, inlined
-from estimation.simulation.jsbsim.flying import flown
+from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.functions import Translator
 from estimation.simulation.jsbsim.increments import increments_of
 from estimation.simulation.jsbsim.library import aircraft_file, loaded
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Oracle, Simulation, SimulationError, States
-from estimation.simulation.proof import AS_IT_IS, proof_of
-from estimation.simulation.spec import simulation_of
-from estimation.simulation.stepped import stepped
+from estimation.simulation.proof import AS_IT_IS, proof_of, step_model
 from groundstation.flight import Flight
 from sideslip.cli import cli
 
@@ -45,7 +43,7 @@ def with_effect(model: Model, name: str, **values: float) -> Model:
 
 @pytest.fixture(scope="module")
 def glided() -> Flight:
-    flight = flown(CESSNA, inlined(CESSNA), False, 120.0, {})
+    flight = fly_aircraft(CESSNA, inlined(CESSNA), False, 120.0, {})
     return Flight.build("glide", flight.time[::6], {n: v[::6] for n, v in flight.columns.items()})
 
 
@@ -225,7 +223,7 @@ def test_steps_are_those_that_jsbsim_takes() -> None:
     u = np.where(time > 0.3, 1.0 - np.exp(-(time - 0.3) / 0.05), 0.0)
     flight = Flight.build("f", time, {"x": u, "z": u, "u": u})
     data = prepare(model, flight, AS_IT_IS)
-    x, z = stepped(model, data, np.zeros(2), ("z",)).T
+    x, z = step_model(model, data, np.zeros(2), ("z",)).T
     straight = np.append(0.0, np.cumsum(0.01 * 5.0 * (u[1:] + u[:-1])))
     np.testing.assert_allclose(x, straight - 0.01 * 5.0 * np.diff(u, prepend=0.0), atol=1e-12)
     share = 0.01 / 0.1

@@ -15,10 +15,9 @@ from estimation.gap.effects import catalogue
 from estimation.gap.workflow import Options
 from estimation.models import load_model
 from estimation.simulation.along_flight import WITHOUT_DRAWS, motion
-from estimation.simulation.attach import attach
-from estimation.simulation.exporting import export_to_jsbsim
+from estimation.simulation.attach import attach, simulation_of
+from estimation.simulation.conversion import export_to_jsbsim
 from estimation.simulation.jsbsim import flying
-from estimation.simulation.spec import simulation_of
 from groundstation.flight import Flight, write_flight
 from sideslip.cli import cli
 from tests.estimation.gap.whole_run import analyse

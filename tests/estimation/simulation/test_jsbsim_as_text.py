@@ -10,23 +10,21 @@ from click.testing import CliRunner
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
-from estimation.engine.data import prepare
 from estimation.errors import EstimationError
 from estimation.gap.effects import catalogue
 from estimation.models import read_model
 from estimation.models.expressions import evaluate
 from estimation.models.numeric import FUNCTIONS
-from estimation.simulation import importing
-from estimation.simulation.importing import ProvedImport, import_from_jsbsim, imported_exactly, random_states
+from estimation.prepare.pipeline import prepare
+from estimation.simulation import conversion
+from estimation.simulation.attach import simulation_of
+from estimation.simulation.conversion import ProvedImport, import_from_jsbsim, imported_exactly, random_states
 from estimation.simulation.jsbsim.export import inlined
-from estimation.simulation.jsbsim.flying import flown
+from estimation.simulation.jsbsim.flying import fly_aircraft
 from estimation.simulation.jsbsim.library import aircraft_file
-from estimation.simulation.jsbsim.tables import TableError, looked_up, table_of
-from estimation.simulation.jsbsim.terms import Sum, constant, factor, text_of
+from estimation.simulation.jsbsim.terms import Sum, TableError, constant, factor, looked_up, table_of, text_of
 from estimation.simulation.oracle import SimulationError
-from estimation.simulation.proof import AS_IT_IS, NOISE, SHARE
-from estimation.simulation.spec import simulation_of
-from estimation.simulation.stepped import stepped
+from estimation.simulation.proof import AS_IT_IS, NOISE, SHARE, step_model
 from sideslip.cli import cli
 from tests.studies import jsbsim_flights as truth
 
@@ -124,10 +122,10 @@ def test_coefficients_are_jsbsim_s_own(name: str) -> None:
 def test_the_text_moves_as_jsbsim_flies_the_aircraft(cessna: ProvedImport) -> None:
     """The whole of it: equations of motion, lift that makes the rate of alpha it goes with, mass and inertia."""
     source = aircraft_file("c172p")
-    flight = flown(source, inlined(source), False, 120.0, {})
+    flight = fly_aircraft(source, inlined(source), False, 120.0, {})
     model = cessna.imported.model
     start = np.array([flight[n][0] for n in model.state_names])
-    shown = stepped(model, prepare(model, flight, AS_IT_IS), start, ())
+    shown = step_model(model, prepare(model, flight, AS_IT_IS), start, ())
     for i, name in enumerate(model.output_names):
         off = np.sqrt(np.mean((shown[:, i] - flight[name]) ** 2))
         assert off < SHARE * NOISE[name], name
@@ -182,14 +180,14 @@ def test_a_function_without_a_form_is_named(old: str, new: str, told: str, tmp_p
 
 def test_a_text_that_is_another_is_not_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A point of a table out of place by a ten-millionth."""
-    real = importing.imported
+    real = conversion.import_aircraft
 
-    def wrong(source: importing.AircraftSource) -> importing.Imported:
+    def wrong(source: conversion.AircraftSource) -> conversion.Imported:
         found = real(source)
         shifted = found.model.with_starts(Cl_p=found.model.parameter("Cl_p").start * (1 + 1e-7))
-        return importing.Imported(shifted, found.held, found.standard, found.own, found.tables)
+        return conversion.Imported(shifted, found.held, found.standard, found.own, found.tables)
 
-    monkeypatch.setattr(importing, "imported", wrong)
+    monkeypatch.setattr(conversion, "import_aircraft", wrong)
     with pytest.raises(SimulationError, match="another Cl than JSBSim"):
         import_from_jsbsim("jsbsim:c172p", tmp_path / "own.toml")
 

@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
+from estimation.simulation.attach import simulation_of
 from estimation.simulation.jsbsim.library import loaded
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Simulation, SimulationError, States
-from estimation.simulation.spec import simulation_of
 from tests.studies import jsbsim_flights as truth
 
 FOOT, POUND = 0.3048, 4.4482216152605

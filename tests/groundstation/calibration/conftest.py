@@ -9,7 +9,7 @@ import pytest
 
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
-from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 
 VOLT = 4.096 / 32768
 PERIOD_NS = 50_000_000

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from daq.contract.channels import COLUMNS
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from groundstation.calibration.apply import Calibrator, calibrate
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
+from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import Flight
 
 MakeScans = Callable[..., list[Scan]]

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.units import calibration_truth
 from firmware_sim.runs.bench_recordings import record_bench
-from groundstation.calibration.bench_work.bench import fit_bench, fitted_set
-from groundstation.calibration.bench_work.fits import fit_sphere, fit_vectors
-from groundstation.calibration.bench_work.plan import load_plan, parse_plan
-from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.schema import NOMINAL_DIRECTORY, load_calibration
+from groundstation.calibration.bench import fit_bench, fitted_set
+from groundstation.calibration.bench_plan import load_plan, parse_plan
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
+from groundstation.calibration.curves import fit_sphere, fit_vectors
+from groundstation.calibration.schema import CalibrationError
 from tests.studies.calibration_coverage import scores
 
 UNIT = 5

@@ -2,10 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.calibration_set import CalibrationSet, load_calibration, to_toml
 from groundstation.calibration.facts import RecordedFacts
-from groundstation.calibration.schema import CalibrationSet, Instrument, load_calibration
-from groundstation.calibration.write import to_toml
+from groundstation.calibration.schema import CalibrationError, Instrument
 
 GOOD = """format = 1
 instrument = "thrust"

@@ -10,9 +10,9 @@ from daq.contract.recordings.reading import read_recording
 from firmware_sim.runs.flight import simulate_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import calibrate
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from groundstation.calibration.recording import calibrate_recording, embedded_calibration
-from groundstation.calibration.schema import NOMINAL_DIRECTORY
+from groundstation.calibration.schema import CalibrationError
 from groundstation.cli.data import calibrate as calibrate_verb
 from groundstation.flight import Flight, read_flight, write_flight
 

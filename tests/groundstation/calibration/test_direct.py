@@ -10,11 +10,10 @@ from daq.contract.channel_rows import Channel, FlightColumn
 from daq.contract.channels import COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration.apply import Calibrator, calibrate
-from groundstation.calibration.columns import CombinedColumns
-from groundstation.calibration.conversions.direct import COMBINED, DirectColumn, direct_columns
-from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.calibration_set import CalibrationSet
+from groundstation.calibration.columns import COMBINED, CombinedColumns, DirectColumn, direct_columns
 from groundstation.calibration.scan_table import scan_table
-from groundstation.calibration.schema import CalibrationSet
+from groundstation.calibration.schema import CalibrationError
 
 MakeScans = Callable[..., list[Scan]]
 OZONE = Channel("ozone", "analog_a", "u16", "V", "ozone", 1e-3, columns=("ozone",))

@@ -18,14 +18,13 @@ from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
 from groundstation.identification.history import BELIEVED, DETAIL, MOST, LiveHistory, history_of
 from groundstation.live.config import LiveIdentificationConfig
-from groundstation.live.flight_phase import LandingLimits
-from groundstation.live.identifying import LiveIdentifications
-from groundstation.live.named_values import NamedValues
+from groundstation.live.identifying import LiveIdentifications, NamedValues
+from groundstation.live.watches import LandingLimits
 from groundstation.viewer import entities as e
 from groundstation.viewer.recorded import as_rrd
 from sideslip.chain import fly_scenario
-from sideslip.demo import DEMO_RADIO
 from sideslip.live_aircraft import live_aircraft
+from sideslip.verbs.demo import DEMO_RADIO
 from tests.groundstation.viewer.test_scene import entity_paths, scalars
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")

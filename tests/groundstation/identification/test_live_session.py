@@ -16,7 +16,7 @@ from daq.identification.live import LiveEstimator
 from daq.identification.movement import ManoeuvreDetector
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
-from estimation.estimators.recursive import airframe_of, recursive, samples_of
+from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
 from estimation.models import load_model
 from estimation.models.load import write_model
 from groundstation.calibration.apply import Calibrator, calibrate
@@ -91,7 +91,7 @@ def test_scans_in_order_give_the_numbers_of_the_file(
         used |= (flight.time >= begin - 1e-9) & (flight.time <= end + 1e-9)
     assert 300 < used.sum() < len(flight)
     aircraft = load_aircraft("cdfp")
-    over_file = recursive(load_model("lateral", aircraft), [flight.part(used)], aircraft)
+    over_file = estimate_recursively(load_model("lateral", aircraft), [flight.part(used)], aircraft)
     for name, known in final.estimates.derivatives.items():
         there = over_file.parameters[name]
         assert known.estimate == pytest.approx(there.estimate, rel=1e-6)
@@ -112,7 +112,7 @@ def test_both_planes_are_identified_where_asked_for(recording: tuple[list[Scan],
     for begin, end in live.stretches.found:
         used |= (flight.time >= begin - 1e-9) & (flight.time <= end + 1e-9)
     craft = load_aircraft("cdfp")
-    over_file = recursive(load_model("six-dof", craft), [flight.part(used)], craft)
+    over_file = estimate_recursively(load_model("six-dof", craft), [flight.part(used)], craft)
     assert not any(final.estimates.derivatives[n].told for n in ("CL_alpha", "CD_0", "Cm_de"))
     for name in ("CY_beta", "Cl_p", "Cn_beta"):
         known, there = final.estimates.derivatives[name], over_file.parameters[name]

@@ -38,7 +38,7 @@ def made(time: np.ndarray) -> tuple[np.ndarray, dict[str, object]]:
     chosen = Map.model_validate({"format": 1, **text, "columns": {"delta_a": {"column": "servo.a"}}})
     log, _ = with_servos(Log("dataflash", {"RCOU.C1": outputs()}), chosen.servos)
     found = flight_columns(log, chosen, time, True)
-    return found.values["delta_a"], found.made["delta_a"].to_json(50.0)
+    return found.values["delta_a"], found.origins["delta_a"].to_json(50.0)
 
 
 def test_a_command_holds_from_half_an_interval_before_its_record() -> None:

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from groundstation.importers.draft import draft_map
-from groundstation.importers.draft_names import meant, unit_in_name
+from groundstation.importers.draft_names import candidate_columns, unit_in_name
 from groundstation.importers.draft_surfaces import sign_of
 from groundstation.importers.mapping import load_map
 from groundstation.importers.run import import_data
@@ -21,7 +21,7 @@ SIGN = {"aileron": 1, "elevator": -1, "rudder": 1}
 
 def test_names_and_the_units_in_them() -> None:
     names = ["Roll Rate (deg/s)", "bank", "gyro_x", "TAS", "Rudder_Pos", "foo", "psi_deg", "lateral_g"]
-    assert meant(names) == {
+    assert candidate_columns(names) == {
         "p": ["Roll Rate (deg/s)", "gyro_x"],
         "phi": ["bank"],
         "V": ["TAS"],

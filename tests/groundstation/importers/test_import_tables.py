@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.flight import read_flight, write_flight
-from groundstation.flight.notes import texts
+from groundstation.flight.findings import finding_texts
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import load_map
@@ -269,7 +269,7 @@ def test_lines_above_the_column_names_are_passed_over_and_counted(tmp_path: Path
     path = tmp_path / "log.asc"
     path.write_text("\n".join([*preamble, text]))
     flight = import_data(path)
-    assert "4 lines above the column names passed over" in texts(flight.notes)
+    assert "4 lines above the column names passed over" in finding_texts(flight.notes)
     for name, values in chosen.items():
         assert np.array_equal(flight.time if name == "time" else flight[name], values)
 

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 from groundstation.flight import read_flight, write_flight
 from groundstation.flight.marks import FlightMode, Mark, marks_of
 from groundstation.importers.formats.tlog import read_tlog
-from groundstation.importers.formats.ulog_scan import sound_messages
+from groundstation.importers.formats.ulog_scan import UlogScan
 from groundstation.importers.modes import dataflash_marks, heartbeat_mode
 from groundstation.importers.run import import_data
 from sideslip.cli import cli
@@ -91,8 +91,8 @@ def test_a_ulog_says_modes_messages_and_parameters(tmp_path: Path) -> None:
     data += ulog_message(b"L", b"6" + struct.pack("<Q", 4_000_000) + b"Takeoff detected")
     key = b"float FW_AIRSPD_TRIM"
     data += ulog_message(b"P", bytes([len(key)]) + key + struct.pack("<f", 17.5))
-    found = sound_messages(data)
-    assert found.logged == ((4.0, "Takeoff detected"),)
+    found = UlogScan(data)
+    assert found.logged == [(4.0, "Takeoff detected")]
     assert found.parameters == {"FW_AIRSPD_TRIM": 17.5}
     path = tmp_path / "x.ulg"
     path.write_bytes(data)

@@ -261,4 +261,4 @@ def test_an_expression_follows_the_rules_of_arithmetic() -> None:
         "hypot(a, 1.5e0) - sqrt(a*a+2.25)": [0.0, 0.0], "max(a, b.c[1])": [5.0, 3.0], "(a - 1) * (a + 1)": [3.0, 8.0],
     }  # fmt: skip
     for text, expected in cases.items():
-        np.testing.assert_allclose(parse(text).of(c), expected, atol=1e-12, err_msg=text)
+        np.testing.assert_allclose(parse(text).values(c), expected, atol=1e-12, err_msg=text)

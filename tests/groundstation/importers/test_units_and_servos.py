@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from groundstation.cli.data import import_
+from groundstation.cli.import_log import import_
 from groundstation.export.run import export_file
 from groundstation.flight import Flight, FlightError, read_flight, write_flight
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.mapping import examples, load_map
+from groundstation.importers.mapping import example_maps, load_map
 from groundstation.importers.run import import_data
 from groundstation.importers.series import Log, TimeSeries, held_at
 from groundstation.importers.servos import ServoMap, with_servos
@@ -125,8 +125,10 @@ def test_a_servo_table_that_cannot_be_is_a_sentence(tmp_path: Path, changes: dic
 
 
 def test_examples_are_sound_and_mix_as_the_signs_say() -> None:
-    assert set(examples()) == {f"{a}-{k}" for a in ("ardupilot", "px4") for k in ("elevon", "conventional", "vtail")}
-    for name in examples():
+    assert set(example_maps()) == {
+        f"{a}-{k}" for a in ("ardupilot", "px4") for k in ("elevon", "conventional", "vtail")
+    }
+    for name in example_maps():
         chosen = load_map(name)
         assert set(chosen.columns) == {"delta_e", "delta_a", "delta_r"}
         down = {f"servo.{n}": 0.0 for n in chosen.servos}

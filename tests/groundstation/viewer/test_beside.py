@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from groundstation.cli.live import view
+from groundstation.cli.view import view
 from groundstation.flight import Flight, Provenance, write_flight
 from groundstation.flight.marks import Mark, Marks
 from groundstation.viewer.beside import beside

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from groundstation.viewer import gate
-from groundstation.viewer.gate import HERE, host_of, once, refusal
+from groundstation.viewer.gate import HERE, host_of, refusal, single_request
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
 from groundstation.viewer.window import WebPage
 
@@ -166,6 +166,6 @@ def test_names_are_read_as_browsers_write_them() -> None:
     ]  # fmt: skip
     assert refusal({"host": "localhost"}, HERE, "") is None
     assert refusal({}, HERE, "") is not None
-    assert once(b"GET / HTTP/1.1\r\nConnection: keep-alive\r\nHost: a\r\n\r\nx") == (
+    assert single_request(b"GET / HTTP/1.1\r\nConnection: keep-alive\r\nHost: a\r\n\r\nx") == (
         b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\nx"
     )

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMNS, GROUP_NAMES
 from groundstation.flight import Flight
 from groundstation.viewer import entities as e
+from groundstation.viewer.entities import LinkSample
 from groundstation.viewer.live import LiveView, ViewerError, ViewOptions, free_port, port_is_free
-from groundstation.viewer.replay import write_rrd
-from groundstation.viewer.scene import LinkSample, Scene, quaternion_xyzw
+from groundstation.viewer.recorded import write_rrd
+from groundstation.viewer.scene import Scene, quaternion_xyzw
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the live file is written without, on purpose
 

@@ -47,17 +47,17 @@ def test_a_port_taken_later_moves_the_picture_and_a_dead_page_comes_back() -> No
         with taken(chosen.port), taken(chosen.web_port):
             view = views.make(1)
             assert view is not None
-            (page,) = views._shown
+            (page,) = views._windows
             assert isinstance(page, WebPage)
             assert page.address != f"http://127.0.0.1:{chosen.web_port}/"
             assert said == [f"aircraft 1: {page.url}"]
-        page._wait(page.address)
+        page._wait_for_answer(page.address)
         first = page.pid
         os.kill(first, signal.SIGKILL)
         page.wait()
         views.tend()
         assert page.pid != first
-        page._wait(page.address)
+        page._wait_for_answer(page.address)
         with urllib.request.urlopen(page.address) as answer:
             assert answer.status == 200
         assert "started anew" in said[-1]

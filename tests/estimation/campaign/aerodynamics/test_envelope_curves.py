@@ -84,7 +84,7 @@ def test_where_nothing_depends_on_conditions_constants_are_chosen() -> None:
 def test_unchanged_and_unmeasured_conditions_are_not_fitted_over(rng: np.random.Generator) -> None:
     at, values, std, _ = estimates(rng, 20, {})
     at[:, 1], at[:, 2] = 16.0, np.nan
-    scale = ConditionScale.of(at)
+    scale = ConditionScale.from_conditions(at)
     assert scale.changed.tolist() == [True, False, False, True]
     assert np.all(scale.scaled(at)[:, 1:3] == 0.0)
     found = curves_of(at, values, std)

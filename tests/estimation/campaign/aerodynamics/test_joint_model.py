@@ -8,16 +8,16 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from estimation.campaign.aerodynamics.evidence import PooledInformation, grown, superfluous
+from estimation.campaign.aerodynamics.evidence import PooledInformation, superfluous_terms, terms_that_gain
 from estimation.campaign.aerodynamics.joint import GlobalModel, global_model
 from estimation.campaign.aerodynamics.terms import ConditionTerm, candidates, row_of, terms_of, with_terms
-from estimation.campaign.errors import CampaignError
 from estimation.campaign.run import CampaignOutcome
-from estimation.commands.match import match
+from estimation.campaign.tasks import CampaignError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model
 from estimation.models.expressions import evaluate
 from groundstation.flight import Flight
+from sideslip.verbs.match import match
 from tests.studies.envelope_model import made_flights, misfit
 
 pytestmark = [
@@ -80,7 +80,7 @@ def test_evidence_takes_the_term_that_is_there_and_its_gain_is_that_of_leaving_f
     rng: np.random.Generator,
 ) -> None:
     known = regression(rng, 0.3)
-    taken = grown(known, ["a"], ["c", "b", "d", "e", "b_again"], 4)
+    taken = terms_that_gain(known, ["a"], ["c", "b", "d", "e", "b_again"], 4)
     assert [t.name for t in taken] == ["b"]
     gain = 0.0
     for i in range(20):  # by fits without the flight, written out
@@ -98,7 +98,7 @@ def test_evidence_takes_the_term_that_is_there_and_its_gain_is_that_of_leaving_f
 
 def test_evidence_takes_hardly_anything_where_nothing_is() -> None:
     rng = np.random.default_rng(3)
-    assert sum(len(grown(regression(rng, 0.0), ["a"], ["b", "c", "d", "e"], 4)) for _ in range(40)) <= 2
+    assert sum(len(terms_that_gain(regression(rng, 0.0), ["a"], ["b", "c", "d", "e"], 4)) for _ in range(40)) <= 2
 
 
 def test_a_term_that_another_has_made_useless_goes(rng: np.random.Generator) -> None:
@@ -109,7 +109,7 @@ def test_a_term_that_another_has_made_useless_goes(rng: np.random.Generator) -> 
     best = np.zeros(6)
     best[inside] = np.linalg.solve(M[np.ix_(inside, inside)], g[inside])
     there = PooledInformation(known.names, known.M, known.g - known.M @ best)
-    assert superfluous(there, ["a", "b", "c"], {"b": best[1], "c": best[2]}) == ["c"]
+    assert superfluous_terms(there, ["a", "b", "c"], {"b": best[1], "c": best[2]}) == ["c"]
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from estimation.campaign.aerodynamics.mixed import MixedData, MixedDesign, fit, 
 
 def constant(known: np.ndarray) -> MixedDesign:
     """One mean for each parameter."""
-    return MixedDesign.of([np.ones((len(known), 1))] * known.shape[1], [(-1,)] * known.shape[1], known)
+    return MixedDesign.from_columns([np.ones((len(known), 1))] * known.shape[1], [(-1,)] * known.shape[1], known)
 
 
 def one(y: np.ndarray, v: np.ndarray) -> MixedData:
@@ -108,7 +108,7 @@ def test_flights_drawn_again_scatter_as_the_covariance_says(rng: np.random.Gener
     v = rng.uniform(0.5, 2.0, 200)
     x = rng.uniform(-1.0, 1.0, 200)
     data = one(1.0 + 2.0 * x + rng.standard_normal(200) * np.sqrt(v + 0.5), v)
-    design = MixedDesign.of([np.column_stack([np.ones(200), x])], [(-1, -1)], data.known)
+    design = MixedDesign.from_columns([np.column_stack([np.ones(200), x])], [(-1, -1)], data.known)
     found = fit(data, design)
     drawn = replicates(data, design, found, 400, rng)
     assert drawn.std(axis=0) == pytest.approx(np.sqrt(np.diag(found.covariance)), rel=0.2)

@@ -13,7 +13,7 @@ import pytest
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model, write_model
 from estimation.models.base import Model
-from estimation.simulation.text_model import text_simulation
+from estimation.simulation.own_simulations import text_simulation
 from tests.estimation.simulation.autopilot.aircraft import RandomAircraft
 from tests.estimation.simulation.autopilot.test_to_ardupilot import as_sitl_loads, export
 from tests.estimation.simulation.test_along_flight import states

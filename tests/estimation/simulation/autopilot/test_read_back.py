@@ -9,10 +9,9 @@ from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model, write_model
-from estimation.simulation.attach import attach
+from estimation.simulation.attach import attach, simulation_of
 from estimation.simulation.oracle import SURFACES, VARIABLES, Array, Simulation, SimulationError, States
-from estimation.simulation.spec import simulation_of
-from estimation.simulation.text_model import text_simulation
+from estimation.simulation.own_simulations import text_simulation
 from groundstation.flight import Flight, write_flight
 from sideslip.cli import cli
 from tests.estimation.simulation.autopilot.aircraft import RandomAircraft

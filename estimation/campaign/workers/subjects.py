@@ -1,0 +1,98 @@
+"""What a piece of work says of a flight: its bytes and stretches, its aircraft and model, and the conditions it was flown in."""
+
+import tempfile
+import tomllib
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.campaign.tasks import CampaignError, FlightSource, Row, Subject, Work
+from estimation.estimators.registry import find_estimator
+from estimation.models import Model, load_model
+from estimation.resolve import which_aircraft
+from groundstation.flight import Array, Flight, read_flight
+
+CHECK = "check"  # the piece of work that is no method
+STATISTICS: dict[str, tuple[str, Callable[[Array], float]]] = {
+    "V": ("V", lambda v: float(v.mean())),
+    "V_min": ("V", lambda v: float(v.min())),
+    "V_max": ("V", lambda v: float(v.max())),
+    "alpha": ("alpha", lambda v: float(v.mean())),
+    "alpha_min": ("alpha", lambda v: float(v.min())),
+    "alpha_max": ("alpha", lambda v: float(v.max())),
+    "beta": ("beta", lambda v: float(v.mean())),
+    "beta_max": ("beta", lambda v: float(np.abs(v).max())),
+    "delta_e": ("delta_e", lambda v: float(v.mean())),
+    "delta_a_max": ("delta_a", lambda v: float(np.abs(v).max())),
+    "delta_r_max": ("delta_r", lambda v: float(np.abs(v).max())),
+    "altitude": ("altitude", lambda v: float(v.mean())),
+    "rho": ("rho", lambda v: float(v.mean())),
+}
+"""Column of the result tables -> column of the flight, and what is taken of its measured samples."""
+
+
+def measured(flight: Flight) -> Row:
+    """Samples, duration [s], and means and ranges of motion and air; None for what was not measured."""
+    row: Row = {"samples": len(flight), "duration": float(flight.time[-1] - flight.time[0])}
+    for name, (column, statistic) in STATISTICS.items():
+        values = flight[column] if flight.measured(column) else None
+        row[name] = None if values is None else statistic(values[np.isfinite(values)])
+    pressure_known = row["V"] is not None and row["rho"] is not None
+    row["dynamic_pressure"] = 0.5 * float(np.nanmean(flight["rho"] * flight["V"] ** 2)) if pressure_known else None
+    return row
+
+
+def read_subject(subject: Subject) -> Flight:
+    """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
+    from estimation.prepare.stretches import select_segments
+
+    source = subject.source
+    if source.path and source.data is None:
+        flight = read_flight(source.path)
+        if flight.provenance.sha256 != source.sha256:
+            raise CampaignError(f"{source.path}: changed while the campaign ran; run it again")
+    else:
+        flight = _from_bytes(source)
+    return select_segments(flight, subject.segments or None)
+
+
+def _from_bytes(source: FlightSource) -> Flight:
+    with tempfile.TemporaryDirectory(prefix="sideslip-") as folder:
+        path = Path(folder) / f"{source.name}{source.suffix}"
+        path.write_bytes(bytes_of(source))
+        return read_flight(path)
+
+
+def bytes_of(source: FlightSource) -> bytes:
+    """Sent along, flown by the maker, or fetched from the URL."""
+    if source.data is not None:
+        return source.data
+    if source.made is not None and source.maker is not None:
+        return source.maker(source.made)
+    from estimation.campaign.sources import fetched
+
+    return fetched(source.url)
+
+
+def aircraft_of_subject(subject: Subject, flight: Flight, work: Work) -> Aircraft:
+    stated_aircraft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
+    required = not subject.model_text or any(find_estimator(m).needs_aircraft for m in work.pieces if m != CHECK)
+    craft = which_aircraft([flight], stated_aircraft, needed=required)
+    return craft if subject.mass is None else craft.with_values(mass=subject.mass)
+
+
+@lru_cache(maxsize=32)
+def aircraft_from_text(text: str, name: str) -> Aircraft:
+    from estimation.aircraft import schema
+
+    return schema.aircraft_from_text(text, f"aircraft {name}", name)
+
+
+def model_of(subject: Subject, craft: Aircraft) -> Model:
+    """The model by its text, or the built-in one with the aircraft's constants."""
+    if subject.model_text:
+        return Model.from_dict(tomllib.loads(subject.model_text))
+    return load_model(subject.model, craft)

@@ -1,1 +1,0 @@
-"""The verbs of the estimation laboratory; function bodies import what they need, when it is needed."""

@@ -1,0 +1,161 @@
+"""Normal equations of many flights: shared parameters, parameters local to a flight, initial states of a segment.
+
+The information matrix has an arrow shape; it is eliminated from the leaves (Schur complements), so cost and memory are
+linear in flights and segments and no dense Jacobian of all flights ever exists. `step_within` solves them inside limits.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SINGULAR = 1e-11
+"""Eigenvalues of the scaled information matrix below this fraction of the largest are directions the data does not see.
+
+A Gram matrix of some hundred columns and 10^4 rows carries rounding of about 10^-13 of its largest eigenvalue; a hundred
+times that is noise for certain, and a direction a million times weaker than another (its square root: 3e-6) is of no use.
+"""
+
+
+@dataclass
+class SegmentBlocks:
+    """Information of one segment about parameters t (n) and its initial states x (free ones): blocks and gradients."""
+
+    tt: Array
+    tx: Array
+    xx: Array
+    gt: Array
+    gx: Array
+    xx_inverse: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.xx_inverse = pseudo_inverse(self.xx)[0] if self.xx.size else self.xx
+
+    def reduced(self) -> tuple[Array, Array]:
+        """Information and gradient about the parameters with the initial states eliminated."""
+        if not self.xx.size:
+            return self.tt, self.gt
+        lever = self.tx @ self.xx_inverse
+        return self.tt - lever @ self.tx.T, self.gt - lever @ self.gx
+
+    def states(self, change: Array) -> Array:
+        """Change of the initial states that goes with a change of the parameters."""
+        return self.xx_inverse @ (self.gx - self.tx.T @ change)
+
+
+@dataclass
+class FlightBlocks:
+    """Information of one flight about the parameters, initial states eliminated, split into shared s and local l."""
+
+    ss: Array
+    sl: Array
+    ll: Array
+    gs: Array
+    gl: Array
+    ll_inverse: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.ll_inverse = pseudo_inverse(self.ll)[0] if self.ll.size else self.ll
+
+    @classmethod
+    def split(cls, information: Array, gradient: Array, shared: Index, local: Index) -> "FlightBlocks":
+        pick = np.ix_
+        return cls(
+            information[pick(shared, shared)],
+            information[pick(shared, local)],
+            information[pick(local, local)],
+            gradient[shared],
+            gradient[local],
+        )
+
+    def reduced(self) -> tuple[Array, Array]:
+        if not self.ll.size:
+            return self.ss, self.gs
+        lever = self.sl @ self.ll_inverse
+        return self.ss - lever @ self.sl.T, self.gs - lever @ self.gl
+
+    def local(self, change: Array) -> Array:
+        return self.ll_inverse @ (self.gl - self.sl.T @ change)
+
+
+def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
+    """(inverse on the determined directions, undetermined directions (n, k) in scaled coordinates) of an information
+    matrix. Scaled to unit diagonal first, so units do not decide."""
+    if matrix.shape[0] == 0:  # everything frozen: proof of match
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    if not matrix.size:
+        return matrix.copy(), np.zeros((0, 0))
+    diagonal = np.diag(matrix).copy()
+    alive = diagonal > 0.0
+    scale = np.where(alive, 1.0 / np.sqrt(np.where(alive, diagonal, 1.0)), 0.0)
+    scaled = matrix * scale[:, None] * scale[None, :]
+    scaled = 0.5 * (scaled + scaled.T)
+    values, vectors = np.linalg.eigh(scaled)
+    determined = values > SINGULAR * max(float(values[-1]), 0.0)
+    if not determined.any():
+        return np.zeros_like(matrix), np.eye(matrix.shape[0])
+    inverse = (vectors[:, determined] / values[determined]) @ vectors[:, determined].T
+    return inverse * scale[:, None] * scale[None, :], vectors[:, ~determined]
+
+
+def eliminated(gram: Array, first: int) -> Array:
+    """A Gram matrix (n + m, n + m) with its first n columns projected out of the rest: (m, m), the Schur complement."""
+    cross = gram[:first, first:]
+    return np.asarray(gram[first:, first:] - cross.T @ solved(gram[:first, :first], cross))
+
+
+def projected_out(gram: Array, first: int) -> Array:
+    """As `eliminated`, of nothing too, with the products grouped the other way round: what is tested beside a fit is so weakly
+    determined that the grouping shows in the eighth figure."""
+    if not first:
+        return gram
+    lever = gram[first:, :first] @ pseudo_inverse(gram[:first, :first])[0]
+    return np.asarray(gram[first:, first:] - lever @ gram[:first, first:])
+
+
+def solved(information: Array, right: Array) -> Array:
+    """What `right` (n,) or (n, m) says of n unknowns with that information; nothing along directions the data does not see."""
+    return np.asarray(pseudo_inverse(information)[0] @ right)
+
+
+INWARD = 1e-9  # of the largest scaled slope: what is less than rounding sends no unknown back from its limit
+TURNS = 10  # per unknown; each puts one at its limit or takes one off it
+
+
+def step_within(information: Array, gradient: Array, low: Array, high: Array) -> Array:
+    """Step (n,) in low <= step <= high at which gradient @ step - 0.5 step @ information @ step is largest.
+
+    information: (n, n) symmetric, not negative; directions it does not see are not moved along. low <= 0 <= high: (n,).
+    Primal active set (Nocedal and Wright, Numerical Optimization, 2nd ed., algorithm 16.3), started at no step.
+    """
+    step = np.zeros(gradient.size)
+    limit = np.zeros(gradient.size, bool)
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    for _ in range(TURNS * gradient.size):
+        free = ~limit
+        target = step.copy()
+        right = gradient[free] - information[np.ix_(free, limit)] @ step[limit]
+        target[free] = solved(information[np.ix_(free, free)], right)
+        move = target - step
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(move > 0.0, (high - step) / move, np.where(move < 0.0, (low - step) / move, np.inf))
+        room[limit] = np.inf
+        first = int(np.argmin(room))
+        if room[first] < 1.0:
+            step = step + max(room[first], 0.0) * move
+            step[first] = high[first] if move[first] > 0.0 else low[first]
+            limit[first] = True
+            continue
+        step = target
+        slope = (gradient - information @ step) * scale  # uphill; a limit is right where this points out of the box
+        inward = np.where(limit, np.where(step >= high, -slope, slope), -np.inf)
+        inward[limit & (low == high)] = -np.inf
+        steepest = int(np.argmax(inward))
+        if inward[steepest] <= INWARD * max(float(np.abs(gradient * scale).max()), 1e-300):
+            break
+        limit[steepest] = False
+    return np.clip(step, low, high)

@@ -1,0 +1,149 @@
+"""Which columns a model needs of a flight, and those made from others where it lacks them: slopes, density from air data."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.contract.channels import COLUMN_BY_NAME
+from estimation.aircraft import unknown_aircraft
+from estimation.errors import DataError
+from estimation.models.base import Model
+from estimation.models.library import BUILDERS
+from estimation.signals.denoise import denoise
+from groundstation.flight import Array, Flight, MissingColumnError
+from groundstation.flight.atmosphere import density, density_at_altitude, density_at_pressure, is_of_the_air
+from groundstation.flight.findings import Finding, FindingKind
+
+
+def bridge_gaps(values: Array) -> Array:
+    """The signal with samples that were not measured on straight lines between their neighbours. values: (N,)."""
+    missing = ~np.isfinite(values)
+    if missing.any():
+        index = np.arange(values.size)
+        values = values.copy()
+        values[missing] = np.interp(index[missing], index[~missing], values[~missing])
+    return values
+
+
+def denoised_slope(time: Array, values: Array) -> Array:
+    """Derivative of a signal from its de-noised curve, by central differences. time, values: (N,)."""
+    return np.gradient(denoise(bridge_gaps(values), order=2).values, time)
+
+
+@dataclass(frozen=True)
+class Way:
+    """How a column is made where the flight lacks it. build: function of time (N,) and of each needed column (N,). credible:
+    whether the needed columns are what their names say, as far as that can be seen."""
+
+    needs: tuple[str, ...]
+    build: Callable[..., Array]
+    credible: Callable[..., bool] = lambda *columns: True
+
+
+def way_to(flight: Flight, name: str) -> Way | None:
+    """The first way to make a column of which the flight has all that it needs."""
+    able = (w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs))
+    return next((w for w in able if w.credible(*(flight[n] for n in w.needs))), None)
+
+
+def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
+    """The flight with those of the named columns added that it lacks and that can be made from others of its columns."""
+    segments = [(s.start, s.stop) for s in flight.segments]
+    derivable = [n for n in names if not flight.measured(n) and way_to(flight, n) is not None]
+    return (
+        flight.with_columns(**{n: derive_column(flight, n, segments, []) for n in derivable}) if derivable else flight
+    )
+
+
+def derive_column(flight: Flight, name: str, pieces: Sequence[tuple[int, int]], notes: list[Finding]) -> Array:
+    """(N,) the column made piece by piece in the best way there is, NaN outside the pieces; said in `notes`.
+
+    Raises MissingColumnError naming the ways where the flight has no columns for any, DataError where what comes out cannot be
+    what its name says.
+    """
+    way = way_to(flight, name)
+    if way is None:
+        ways = " or ".join(" and ".join(w.needs) for w in DERIVED[name])
+        flight.require([name], f"this model (or {ways} to derive it from)")
+        raise DataError(f"{flight.name}: {name} is not measured")
+    result = np.full(len(flight), np.nan)
+    for a, b in pieces:
+        result[a:b] = way.build(flight.time[a:b], *(flight[n][a:b] for n in way.needs))
+    origin = " and ".join(way.needs)
+    _refuse_impossible_result(flight, name, origin, result)
+    notes.append(Finding(FindingKind.DERIVED, f"{name} derived from {origin}"))
+    return result
+
+
+def _refuse_impossible_result(flight: Flight, name: str, origin: str, values: Array) -> None:
+    if name not in COLUMN_BY_NAME or not np.isfinite(values).any():
+        return
+    low, high = COLUMN_BY_NAME[name].plausible
+    middle = float(np.nanmedian(values))
+    if not low <= middle <= high:
+        raise DataError(
+            f"{flight.name}: {name} derived from {origin} would be {middle:.3g} {COLUMN_BY_NAME[name].unit}, outside {low:g} to "
+            f"{high:g}; check their units, or add the column {name}"
+        )
+
+
+def _density_of_air(time: Array, p_static: Array, temperature: Array) -> Array:
+    return density(bridge_gaps(p_static), bridge_gaps(temperature))
+
+
+def _density_at_pressure(time: Array, p_static: Array) -> Array:
+    return density_at_pressure(bridge_gaps(p_static))
+
+
+def _density_at_altitude(time: Array, altitude: Array) -> Array:
+    return density_at_altitude(bridge_gaps(altitude))
+
+
+DERIVED: Mapping[str, tuple[Way, ...]] = {
+    **{f"{n}_dot": (Way((n,), denoised_slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
+    "rho": (
+        Way(("p_static", "temperature"), _density_of_air, is_of_the_air),
+        Way(("p_static",), _density_at_pressure),
+        Way(("altitude",), _density_at_altitude),
+    ),
+}
+"""Columns that are made from others where the flight lacks them, the best way first. Never density from 2 p_dynamic / V^2: an
+autopilot makes V from p_dynamic with a ratio of its own, and the two then say nothing of the air."""
+
+
+def require_columns(model: Model, flight: Flight) -> None:
+    """Raise one MissingColumnError naming every column that the model needs and the flight has not and cannot make of others,
+    with the built-in models that would do without."""
+    missing_columns = unmet_columns(model, flight)
+    if missing_columns:
+        fit = () if flight_without_motion(missing_columns, model) else models_for(flight)
+        raise MissingColumnError(flight.name, missing_columns, f"model {model.name}", fit, flight.unknown_columns)
+
+
+def flight_without_motion(missing: Iterable[str], model: Model) -> bool:
+    """Whether a flight lacks all that the model compares with: no other model would help."""
+    return {s.source for s in model.outputs if not s.optional} <= set(missing)
+
+
+def unmet_columns(model: Model, flight: Flight) -> list[str]:
+    """Columns that the model needs and the flight lacks; one that could be made of others is named with these ways."""
+    required = dict.fromkeys(s.source for s in (*model.inputs, *model.outputs) if not s.optional)
+    unmeasured = [c for c in required if c not in DERIVED and not flight.measured(c)]
+    underivable = [c for c in required if c in DERIVED and not flight.measured(c) and way_to(flight, c) is None]
+    return unmeasured + [_with_ways(c) for c in underivable if not _comes_with(c, flight, unmeasured)]
+
+
+def _comes_with(column: str, flight: Flight, missing: list[str]) -> bool:
+    """Whether a derived column could be made once the lacking plain ones are there."""
+    return any(all(n in missing or flight.measured(n) for n in way.needs) for way in DERIVED[column])
+
+
+def _with_ways(column: str) -> str:
+    return f"{column} (or {' or '.join(' and '.join(w.needs) for w in DERIVED[column])} to derive it from)"
+
+
+def models_for(flight: Flight) -> tuple[str, ...]:
+    """Built-in models whose columns the flight has. Which they are does not depend on the aircraft."""
+    craft = unknown_aircraft("any")
+    return tuple(name for name, build in BUILDERS.items() if not unmet_columns(build(craft), flight))

@@ -1,0 +1,122 @@
+"""A flight as the engine needs it: inputs without noise, measured outputs, initial states, cut at every gap."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.models.base import Model
+from groundstation.flight import Array
+from groundstation.flight.findings import Finding
+
+SHORTEST_SEGMENT = 8  # samples
+DRAWS = 24  # of what may still be wrong with the inputs
+DRAWN = 200_000  # samples times draws: long flights need fewer, for they average over time
+FEWEST_DRAWS = 12
+PIECES = (8.0, 4.0, 2.0, 1.0)  # s, of an unstable motion, the longest first that can be simulated
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of samples that one integration covers.
+
+    first: index of its first sample in the flight. time: (N,) s. u: (N, nu) inputs. z: (N, ny) outputs, NaN where not
+    measured. x0: (nx,) guess of the initial state.
+    """
+
+    first: int
+    time: Array
+    u: Array
+    z: Array
+    x0: Array
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    @property
+    def rows(self) -> slice:
+        """Its samples in the flight."""
+        return slice(self.first, self.first + len(self))
+
+    def part(self, start: int, stop: int, x0: Array) -> "Segment":
+        """Samples start..stop-1 as a segment of their own."""
+        s = slice(start, stop)
+        return Segment(self.first + start, self.time[s], self.u[s], self.z[s], x0)
+
+
+@dataclass(frozen=True)
+class FlightData:
+    """A flight prepared for one model. samples: of the flight; states: (samples, nx) smoothed measured states, NaN columns
+    where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs; errors:
+    (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, or of the noise
+    that was left in; zero outside the segments), or None where nothing is known of it."""
+
+    name: str
+    samples: int
+    segments: tuple[Segment, ...]
+    states: Array
+    noise: Mapping[str, tuple[float, float]]
+    notes: tuple[Finding, ...]
+    absent_outputs: tuple[str, ...]
+    errors: NDArray[np.float32] | None = None
+
+    @property
+    def used(self) -> int:
+        """Samples that lie in a segment."""
+        return sum(len(s) for s in self.segments)
+
+    def histories(self, ny: int) -> tuple[Array, Array]:
+        """Time (samples,) and measured outputs (samples, ny), NaN outside the segments."""
+        time, measured = np.full(self.samples, np.nan), np.full((self.samples, ny), np.nan)
+        for s in self.segments:
+            time[s.rows], measured[s.rows] = s.time, s.z
+        return time, measured
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
+    left of it (all of it where none is taken off), for the corrected bound (0: inputs are taken for truth there too).
+    keep_held: take the repeated values of slow and stuck sensors for measurements. feedback: controls of a model that
+    pitches keep what follows the motion, and their measured values by steps."""
+
+    denoise: bool = True
+    draws: int = DRAWS
+    keep_held: bool = False
+    feedback: bool = True
+
+
+AS_USUAL = Preparation()
+FOR_REGRESSION = Preparation(feedback=False)  # noise in a regressor biases it, more than what is lost of the feedback
+
+
+def draws_for(samples: int) -> int:
+    """How many draws describe the errors of a flight well enough."""
+    return min(DRAWS, max(FEWEST_DRAWS, DRAWN // samples))
+
+
+def without_absent_outputs(model: Model, flights: list[FlightData]) -> tuple[Model, list[FlightData]]:
+    """Model and flights without the outputs that no flight measures."""
+    absent = set(flights[0].absent_outputs).intersection(*(d.absent_outputs for d in flights[1:]))
+    if not absent:
+        return model, flights
+    present = [i for i, n in enumerate(model.output_names) if n not in absent]
+    slim = []
+    for flight in flights:
+        segments = tuple(replace(s, z=np.ascontiguousarray(s.z[:, present])) for s in flight.segments)
+        slim.append(replace(flight, segments=segments, absent_outputs=()))
+    return model.without_outputs(*absent), slim
+
+
+def cut_into_pieces(flight: FlightData, seconds: float) -> FlightData:
+    """The same flight in pieces of about `seconds`, each starting from its measured state."""
+    parts = []
+    for s in flight.segments:
+        count = max(1, round((s.time[-1] - s.time[0]) / seconds))
+        edges = np.linspace(0, len(s), count + 1).round().astype(int).tolist()
+        for a, b in pairwise(edges):
+            measured = flight.states[s.first + a]
+            parts.append(s.part(a, b, np.where(np.isfinite(measured), measured, s.x0)))
+    return replace(flight, segments=tuple(parts))

@@ -1,0 +1,222 @@
+"""Measured inputs of a model at every sample, their noise taken off, and what may still be wrong with them.
+
+Controls of a model that pitches keep what follows the motion, and their measured values by steps: an elevator acts on a light
+and little damped motion. What de-noising takes off it besides noise goes into pitch damping and the derivatives by the elevator
+(`estimation.signals.controls`), far beyond their bounds. A lateral motion forgives both: there the noise that measured values
+bring costs as much as the rounding does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.models.base import Model, Signal
+from estimation.prepare.columns import DERIVED, bridge_gaps, derive_column
+from estimation.prepare.conditioned import ConditionedFlight
+from estimation.prepare.flight_data import SHORTEST_SEGMENT, Preparation, draws_for
+from estimation.signals.controls import STEP, ControlStretch, feedback_gains, near_steps, step_reach, with_feedback
+from estimation.signals.denoise import QUIET, denoise_many, noise_level
+from groundstation.flight import Array, Flight
+from groundstation.flight.findings import Finding, FindingKind
+
+SEED = 20  # of the draws: the same flight gives the same bound
+FEEDBACK_SEED = 22
+PITCH_RATE = "q"  # column of a state of a model that pitches
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PreparationState:
+    """A flight half prepared for a model: what each step of the pipeline takes and gives.
+
+    pieces: [start, stop) of samples without a gap. rows: input -> the measured samples of each piece. u, z, states: as of
+    `FlightData` and its segments, over all samples, NaN outside the pieces; errors, noise, absent as there.
+    """
+
+    model: Model
+    preparation: Preparation
+    conditioned: ConditionedFlight
+    notes: tuple[Finding, ...] = ()
+    pieces: tuple[tuple[int, int], ...] = ()
+    rows: dict[int, list[Index]] = field(default_factory=dict)
+    u: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    states: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    errors: NDArray[np.float32] | None = None
+    noise: dict[str, tuple[float, float]] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()
+
+    @property
+    def flight(self) -> Flight:
+        return self.conditioned.flight
+
+    def missing_optional(self, signal: Signal) -> bool:
+        """Whether the flight lacks a signal that the model can do without."""
+        return signal.optional and not self.flight.measured(signal.source)
+
+    def own_samples(self, column: str, start: int, stop: int) -> Index:
+        """Samples start..stop-1 at which a column has a value of its own; all of them where too few would be left."""
+        rows = np.flatnonzero(~self.conditioned.copies(column)[start:stop]) + start
+        return rows if rows.size >= SHORTEST_SEGMENT else np.arange(start, stop)
+
+    def noted(self, notes: Sequence[Finding]) -> tuple[Finding, ...]:
+        """The notes with more of them."""
+        return (*self.notes, *notes)
+
+
+def inputs_at_samples(state: PreparationState) -> PreparationState:
+    """Inputs at every sample of the pieces, with their noise: measured, zero where they may be missing, or derived."""
+    flight, inputs, notes = state.flight, state.model.inputs, list[Finding]()
+    u = np.full((len(flight), len(inputs)), np.nan)
+    rows: dict[int, list[Index]] = {}
+    for i, signal in enumerate(inputs):
+        if state.missing_optional(signal):
+            notes.append(Finding(FindingKind.NOT_MEASURED, f"{signal.source} not measured: taken as zero"))
+            u[:, i] = 0.0
+        elif flight.measured(signal.source):
+            rows[i] = [state.own_samples(signal.source, a, b) for a, b in state.pieces]
+            for (a, b), measured_rows in zip(state.pieces, rows[i], strict=True):
+                u[a:b, i] = np.interp(
+                    np.arange(a, b), measured_rows, bridge_gaps(flight[signal.source][a:b])[measured_rows - a]
+                )
+            notes += state.conditioned.slow_notes(signal.source, "taken on straight lines between new values")
+            notes += state.conditioned.stuck_notes(signal.source, "is its sensor stuck?")
+        else:
+            u[:, i] = derive_column(flight, signal.source, state.pieces, notes)
+    notes += _bridge_notes([(inputs[i].source, flight[inputs[i].source]) for i in rows], state.pieces)
+    return replace(state, u=u, rows=rows, notes=state.noted(notes))
+
+
+def _bridge_notes(columns: Sequence[tuple[str, Array]], pieces: Sequence[tuple[int, int]]) -> list[Finding]:
+    """A note on the inputs that lack samples between others of a piece, those that lack as many together."""
+    by_count: dict[int, list[str]] = {}
+    for column, values in columns:
+        by_count.setdefault(sum(int(np.isnan(values[a:b]).sum()) for a, b in pieces), []).append(column)
+    by_count.pop(0, None)
+    total = sum(b - a for a, b in pieces)
+    return [
+        Finding(
+            FindingKind.NOT_MEASURED,
+            f"{', '.join(names)} not measured at {count} samples here and there ({100.0 * count / total:.2g}%): "
+            "taken on straight lines",
+        )
+        for count, names in by_count.items()
+    ]
+
+
+def inputs_without_noise(state: PreparationState) -> PreparationState:
+    """Inputs made smooth piece by piece, as far as that is asked for, and draws of what may still be wrong with them."""
+    flight, inputs, preparation = state.flight, state.model.inputs, state.preparation
+    # computed of others, or a command that holds between its records: without noise of its own
+    noisy = {i for i in state.rows if not inputs[i].computed and flight.held(inputs[i].source) is None}
+    draws = min(preparation.draws, draws_for(len(flight)))
+    errors = np.zeros((*state.u.shape, draws), np.float32)
+    rng = np.random.default_rng(SEED)
+    if not preparation.denoise:
+        _draw_noise(state, noisy, errors, rng)
+        note = Finding(FindingKind.OTHER, "measured inputs taken with their noise")
+        return replace(state, errors=errors if draws else None, notes=state.noted([note]))
+    for order, control in ((1, True), (2, False)):
+        _take_off_noise(
+            state, [i for i in state.rows if i in noisy and inputs[i].control == control], order, errors, rng
+        )
+    _derive_errors(state, errors)
+    return replace(state, errors=errors)
+
+
+def _draw_noise(
+    state: PreparationState, noisy: set[int], errors: NDArray[np.float32], rng: np.random.Generator
+) -> None:
+    """Errors of inputs that keep their noise: white, of the level that each shows, on straight lines between its rows."""
+    for i in (i for i in state.rows if i in noisy):
+        level = max((noise_level(state.u[rows, i]) for rows in state.rows[i]), default=0.0)
+        state.noise[state.model.inputs[i].name] = (level, 0.0)
+        for (a, b), rows in zip(state.pieces, state.rows[i], strict=True):
+            noise = level * rng.standard_normal((errors.shape[2], rows.size))
+            for k, values in enumerate(noise):
+                errors[a:b, i, k] = np.interp(np.arange(a, b), rows, values)
+
+
+def _take_off_noise(
+    state: PreparationState, inputs: Sequence[int], order: int, errors: NDArray[np.float32], rng: np.random.Generator
+) -> None:
+    """Columns of `u` made smooth in place. order: of the polynomials."""
+    levels: dict[int, list[tuple[float, float]]] = {i: [] for i in inputs}
+    places = [(a, b, i, state.rows[i][k]) for k, (a, b) in enumerate(state.pieces) for i in inputs]
+    measured = [state.u[rows, i] for _, _, i, rows in places]
+    smooth = denoise_many(measured, order=order, draws=errors.shape[2], rng=rng)
+    for (a, b, i, rows), denoised in zip(places, smooth, strict=True):
+        complete, samples = rows.size == b - a, np.arange(a, b)
+        state.u[a:b, i] = denoised.values if complete else np.interp(samples, rows, denoised.values)
+        for k, error in enumerate(denoised.errors):
+            errors[a:b, i, k] = error if complete else np.interp(samples, rows, error)
+        levels[i].append((denoised.noise, denoised.removed))
+    for i in inputs:
+        if levels[i]:
+            noise, removed = (float(np.median(values)) for values in zip(*levels[i], strict=True))
+            state.noise[state.model.inputs[i].name] = (noise, removed)
+
+
+def _derive_errors(state: PreparationState, errors: NDArray[np.float32]) -> None:
+    """Errors of inputs that are slopes of other inputs: slopes of their errors."""
+    sources = [s.source for s in state.model.inputs]
+    for i, source in enumerate(sources):
+        origin = source.removesuffix("_dot")
+        if source in DERIVED and not state.flight.measured(source) and origin != source and origin in sources:
+            for a, b in state.pieces:
+                errors[a:b, i] = np.gradient(errors[a:b, sources.index(origin)], state.flight.time[a:b], axis=0)
+
+
+# ------------------------------------------------------------------------------------------------ controls that follow the motion
+
+
+def has_pitch_rate(model: Model) -> bool:
+    """Whether a model has a state of its own for pitch rate."""
+    return any(s.source == PITCH_RATE for s in model.states)
+
+
+def feedback_restored(state: PreparationState) -> PreparationState:
+    """Controls with what follows the motion put back and steps as measured, where the model pitches.
+
+    A piece in which a control was not measured at every sample stays as it is.
+    """
+    if not (state.preparation.denoise and state.preparation.feedback and has_pitch_rate(state.model)):
+        return state
+    for i, signal in enumerate(state.model.inputs):
+        level = state.noise.get(signal.name, (0.0, 0.0))[0]
+        if not signal.control or signal.computed or not state.flight.measured(signal.source):
+            continue
+        column = state.flight[signal.source]
+        missing = ~np.isfinite(column) | state.conditioned.held(signal.source)
+        pieces = [(a, b) for a, b in state.pieces if not missing[a:b].any() and level > QUIET * np.ptp(column[a:b])]
+        if pieces:
+            removed = _restore_feedback(state, i, column, pieces, level)
+            state.noise[signal.name] = (level, float(np.sqrt(np.mean(removed**2))))
+    return state
+
+
+def _restore_feedback(
+    state: PreparationState, i: int, column: Array, pieces: Sequence[tuple[int, int]], level: float
+) -> Array:
+    """Change one control, and its errors, in place; what is still taken off it, over all pieces."""
+    assert state.errors is not None
+    u, states, errors = state.u, state.states, state.errors
+    smooth_states = [j for j in range(states.shape[1]) if all(np.isfinite(states[a:b, j]).all() for a, b in pieces)]
+    parts = [
+        ControlStretch(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, smooth_states])
+        for a, b in pieces
+    ]
+    feedback = feedback_gains(parts, level) if smooth_states else None
+    rng = np.random.default_rng([FEEDBACK_SEED, i])
+    draws, reach = errors.shape[2], step_reach(state.flight.sample_interval)
+    for (a, b), part in zip(pieces, parts, strict=True):
+        if feedback is not None:
+            u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
+            errors[a:b, i] = error_draws.T
+        step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
+        u[a + step_rows, i] = part.values[step_rows]
+        errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))
+    return np.concatenate([part.values - u[a:b, i] for (a, b), part in zip(pieces, parts, strict=True)])

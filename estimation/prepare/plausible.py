@@ -1,0 +1,185 @@
+"""Columns whose numbers cannot be what their name says: degrees for radians, a sign turned round, a sensor stuck.
+
+A fit takes such columns without complaint and gives wrong derivatives, so they are refused before one begins, or said.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.constants import RADIAN
+from estimation.errors import DataError
+from estimation.models.base import Signal
+from groundstation.flight import Array, Flight
+from groundstation.flight.findings import Finding, FindingKind
+from groundstation.flight.quality.repeats import STUCK_SAMPLES, span_of
+
+FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
+"""Angles that never exceed a right angle."""
+
+TURNING = ("phi", "psi")
+"""Angles that may be counted through full turns."""
+
+RATES = {"p": "phi", "q": "theta"}
+"""Rate -> the angle whose derivative it is, as long as bank and pitch are moderate."""
+
+FASTEST = 20.0  # rad/s: 1100 deg/s
+LARGE = 0.7  # rad: an angle of flow or surface beyond 40 deg is rare
+RELATED = 0.7  # correlation from which a rate and the slope of its angle tell of each other's unit
+WILD = 2.0  # times the range of a channel: a spike within it may be real, and pulls a fit of hundreds of samples little
+SLOWEST = 5.0  # s between samples: a fifth of a phugoid; nothing that an estimate needs shows in slower records
+SAME_UNITS = {
+    "radian": "rad", "radians": "rad", "rad/sec": "rad/s", "rads-1": "rad/s", "m/sec": "m/s", "ms-1": "m/s", "ms-2": "m/s2",
+    "m/s/s": "m/s2", "kgm-3": "kg/m3", "-": "1", "newton": "N", "kelvin": "K", "pascal": "Pa",
+}  # fmt: skip
+"""Other spellings of the flight format's units."""
+TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6}
+
+
+def refuse_impossible(
+    flight: Flight, driving: Sequence[Signal], outputs: Sequence[Signal], notes: list[Finding]
+) -> None:
+    """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
+
+    driving: inputs and states, by whose airspeed and density a model divides; outputs: outputs, which may be of an aircraft
+    that still stands. Only columns that the model, too, takes in the unit of the flight format are judged, and a model that
+    states
+    another unit for one is refused.
+    """
+    for s in (*driving, *outputs):
+        _refuse_stated_unit(flight, s)
+    divided = {s.source for s in driving}
+    same_unit = {
+        s.source for s in (*driving, *outputs) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
+    }
+    judged = [c for c in COLUMN_BY_NAME if c in same_unit and flight.measured(c)]
+    for name in judged:
+        values = flight[name][np.isfinite(flight[name])]
+        if COLUMN_BY_NAME[name].unit == "rad":
+            _angle(flight, name, values, notes)
+        elif name in ("p", "q", "r"):
+            _refuse_degrees(flight, name, float(np.quantile(np.abs(values), 0.99)), FASTEST, "rad/s")
+        elif name in ("V", "rho") and (values.min() <= 0.0 if name in divided else np.median(values) < 0.0):
+            _refuse_sign(flight, name, values)
+    for rate, angle in RATES.items():
+        if rate in judged and angle in judged:
+            _refuse_other_unit(flight, rate, angle)
+
+
+def _refuse_stated_unit(flight: Flight, signal: Signal) -> None:
+    """DataError where a model states another unit for a column than flights hold it in."""
+    column = COLUMN_BY_NAME.get(signal.source)
+    if column is None or not signal.unit:
+        return
+    if _plain_unit(signal.unit) not in {_plain_unit(column.unit), *(("1",) if column.unit == "rad" else ())}:
+        raise DataError(
+            f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {column.unit}:"
+            f' write the equations for {column.unit} and state unit = "{column.unit}", or convert in them'
+        )
+
+
+def _plain_unit(unit: str) -> str:
+    """A unit without the ways in which people write the same: m/s^2, m/s**2, m s-2, radians."""
+    text = unit.strip().replace("**", "").replace("^", "").replace("²", "2").replace("³", "3").replace(" ", "")
+    return SAME_UNITS.get(text, text)
+
+
+def _angle(flight: Flight, name: str, values: Array, notes: list[Finding]) -> None:
+    size = float(np.quantile(np.abs(values), 0.99))
+    if name in FOLDED:
+        _refuse_degrees(flight, name, size, 0.5 * np.pi, "rad")
+        if name != "theta" and size > LARGE:
+            text = f"{name} reaches {size:.2g} rad ({size * RADIAN:.0f} deg): make sure that it is in radians"
+            notes.append(Finding(FindingKind.UNLIKELY, text))
+    elif name in TURNING and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
+        _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
+
+
+def _refuse_degrees(flight: Flight, name: str, size: float, limit: float, unit: str) -> None:
+    if size > limit:
+        raise DataError(
+            f"{flight.name}: {name} reaches {size:.3g}, which cannot be {unit}: it looks like degrees; "
+            "convert the file with 'sideslip import', or multiply by pi/180"
+        )
+
+
+def _refuse_sign(flight: Flight, name: str, values: Array) -> None:
+    times = flight.time[np.isfinite(flight[name])][values <= 0.0]
+    unit = COLUMN_BY_NAME[name].unit
+    raise DataError(
+        f"{flight.name}: {name} is {values.min():.3g} {unit} (zero or less at {times.size} samples, first at t = "
+        f"{times[0]:g} s); turn its sign, or leave that time out with --segments"
+    )
+
+
+def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
+    """A rate that is 57 times the slope of its angle, or a 57th of it."""
+    ratio = _ratio_to_slope(flight, rate, angle)
+    if ratio is None:
+        return
+    for suspect, right, factor in ((rate, angle, ratio), (angle, rate, 1.0 / ratio)):
+        if 0.5 * RADIAN < factor < 2.0 * RADIAN:
+            raise DataError(
+                f"{flight.name}: {suspect} is {factor:.0f} times too large beside {right}: one is in degrees, the other in "
+                "radians; convert the file with 'sideslip import'"
+            )
+
+
+def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
+    """Size of a rate over that of the slope of its angle; None where the two do not tell of each other."""
+    dt = np.diff(flight.time)
+    same_segment = np.diff(flight.segment) == 0
+    slope = np.diff(flight[angle]) / dt
+    mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
+    usable = same_segment & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
+    if usable.sum() < 2 * STUCK_SAMPLES:
+        return None
+    a, b = slope[usable] - slope[usable].mean(), mean[usable] - mean[usable].mean()
+    if a.std() == 0.0 or b.std() == 0.0 or float(a @ b) < RELATED * float(np.linalg.norm(a) * np.linalg.norm(b)):
+        return None
+    return float(np.linalg.norm(b) / np.linalg.norm(a))
+
+
+def refuse_other_time_unit(flight: Flight) -> None:
+    """DataError where time does not run in seconds.
+
+    Where rates and attitude are measured, an attitude that turns a thousand times too slowly for its gyro says so; else samples
+    that lie further apart than any aircraft can be sampled.
+    """
+    for rate, angle in RATES.items():
+        if not (flight.measured(rate) and flight.measured(angle)):
+            continue
+        ratio = _ratio_to_slope(flight, rate, angle)
+        for unit, factor in TIME_UNITS.items():
+            if ratio is not None and 0.5 * factor < ratio < 2.0 * factor:
+                raise DataError(_other_time(flight, unit, f"{angle} turns {factor:.0e} times too slowly for {rate}"))
+    if flight.sample_interval > SLOWEST:
+        unit = "microseconds" if flight.sample_interval > 1e3 * SLOWEST else "milliseconds"
+        raise DataError(_other_time(flight, unit, f"samples lie {flight.sample_interval:g} s apart"))
+
+
+def _other_time(flight: Flight, unit: str, evidence: str) -> str:
+    return (
+        f"{flight.name}: time looks like {unit}, it must be in seconds ({evidence}); "
+        "convert the file with 'sideslip import', or divide the column time"
+    )
+
+
+def wild_values(values: Array) -> NDArray[np.bool_]:
+    """Single values so far from both neighbours that no motion makes them; (N,) bool.
+
+    Off the median of the five values around by more than `WILD` times the range of the channel, or not a number a sensor can
+    show; at most one value in a hundred, for more are no accident.
+    """
+    rows = np.flatnonzero(np.isfinite(values))
+    result = np.zeros(values.size, bool)
+    if rows.size < STUCK_SAMPLES:
+        return result
+    z = values[rows]
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(z, 2, mode="edge"), 5)
+    wild = np.abs(z - np.median(around, axis=1)) > WILD * span_of(z)
+    if wild.sum() <= max(1, 0.01 * z.size):
+        result[rows[wild]] = True
+    return result

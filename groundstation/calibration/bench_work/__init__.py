@@ -1,1 +1,0 @@
-"""From readings on a bench to the coefficients of an instrument."""

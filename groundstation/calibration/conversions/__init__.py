@@ -1,1 +1,0 @@
-"""From counts to SI, one kind of instrument each."""

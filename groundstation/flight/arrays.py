@@ -1,0 +1,55 @@
+"""Sampled arrays: runs of True, integrals, and how one signal follows another where slow errors are straight lines."""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WINDOW = 4.0  # [s]: the drift of an integrated rate or acceleration is a straight line in it
+FEWEST_IN_WINDOW = 10  # samples
+
+
+def true_runs(mask: Mask, parts: Iterable[slice] | None = None) -> list[tuple[int, int]]:
+    """[start, stop) of each run of True in a mask (N,), cut at the borders of parts (all of it is one part by default)."""
+    runs: list[tuple[int, int]] = []
+    for part in (slice(0, mask.size),) if parts is None else parts:
+        edges = np.flatnonzero(np.diff(mask[part].astype(np.int8), prepend=0, append=0)) + part.start
+        runs += zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return runs
+
+
+def longest_run(mask: Mask) -> int:
+    """Samples in the longest run of True."""
+    return max((stop - start for start, stop in true_runs(mask)), default=0)
+
+
+def integral(time: Array, rate: Array) -> Array:
+    """Running integral by the trapezoidal rule, from 0."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+
+
+def windows(time: Array, *signals: Array) -> Iterator[tuple[Array, ...]]:
+    """Time and signals over each WINDOW in which all is measured and time rises."""
+    start = 0
+    while start < time.size - FEWEST_IN_WINDOW:
+        stop = int(np.searchsorted(time, time[start] + WINDOW))
+        window = [v[start:stop] for v in (time, *signals)]
+        start = max(stop, start + 1)
+        measured = all(np.all(np.isfinite(v)) for v in window)
+        if window[0].size >= FEWEST_IN_WINDOW and measured and np.all(np.diff(window[0]) > 0):
+            yield tuple(window)
+
+
+def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
+    """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
+    xy = xx = yy = 0.0
+    for x, y in pairs:
+        trend = np.vander(np.linspace(-1.0, 1.0, x.size), 2)
+        x, y = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (x, y))
+        xy, xx, yy = xy + float(x @ y), xx + float(x @ x), yy + float(y @ y)
+    if xx <= 0 or yy <= 0:
+        return 0.0, 0.0
+    return xy / xx, xy * xy / (xx * yy)

@@ -1,0 +1,46 @@
+"""Attitude and its rates, in body axes x forward, y right, z down and Euler angles yaw, pitch, roll (Etkin, eq. 4.4)."""
+
+from typing import Protocol
+
+import numpy as np
+
+from daq.contract.constants import GRAVITY
+from groundstation.flight.arrays import Array
+
+
+class ByName(Protocol):
+    """Columns by name: a mapping or a flight."""
+
+    def __getitem__(self, column: str) -> Array: ...
+
+
+GYROS = {"phi": "p", "theta": "q", "psi": "r"}  # angle of attitude -> the gyro that turns it most
+
+
+def heading_rate(c: ByName) -> Array:
+    """Rate of psi [rad/s] from q, r, phi, theta."""
+    return np.asarray((c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])) / np.cos(c["theta"]))
+
+
+def roll_rate(c: ByName) -> Array:
+    """Rate of phi [rad/s] from p, q, r, phi, theta."""
+    return np.asarray(c["p"] + np.sin(c["theta"]) * heading_rate(c))
+
+
+def pitch_rate(c: ByName) -> Array:
+    """Rate of theta [rad/s] from q, r, phi."""
+    return np.asarray(c["q"] * np.cos(c["phi"]) - c["r"] * np.sin(c["phi"]))
+
+
+EULER_RATES = {"phi": roll_rate, "theta": pitch_rate, "psi": heading_rate}
+"""Angle of attitude -> its rate by the gyros; it takes whatever gives columns by name."""
+
+
+def earth_acceleration(c: ByName) -> tuple[Array, Array, Array]:
+    """Acceleration north, east, down [m/s2] from specific force in body axes and attitude."""
+    sf, cf, st, ct = np.sin(c["phi"]), np.cos(c["phi"]), np.sin(c["theta"]), np.cos(c["theta"])
+    sp, cp = np.sin(c["psi"]), np.cos(c["psi"])
+    forward = c["ax"] * ct + (c["ay"] * sf + c["az"] * cf) * st
+    right = c["ay"] * cf - c["az"] * sf
+    down = -c["ax"] * st + (c["ay"] * sf + c["az"] * cf) * ct + GRAVITY
+    return forward * cp - right * sp, forward * sp + right * cp, down

@@ -1,0 +1,205 @@
+"""Records of a flight: a log cut where the autopilot's clock begins anew, tables of one flight joined on time, and several
+records in a row as one flight.
+
+ulog2csv writes LOG_TOPIC_INSTANCE.csv with a column `timestamp` [us]; rosbag and loggers of one's own write a table for each
+sensor. Two tables are of one flight where they cover the same time and give different flight columns.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations, pairwise
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from daq.contract.input_files import parse_toml, read_bytes, read_text
+from groundstation.flight import AIRCRAFT_FILE, Flight
+from groundstation.flight.arrays import Array
+from groundstation.flight.findings import Finding
+from groundstation.flight.marks import joined_marks, marks_of
+from groundstation.importers.attitude import with_attitudes
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.tables import RECORD, read_table, table_log
+from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time, built_in_map
+from groundstation.importers.series import Log, TimeSeries
+
+FALLS_BACK = 1.0
+"""[s] by which a message is earlier than the one before only after a restart: out of order they are by milliseconds."""
+OVERLAP = 0.5  # share of the shorter of two tables that the longer must cover for both to be of one flight
+APART = 1.0  # [s] put between records whose clocks begin anew
+_STAMP = b"timestamp,"
+
+
+# ------------------------------------------------------------------------------------------------------------------- boots
+
+
+def by_boot(log: Log) -> list[Log]:
+    """A log for each run of the clock, in the order of the file; the log itself where it never falls back.
+
+    Messages that were not written in every run cannot be assigned by their order: they are left out, with a note.
+    """
+    clocks = {id(s.time): s.time for s in log.series.values()}
+    runs = {key: _clock_runs(time) for key, time in clocks.items()}
+    count = max((len(r) for r in runs.values()), default=1)
+    if count < 2:
+        return [log]
+    partial = {n.split(".")[0] for n, s in log.series.items() if len(runs[id(s.time)]) != count}
+    words = f"messages that were not written in each of {count} boots are left out: {', '.join(sorted(partial))}"
+    boots = []
+    for number in range(count):
+        times = {key: clocks[key][parts[number]] for key, parts in runs.items() if len(parts) == count}
+        series = {
+            n: TimeSeries(times[id(s.time)], s.values[runs[id(s.time)][number]])
+            for n, s in log.series.items()
+            if id(s.time) in times
+        }
+        notes = (f"boot {number + 1} of {count} in this log: a record of its own", *((words,) if partial else ()))
+        boots.append(replace(log, series=series, notes=(*(log.notes if number == 0 else ()), *notes)))
+    return boots
+
+
+def _clock_runs(time: Array) -> list[slice]:
+    """Ranges between falls of a clock; one that falls back for single samples only is damaged, and is one range."""
+    with np.errstate(invalid="ignore"):
+        falls = np.flatnonzero(np.diff(time) < -FALLS_BACK) + 1
+    runs = [slice(a, b) for a, b in pairwise([0, *falls.tolist(), time.size])]
+    damaged = any(
+        following.stop - following.start < 2 or _ends_in_spike(time[previous]) for previous, following in pairwise(runs)
+    )
+    return [slice(0, time.size)] if damaged else runs
+
+
+def _ends_in_spike(time: Array) -> bool:
+    """Whether the last sample lies far above its own neighbour."""
+    steps = np.diff(time)
+    return steps.size < 2 or bool(steps[-1] > 100.0 * max(float(np.median(steps)), 1e-3))
+
+
+# ------------------------------------------------------------------------------------------------------ a file for each topic
+
+
+def topics_of_px4(paths: Sequence[Path]) -> Log | None:
+    """The topics that ulog2csv has written of one log, as the log itself; None where the files are others."""
+    if not paths or any(p.suffix.lower() != ".csv" or not p.is_file() for p in paths):
+        return None
+    if not all(read_bytes(p, error=ImportDataError).startswith(_STAMP) for p in paths):
+        return None
+    topics = [_px4_topic(p.stem) for p in paths]
+    if topics == [p.stem for p in paths]:
+        return None
+    series: dict[str, TimeSeries] = {}
+    notes: list[str] = []
+    time = Time(column="timestamp", unit="us")
+    for path, topic in zip(paths, topics, strict=True):
+        log = table_log(path, read_table(path, FileFormat(), time), time)
+        columns = {n: s for n, s in log.series.items() if n != RECORD}
+        series |= with_attitudes(
+            {f"{topic}.{n}": TimeSeries(s.time + log.origin, s.values) for n, s in columns.items()}
+        )
+        notes += log.notes
+    return Log("ulog", series, notes=(*notes, f"{len(paths)} topics of one PX4 log, joined on time"))
+
+
+def _px4_topic(stem: str) -> str:
+    """`vehicle_attitude` or `vehicle_attitude[1]` from the name of a file; the name itself for a topic that no mapping names."""
+    names = {t.column.split(".")[0] for m in built_in_map("px4").columns.values() for s in m for t in s.parts}
+    names |= {"actuator_outputs", "actuator_servos"}
+    fitting = [t for t in names if re.search(rf"(^|_){t}_\d{{1,2}}$", stem)]
+    if not fitting:
+        return stem
+    topic, instance = max(fitting, key=len), stem.rsplit("_", 1)[1]
+    return topic if instance == "0" else f"{topic}[{instance}]"
+
+
+def joined_topics(tables: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | None:
+    """Tables of one flight as one log, each with times of its own; None where they are records of their own."""
+    if len(tables) < 2 or any(not log.common or RECORD in log.series or not log.series for _, log, _ in tables):
+        return None
+    start = min(log.origin for _, log, _ in tables)
+    times = [next(iter(log.series.values())).time + (log.origin - start) for _, log, _ in tables]
+    columns = [_flight_columns(log, mapping) for _, log, mapping in tables]
+    if not all(columns) or sum(map(len, columns)) > len(set().union(*columns)):
+        return None
+    if not all(_overlap(a, b) for a, b in combinations(times, 2)):
+        return None
+    series: dict[str, TimeSeries] = {}
+    units: dict[str, str] = {}
+    sources: dict[str, tuple[ColumnSource, ...]] = {}
+    for (path, log, mapping), time, names in zip(tables, times, columns, strict=True):
+        labels = {n: (n if n not in series else f"{path.stem}.{n}") for n in log.series}
+        series |= {label: TimeSeries(time, log.series[n].values) for n, label in labels.items()}
+        units |= {label: log.units[n] for n, label in labels.items() if n in log.units}
+        mapped = {t.column for alternatives in mapping.columns.values() for s in alternatives for t in s.parts}
+        sources |= {n: s for n, s in mapping.columns.items() if n not in sources or n in names}
+        unmapped = [label for n, label in labels.items() if n not in mapped]
+        sources |= {re.sub(r"\W+", "_", label): (ColumnSource(column=label, unit="1"),) for label in unmapped}
+    notes = [n for _, log, _ in tables for n in log.notes]
+    text = f"{len(tables)} files that cover the same time and hold different columns: joined on time as one flight"
+    _, first, mapping = tables[0]
+    log = replace(first, series=series, units=units, common=False, notes=(*notes, text), origin=start)
+    return log, mapping.model_copy(update={"columns": sources, "segment": None, "segment_rows": ()})
+
+
+def _flight_columns(log: Log, mapping: Map) -> set[str]:
+    """Flight columns that a table gives."""
+    return {n for n, s in mapping.columns.items() if any(all(t.column in log.series for t in x.parts) for x in s)}
+
+
+def _overlap(first: Array, second: Array) -> bool:
+    (a, b), (c, d) = ((float(np.nanmin(t)), float(np.nanmax(t))) for t in (first, second))
+    return min(b, d) - max(a, c) > OVERLAP * min(b - a, d - c)
+
+
+# ---------------------------------------------------------------------------------------------------------- flights in a row
+
+
+def joined_flights(flights: Sequence[Flight]) -> Flight:
+    """The records one after the other. Where one does not begin after the last has ended its time is moved, with a note.
+
+    A column that a record lacks is NaN in it.
+    """
+    if len(flights) == 1:
+        return flights[0]
+    times, segments, marks = [], [], []
+    shifted = first_segment = 0
+    end = -np.inf
+    for flight in flights:
+        time = flight.time
+        if time[0] <= end:
+            time, shifted = time - time[0] + end + APART, shifted + 1
+        times.append(time)
+        marks.append(marks_of(flight).moved(float(time[0] - flight.time[0])))
+        segments.append(flight.segment + first_segment)
+        end, first_segment = float(time[-1]), int(segments[-1][-1]) + 1
+    names = list(dict.fromkeys(n for f in flights for n in f.columns))
+    columns = {n: np.concatenate([f.columns[n] if n in f else np.full(len(f), np.nan) for f in flights]) for n in names}
+    notes: list[Finding | str] = [n for f in flights for n in f.notes]
+    notes.append(f"{len(flights)} records in a row, each with segments of its own")
+    if shifted:
+        notes.append(f"{shifted} of them begin anew in time: moved to {APART:g} s after the one before")
+    provenance = flights[0].provenance
+    files = {f.provenance.path: f.provenance.sha256 for f in flights}
+    detail = {**provenance.detail, **joined_marks(marks).to_json(), **({"files": files} if len(files) > 1 else {})}
+    return Flight.build(
+        flights[0].name,
+        np.concatenate(times),
+        columns,
+        segment=np.concatenate(segments),
+        provenance=replace(provenance, detail=detail),
+        notes=notes,
+    )
+
+
+def with_aircraft(flight: Flight, aircraft: str) -> Flight:
+    """The flight under the name of a built-in aircraft, or with the aircraft file whose path is given, which travels with it.
+
+    Raises ImportDataError for a file that cannot be read as TOML.
+    """
+    if not aircraft.endswith(".toml"):
+        return replace(flight, provenance=replace(flight.provenance, aircraft=aircraft))
+    text = read_text(Path(aircraft), "aircraft file", ImportDataError)
+    name = str(parse_toml(text, aircraft, ImportDataError).get("name") or Path(aircraft).stem)
+    detail = MappingProxyType({**flight.provenance.detail, AIRCRAFT_FILE: text})
+    return replace(flight, provenance=replace(flight.provenance, aircraft=name, detail=detail))

@@ -1,0 +1,230 @@
+"""What is watched live: limits on channels (alarms), the end of a flight, and room on this computer's disk.
+
+An alarm comes when its quantity has been beyond the limit for `hold_s`, and goes back to *latched* when the quantity is inside
+by at least `hysteresis`. A latched alarm stays shown until acknowledged. Flying: airspeed above `flying_speed` for `flying_s`.
+Landed: after having flown, airspeed below `still_speed` and angular rate below `still_rate` for `still_s`; channels that are not
+measured are left out of the decision; with neither speed nor rate nothing is decided. Time is the flight's own [s].
+"""
+
+import math
+import os
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, PositiveFloat, model_validator
+
+Level = Literal["WARN", "ERROR", "CRITICAL"]
+
+
+class Limit(BaseModel):
+    """One limit from the configuration, in the column's own SI unit."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    channel: str
+    low: float | None = None
+    high: float | None = None
+    hysteresis: float = 0.0
+    hold_s: float = 0.0
+    level: Level = "WARN"
+    text: str = ""
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.low is None and self.high is None:
+            raise ValueError(f"alarm on {self.channel}: give low, high or both")
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError(f"alarm on {self.channel}: low {self.low:g} is not below high {self.high:g}")
+        if self.hysteresis < 0 or self.hold_s < 0:
+            raise ValueError(f"alarm on {self.channel}: hysteresis and hold_s must not be negative")
+        return self
+
+
+class AlarmState(StrEnum):
+    CLEAR = "clear"
+    ACTIVE = "active"
+    LATCHED = "latched"  # was active, is over, nobody has acknowledged it
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmChange:
+    """An alarm that came, went or was acknowledged."""
+
+    time: float
+    name: str
+    state: AlarmState
+    level: Level
+    text: str
+
+
+@dataclass(slots=True)
+class _Watch:
+    limit: Limit
+    state: AlarmState = AlarmState.CLEAR
+    beyond_since: float | None = None
+
+
+class Alarms:
+    """All limits of one aircraft. Feed values, collect changes."""
+
+    def __init__(self, limits: Sequence[Limit]) -> None:
+        self._watches = [_Watch(limit) for limit in limits]
+
+    def update(self, time: float, values: Mapping[str, float]) -> list[AlarmChange]:
+        """Changes that new values of some channels bring. A NaN neither raises nor clears an alarm."""
+        changes = []
+        for watch in self._watches:
+            value = values.get(watch.limit.channel, math.nan)
+            change = _changed(watch, time, value) if math.isfinite(value) else None
+            changes += [] if change is None else [change]
+        return changes
+
+    def acknowledge(self, time: float) -> list[AlarmChange]:
+        """Clear what is latched; what is still active stays."""
+        changes = []
+        for watch in self._watches:
+            if watch.state is AlarmState.LATCHED:
+                watch.state = AlarmState.CLEAR
+                changes.append(_change(watch, time, "acknowledged"))
+        return changes
+
+    def in_force(self) -> list[tuple[str, AlarmState, Level]]:
+        """Names, states and levels of everything active or latched, active first."""
+        watches = [w for w in self._watches if w.state is not AlarmState.CLEAR]
+        watches.sort(key=lambda w: w.state is AlarmState.LATCHED)
+        return [(_name(w.limit), w.state, w.limit.level) for w in watches]
+
+
+def _changed(watch: _Watch, time: float, value: float) -> AlarmChange | None:
+    limit = watch.limit
+    outside_limits = (limit.low is not None and value < limit.low) or (limit.high is not None and value > limit.high)
+    margin = limit.hysteresis
+    within_margin = (limit.low is None or value >= limit.low + margin) and (
+        limit.high is None or value <= limit.high - margin
+    )
+    if outside_limits:
+        if watch.beyond_since is None:
+            watch.beyond_since = time
+        if watch.state is not AlarmState.ACTIVE and time - watch.beyond_since >= limit.hold_s:
+            watch.state = AlarmState.ACTIVE
+            return _change(watch, time, f"{value:.4g}")
+        return None
+    watch.beyond_since = None
+    if watch.state is AlarmState.ACTIVE and within_margin:
+        watch.state = AlarmState.LATCHED
+        return _change(watch, time, f"back to {value:.4g}")
+    return None
+
+
+def _name(limit: Limit) -> str:
+    if limit.text:
+        return limit.text
+    low = "" if limit.low is None else f" below {limit.low:g}"
+    high = "" if limit.high is None else f" above {limit.high:g}"
+    return f"{limit.channel}{low}{' or' if low and high else ''}{high}"
+
+
+def _change(watch: _Watch, time: float, detail: str) -> AlarmChange:
+    text = f"{_name(watch.limit)}: {watch.state.value} ({detail})"
+    return AlarmChange(time, _name(watch.limit), watch.state, watch.limit.level, text)
+
+
+class Phase(StrEnum):
+    BEFORE = "before flight"
+    FLYING = "flying"
+    LANDED = "landed"
+
+
+class LandingLimits(BaseModel):
+    """When a flight has begun and ended."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    flying_speed: PositiveFloat = 9.0  # m/s
+    flying_s: PositiveFloat = 2.0
+    still_speed: PositiveFloat = 4.0  # m/s
+    still_rate: PositiveFloat = 0.1  # rad/s
+    still_s: PositiveFloat = 5.0
+
+
+class LandingWatch:
+    """Feed calibrated samples in order of time; read the phase."""
+
+    def __init__(self, limits: LandingLimits) -> None:
+        self._limits = limits
+        self._since: float | None = None
+        self.phase = Phase.BEFORE
+
+    def update(self, time: float, values: Mapping[str, float]) -> bool:
+        """One sample; True exactly once a flight, when it ends."""
+        limits = self._limits
+        speed = values.get("V", math.nan)
+        rates = [abs(values[k]) for k in ("p", "q", "r") if math.isfinite(values.get(k, math.nan))]
+        if self.phase is Phase.FLYING:
+            measured = math.isfinite(speed) or bool(rates)
+            slow = not math.isfinite(speed) or speed < limits.still_speed
+            at_rest = all(rate < limits.still_rate for rate in rates)
+            if self._lasted(time, measured and slow and at_rest, limits.still_s):
+                self.phase, self._since = Phase.LANDED, None
+                return True
+        elif self._lasted(time, math.isfinite(speed) and speed > limits.flying_speed, limits.flying_s):
+            self.phase, self._since = Phase.FLYING, None
+        return False
+
+    def _lasted(self, time: float, true_now: bool, for_s: float) -> bool:
+        if not true_now:
+            self._since = None
+            return False
+        if self._since is None:
+            self._since = time
+        return time - self._since >= for_s
+
+
+SPAN_S = 60.0
+"""Over which the pace is measured: a recording goes onto the disk in pieces, and others write there too."""
+LEAST_S = 10.0  # of that, before there is a pace at all
+
+FREE = "ground.free_mb"
+LEFT = "ground.minutes_left"
+
+
+class FreeSpace:
+    """Call `update` now and then; read what is free. `megabytes` is NaN and `minutes` too while nothing is known."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, int]] = deque()
+        self.megabytes = math.nan
+        self.minutes = math.nan
+
+    def update(self, time_s: float, free_bytes: int) -> None:
+        """What is free at a time [s] of any steady clock. minutes: inf where nothing is being used up."""
+        self.megabytes = free_bytes / 1e6
+        self._samples.append((time_s, free_bytes))
+        while time_s - self._samples[0][0] > SPAN_S:
+            self._samples.popleft()
+        start_s, start_bytes = self._samples[0]
+        if time_s - start_s >= LEAST_S:
+            pace = (start_bytes - free_bytes) / (time_s - start_s)
+            self.minutes = free_bytes / pace / 60.0 if pace > 0 else math.inf
+
+    @property
+    def values(self) -> dict[str, float]:
+        """As channels of alarms. A pace that uses nothing up counts as a year, so that an alarm can end."""
+        return {FREE: self.megabytes, LEFT: min(self.minutes, 525_600.0)}
+
+    @property
+    def words(self) -> str:
+        if math.isnan(self.megabytes):
+            return "unknown"
+        duration = f", {self.minutes:.0f} min at the present rate" if math.isfinite(self.minutes) else ""
+        return f"{self.megabytes:.0f} MB free{duration}"
+
+
+def free_bytes(folder: Path) -> int:
+    """Room for an ordinary user in the file system of a folder; OSError when it is gone."""
+    filesystem = os.statvfs(folder)
+    return filesystem.f_bavail * filesystem.f_frsize

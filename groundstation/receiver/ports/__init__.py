@@ -1,1 +1,0 @@
-"""Where bytes come in: serial, UDP, files, each with an allowance of memory."""

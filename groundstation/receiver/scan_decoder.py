@@ -1,0 +1,212 @@
+"""From scan frames of one aircraft to scans and sessions, with exact accounting of what is missing.
+
+Nothing here does input or output, and no content of a frame makes it raise.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+from daq.contract.link.scan_map import BLOCK
+from daq.contract.link.wire import SCAN_FAST_ID, ScanPart, join_parts, layouts, unpack_scan
+from daq.transport.mavlink_codec import MavlinkFrame, padded
+from groundstation.receiver import events as ev
+from groundstation.receiver import findings
+from groundstation.receiver.continuity import LATE_NS, PendingScan, ScanRun, UnconfirmedRuns
+from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
+from groundstation.receiver.timeline import NS, Allowance, ClockSync
+
+_new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
+_PARTS_KEPT = 64
+_MAX_SESSIONS = 64
+_RESTARTS_AT_ONCE, _RESTARTS_PER_S = 8, 1 / 60
+"""A logger that starts anew eight times in a row and then once a minute is followed; each session is a file."""
+_WARNING = 4  # as in syslog
+_FOREIGN_CHANNELS = (
+    "ground: the aircraft sends laboratory channels that no package installed here describes, or another version of it"
+    " does; install the aircraft's package. All other channels are received"
+)
+
+
+class ScanDecoder:
+    """The scans of one aircraft (system id), its sessions, and what is missing of them."""
+
+    def __init__(self, system: int, reception_findings: findings.ReceptionFindings | None = None) -> None:
+        self.system = system
+        self._findings = reception_findings or findings.ReceptionFindings()
+        self.trackers: dict[int, SequenceTracker] = {}  # by component
+        self.sync = ClockSync()
+        self.sessions: list[SessionAccounting] = []
+        self.latency_s: float | None = None
+        self.scans_since_report = 0
+        self.partial_scans = 0
+        self.last_scan_ns = 0
+        self._unconfirmed = UnconfirmedRuns()
+        self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()  # boot -> first report of it, and how many
+        self._restart_allowance = Allowance(_RESTARTS_AT_ONCE, _RESTARTS_PER_S)
+        self._parts: OrderedDict[int, list[ScanPart]] = OrderedDict()
+        self._layouts = layouts()
+        self._events: list[ev.Event] = []
+        self._foreign_channels_reported = False
+        self._scan_component = -1  # the component of the latest scan that was believed
+
+    @property
+    def tracker(self) -> SequenceTracker:
+        """The tracker of the component that sends the scans, for the link is judged by the logger's numbers; before there are
+        any, of the one that sends most.
+        """
+        if self._scan_component in self.trackers:
+            return self.trackers[self._scan_component]
+        if not self.trackers:
+            return SequenceTracker()
+        return max(self.trackers.values(), key=lambda t: t.received)
+
+    @property
+    def accounting(self) -> SessionAccounting | None:
+        return self.sessions[-1] if self.sessions else None
+
+    @property
+    def pending_parts(self) -> int:
+        """Scan parts that follow nothing known and wait for others to prove them."""
+        return self._unconfirmed.count
+
+    def _take_scan(self, frame: MavlinkFrame, now_ns: int, utc_ns: int) -> None:
+        part = self._part(frame, now_ns)
+        if part is None:
+            return
+        pending: PendingScan = _new_tuple(PendingScan, (part, frame.component, now_ns, utc_ns))
+        straggled = None if len(self.sessions) < 2 else self._straggled(part)
+        if straggled is not None:
+            straggled.see(part.number)  # counted, not shown
+            if part.msg_id == SCAN_FAST_ID:
+                straggled.received.add(part.number)
+            return
+        accounting = self.accounting
+        if accounting is None or accounting.run is None:
+            self._begin(pending, accounting)
+            return
+        if accounting.run.follows(part, now_ns):
+            self._believe(accounting, pending)
+            self._findings.doubt(self.system, findings.NUMBERS, self._unconfirmed.clear())
+            return
+        long_on_its_way = accounting.run.is_older(part) and part.number in accounting.received  # a late copy
+        if not long_on_its_way:
+            self._hold(accounting, pending)
+
+    def _straggled(self, part: ScanPart) -> SessionAccounting | None:
+        """The earlier session that a part of another boot is a late one of."""
+        if self.accounting is None or part.boot == self.accounting.session.boot:
+            return None
+        for earlier in self.sessions[-4:-1]:
+            close = abs(part.time_monotonic_ns - earlier.last_time_ns) < LATE_NS
+            if earlier.session.boot == part.boot and close and part.number <= earlier.last + BLOCK:
+                return earlier
+        return None
+
+    def _begin(self, pending: PendingScan, accounting: SessionAccounting | None) -> None:
+        """The first scan of all, or the first since a report made its session known."""
+        if accounting is None or accounting.session.boot != pending.part.boot:
+            if accounting is not None and not self._restart_allowance.spend(1, pending.now_ns):
+                self._findings.doubt(self.system, findings.RESTARTS)
+                return
+            accounting = self._new_session(pending.part.boot, pending.now_ns)
+        accounting.run = ScanRun(pending.part, pending.now_ns)
+        self._believe(accounting, pending)
+
+    def _hold(self, accounting: SessionAccounting, pending: PendingScan) -> None:
+        """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
+        proven, given_up = self._unconfirmed.hold(pending, self.trackers[pending.component].lost)
+        self._findings.doubt(self.system, findings.NUMBERS, given_up)
+        if proven is None:
+            return
+        first = proven.parts[0].part
+        run = accounting.run
+        goes_on = run is not None and first.boot == run.boot
+        if goes_on and run is not None and first.number > run.number and run.in_step(first):
+            run.advance(first, proven.parts[0].now_ns)  # this computer's clock stood still, or the link was away
+        elif self._restart_allowance.spend(1, pending.now_ns):
+            accounting = self._new_session(first.boot, pending.now_ns)
+            accounting.run = ScanRun(first, proven.parts[0].now_ns)
+            self._restart_trackers(pending.component, proven.lost)
+        else:
+            self._findings.doubt(self.system, findings.RESTARTS)
+            return
+        for part in proven.parts:
+            self._believe(accounting, part)
+
+    def _restart_trackers(self, component: int, lost: int) -> None:
+        """The logger has started anew, and with it all its components; of an autopilot's a second's loss is forgiven."""
+        for number, tracker in self.trackers.items():
+            tracker.restart(lost if number == component else tracker.lost)
+            if number != component:
+                tracker.expect_any()
+
+    def _believe(self, accounting: SessionAccounting, pending: PendingScan) -> None:
+        part, now_ns = pending.part, pending.now_ns
+        assert accounting.run is not None
+        accounting.run.advance(part, now_ns)
+        if self._claims:
+            self._claims.clear()
+        self._scan_component = pending.component
+        for tracker in self.trackers.values():
+            tracker.settle()
+        accounting.see(part.number)
+        parts = self._parts.get(part.number)
+        if parts is None:
+            parts = self._parts[part.number] = []
+        elif any(p.msg_id == part.msg_id for p in parts):
+            return
+        is_late = part.time_monotonic_ns < accounting.last_time_ns
+        parts.append(part)
+        while len(self._parts) > _PARTS_KEPT:
+            _, old_parts = self._parts.popitem(last=False)
+            if old_parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in old_parts):
+                self.partial_scans += 1
+        if part.msg_id == SCAN_FAST_ID:
+            if not accounting.received.add(part.number):
+                return
+            self.scans_since_report += 1
+            self.last_scan_ns = now_ns
+        elif all(p.msg_id != SCAN_FAST_ID for p in parts):
+            return  # the slow part comes first; the scan is reported with its fast part
+        else:
+            is_late = True
+        if part.time_monotonic_ns > accounting.last_time_ns:
+            accounting.last_time_ns = part.time_monotonic_ns
+        relation = self.sync.best
+        latency = None
+        if relation is not None:
+            latency = (now_ns + relation.offset_ns - part.time_monotonic_ns) / NS
+            self.latency_s = latency
+        scan = join_parts(parts)
+        fields = accounting.session, scan, now_ns, pending.utc_ns, latency, is_late
+        self._events.append(_new_tuple(ev.ScanReceived, fields))
+
+    def _part(self, frame: MavlinkFrame, now_ns: int) -> ScanPart | None:
+        """What a scan message says; None, told once, for laboratory channels that no package here describes."""
+        layout = self._layouts.get(frame.msg_id)
+        if layout is not None:
+            try:
+                return unpack_scan(layout, padded(frame.payload, layout.size))
+            except ValueError:  # another table: told below
+                pass
+        if not self._foreign_channels_reported:
+            self._foreign_channels_reported = True
+            self._events.append(ev.StatusText(self.system, _WARNING, _FOREIGN_CHANNELS, now_ns))
+        return None
+
+    def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
+        previous = self.sessions[-1].session if self.sessions else None
+        session = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
+        self.sessions.append(session)
+        if len(self.sessions) > _MAX_SESSIONS:
+            self.sessions.pop(0)
+        self._parts.clear()
+        self.sync.reset()
+        self.latency_s = None
+        self._events.append(ev.Restarted(session.session, previous, now_ns))
+        return session
+
+    def _session(self, boot: int) -> SessionAccounting | None:
+        """The session of a report that carries a boot id; None before a scan of it has come."""
+        return next((b for b in reversed(self.sessions) if b.session.boot == boot), None)

@@ -1,1 +1,0 @@
-"""What goes up: commands, requests for what was lost, downloads, manoeuvres."""

@@ -1,0 +1,117 @@
+"""What an aircraft says of its recording, checked for type and range before anything of it is used.
+
+The papers (identity and events as compressed JSON) and the archive (attachments) come over the link, where anybody can
+answer in the aircraft's place. Bounds are several times what a logger sends: it keeps 200 events, and its configuration
+and calibration files are some tens of kilobytes.
+"""
+
+import re
+import zlib
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+
+from daq.contract.recordings.messages import EventMessage
+from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo
+
+MAX_PAPERS_BYTES = 1 << 20
+"""Of the papers unpacked; packed they fit 255 fragments of 190 bytes."""
+MAX_ARCHIVE_BYTES = 1 << 20
+"""Of the archive packed, what one record of the journal holds."""
+MAX_ATTACHMENTS_BYTES = 1 << 24
+"""Of the archive unpacked."""
+MAX_ATTACHMENTS = 256
+MAX_TEXT_BYTES, MAX_LINE_BYTES = 1 << 18, 4096
+"""Of configuration and calibration files together, and of a line: tens of times what there is. A parser's work grows faster
+than a text does, by the square of a line."""
+MAX_EVENTS = 1000
+MAX_TIME_NS = 2**63 - 1
+"""What a file's 64-bit time holds with its sign: 292 years from the epoch."""
+MAX_RATE_HZ = 2000.0
+"""What a logger's configuration allows."""
+
+_Time = Annotated[int, Field(ge=0, le=MAX_TIME_NS)]
+_Number = Annotated[int, Field(ge=0, le=2**32 - 1)]
+_Name = Annotated[str, Field(max_length=128)]
+_Text = Annotated[str, Field(max_length=4096)]
+_Row = tuple[_Time, _Time, _Number, _Name, _Text]
+
+
+class Papers(BaseModel):
+    """Identity of a recording: session, source, rate [Hz], start [ns UTC], facts; its events; size and hash of the archive."""
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+    session: Annotated[str, Field(min_length=1, max_length=128)]
+    source: _Name
+    aircraft: _Name
+    scan_rate_hz: Annotated[float, Field(gt=0.0, le=MAX_RATE_HZ)]
+    started_utc_ns: _Time
+    software: _Name
+    details: Annotated[dict[_Name, _Text], Field(max_length=1024)]
+    events: Annotated[tuple[_Row, ...], Field(max_length=MAX_EVENTS)] = ()
+    archive_bytes: Annotated[int, Field(ge=0, le=MAX_ARCHIVE_BYTES)] = 0
+    archive_sha256: Annotated[str, Field(max_length=64)] = ""
+
+    @field_validator("session")
+    @classmethod
+    def _no_folder(cls, session: str) -> str:
+        if "/" in session or not session.isprintable():
+            raise ValueError("a session's name is part of file names")
+        return session
+
+    def info(self, attachments: Mapping[str, bytes]) -> RecordingInfo:
+        identity = self.model_dump(exclude={"events", "archive_bytes", "archive_sha256"})
+        return RecordingInfo(**identity, role="received", attachments=attachments)
+
+    def marks(self) -> list[EventMessage]:
+        return [EventMessage(*row) for row in self.events]
+
+
+def inflate(data: bytes, limit: int) -> bytes | None:
+    """`data` unpacked; None for bytes that are not packed, are torn, or hold more than `limit` bytes."""
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(data, limit + 1)
+    except zlib.error:
+        return None
+    return unpacked if unpacker.eof and len(unpacked) <= limit else None
+
+
+def parse_papers(packed: bytes) -> Papers | None:
+    """Papers from their bytes; None for bytes that are none."""
+    text = inflate(packed, MAX_PAPERS_BYTES)
+    if text is None:
+        return None
+    try:
+        return Papers.model_validate_json(text)
+    except ValidationError:
+        return None
+
+
+_CALIBRATION_FILE = re.compile(re.escape(CALIBRATION_PREFIX) + r".*\.toml", re.DOTALL)
+_ATTACHMENTS: TypeAdapter[Any] = TypeAdapter(
+    Annotated[dict[Annotated[str, Field(min_length=1, max_length=255)], str], Field(max_length=MAX_ATTACHMENTS)],
+    config=ConfigDict(strict=True),
+)
+
+
+def parse_archive(packed: bytes) -> dict[str, bytes] | None:
+    """Attachments by name from the bytes of an archive; None for bytes that are none.
+
+    Configuration and calibration files are text, so that whoever reads the recording later may take them for that.
+    """
+    text = inflate(packed, MAX_ATTACHMENTS_BYTES) if len(packed) <= MAX_ARCHIVE_BYTES else None
+    if text is None:
+        return None
+    try:
+        attachments = {str(name): bytes.fromhex(digits) for name, digits in _ATTACHMENTS.validate_json(text).items()}
+        texts = [
+            data for name, data in attachments.items() if name == CONFIG_ATTACHMENT or _CALIBRATION_FILE.fullmatch(name)
+        ]
+        lines = [line for data in texts for line in data.decode("utf-8").split("\n")]
+    except ValueError:
+        return None
+    bounded = sum(map(len, texts)) <= MAX_TEXT_BYTES and max(map(len, lines), default=0) <= MAX_LINE_BYTES
+    return attachments if bounded else None

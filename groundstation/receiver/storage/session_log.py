@@ -1,0 +1,189 @@
+"""What came of a session's scans, on disk the moment it is known: the memory of recording and backfill.
+
+An append-only file of checked records. A ground station that is killed and started again in the same folder goes on
+where it was: nothing received is asked for twice, and a damaged record costs that record only. In memory there is one
+bit for each scan; where its record lies is found by going through the file when a recording is written.
+"""
+
+import os
+import struct
+import zlib
+from array import array
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from enum import IntEnum
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from daq.contract.link.scan_map import ScanMap
+from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
+from groundstation.receiver.storage.lasting_log import LastingLog
+
+_HEAD = struct.Struct("<BIII")  # kind, number, length, CRC-32 over the three and the data
+_CRC_OF = struct.Struct("<BII")
+_MAGIC = b"SSJ1"
+_LIMIT = 1 << 20
+
+
+class RecordKind(IntEnum):
+    RECEIVED = 0  # a scan as far as the downlink carries it
+    COMPLETE = 1  # a scan as the aircraft encoded it
+    EVENT = 2  # an encoded event
+    LINK = 3  # link statistics as JSON
+    PAPERS = 4  # identity of the recording, part 0 of the papers
+    ARCHIVE = 5  # attachments of the recording
+    NOTE = 6  # an encoded event of the reception itself
+
+
+_KINDS = frozenset(RecordKind)
+
+
+class _Record(NamedTuple):
+    at: int
+    kind: RecordKind
+    number: int
+    data: bytes
+
+    @property
+    def end(self) -> int:
+        return self.at + _HEAD.size + len(self.data)
+
+
+class SessionLog:
+    """Scans by number, the complete form preferred, and the other records in order."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.received = ScanMap()
+        self.complete = ScanMap()
+        self.file = LastingLog(path)
+        self._take_stock()
+
+    # ------------------------------------------------------------------------------------------ writing
+
+    def _take_stock(self) -> None:
+        """Know what the file holds, and leave it so that records can follow."""
+        self.received, self.complete = ScanMap(), ScanMap()
+        end = 0
+        for record in self._records():
+            self._note(record.kind, record.number)
+            end = record.end
+        self.file.truncate(end)  # a torn last record, or a file that is no journal
+        if end == 0:
+            self.file.append(_MAGIC)
+
+    def look_after(self) -> None:
+        """Called now and then: write what waits for the disk; go on in a new file where the old one is gone, with what it
+        had where that can be read. `received` and `complete` then say what is there. Raises OSError while there is no disk."""
+        if not self.file.look_after():
+            unwritten = self.file.take_waiting()
+            self._take_stock()
+            for record in unwritten:
+                if record != _MAGIC:
+                    self.file.append(record)
+                    kind, number, *_ = _HEAD.unpack_from(record)
+                    self._note(RecordKind(kind), number)
+        self.file.flush()
+
+    @property
+    def scans_waiting(self) -> int:
+        """Scans that are in memory only, because the disk has not taken them yet."""
+        kinds = (record[0] for record in self.file.records_waiting if record != _MAGIC)
+        return sum(kind in (RecordKind.RECEIVED, RecordKind.COMPLETE) for kind in kinds)
+
+    @property
+    def on_disk(self) -> int:
+        """Scans whose record is in the file."""
+        return len(self.complete) + len(self.received.minus(self.complete)) - self.scans_waiting
+
+    def _note(self, kind: RecordKind, number: int) -> None:
+        if kind is RecordKind.RECEIVED:
+            self.received.add(number)
+        elif kind is RecordKind.COMPLETE:
+            self.complete.add(number)
+
+    def add(self, kind: RecordKind, data: bytes, number: int = 0) -> None:
+        """Append a record; number: of a scan."""
+        crc = zlib.crc32(_CRC_OF.pack(kind, number, len(data)) + data)
+        if self.file.append(_HEAD.pack(kind, number, len(data), crc) + data):
+            self._note(kind, number)
+        self.file.flush()  # on a full disk it waits in memory, and goes with the next that succeeds
+
+    def add_received(self, scan: Scan) -> None:
+        """Keep a scan as received; one completed by a later part replaces it."""
+        self.add(RecordKind.RECEIVED, encode_scan(scan), scan.number)
+
+    def add_complete(self, data: bytes) -> int | None:
+        """Keep a scan in the aircraft's own bytes; returns its number, None when the bytes are no scan."""
+        try:
+            scan = decode_scan(data)
+        except ScanDecodeError:
+            return None
+        if scan.number not in self.complete:
+            self.add(RecordKind.COMPLETE, data, scan.number)
+        return scan.number
+
+    def close(self) -> None:
+        self.file.close()
+
+    # ------------------------------------------------------------------------------------------ reading
+
+    def _records(self) -> Iterator[_Record]:
+        """All sound records of the file in order; a damaged stretch is passed over. What waits is not among them."""
+        with suppress(OSError):
+            self.file.flush()
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if file.read(len(_MAGIC)) != _MAGIC:
+                return
+            offset = len(_MAGIC)
+            while offset + _HEAD.size <= size:
+                record = _record_at(file, offset, size)
+                if record is None:
+                    offset += 1
+                    continue
+                yield record
+                offset = record.end
+
+    def scans(self, *, complete_only: bool = False) -> Iterator[bytes]:
+        """Encoded scans in order of number, the complete form where there is one."""
+        numbers, places = array("Q"), array("Q")
+        for record in self._records():
+            is_scan = record.kind is RecordKind.COMPLETE or (
+                record.kind is RecordKind.RECEIVED and not complete_only and record.number not in self.complete
+            )
+            if is_scan:
+                numbers.append(record.number)
+                places.append(record.at)
+        order = np.argsort(np.frombuffer(numbers, np.uint64), kind="stable")
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            for i, index in enumerate(order):
+                replaced = i + 1 < len(order) and numbers[order[i + 1]] == numbers[index]
+                scan_record = None if replaced else _record_at(file, places[index], size)
+                if scan_record is not None:
+                    yield scan_record.data
+
+    def others(self, kind: RecordKind) -> Iterator[bytes]:
+        """The other records of a kind, in order."""
+        return (record.data for record in self._records() if record.kind is kind)
+
+    def last(self, kind: RecordKind) -> bytes | None:
+        return next(iter(deque(self.others(kind), maxlen=1)), None)
+
+
+def _record_at(file: IO[bytes], offset: int, size: int) -> _Record | None:
+    file.seek(offset)
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    kind, number, length, crc = _HEAD.unpack(head)
+    if kind not in _KINDS or length > _LIMIT or offset + _HEAD.size + length > size:
+        return None
+    data = file.read(length)
+    if zlib.crc32(_CRC_OF.pack(kind, number, length) + data) != crc:
+        return None
+    return _Record(offset, RecordKind(kind), number, data)

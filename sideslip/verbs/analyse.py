@@ -1,0 +1,44 @@
+"""The verb `analyse`: from logs to one page, each stage kept so that a rerun does what has changed and no more."""
+
+from pathlib import Path
+
+import click
+
+from daq.contract.options import aircraft_option, flights_argument, json_option, path_option
+from daq.contract.outputs import tried_folder, write_json
+
+EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
+_PATH = click.Path(path_type=Path)
+
+
+@click.command(epilog=EXAMPLE)
+@flights_argument("logs", "LOG...")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same", "")
+@path_option("--map", "mapping", text="Mapping file, as of 'sideslip import'.")
+@path_option("--holdout", text="A log kept out of every fit; may be repeated.", multiple=True, metavar="LOG")
+@json_option()
+@path_option("-o", "--output", text="Folder for index.html, answer.json and stages.", tried=tried_folder, required=True)
+def analyse(
+    logs: tuple[Path, ...],
+    aircraft: str | None,
+    mapping: Path | None,
+    holdout: tuple[Path, ...],
+    output: Path,
+    json_path: Path | None,
+) -> int:
+    """From LOGs to an answer: import, contradictions, stretches, air data, the richest model, estimate, gap and one page."""
+    from sideslip import analysis
+    from sideslip.verbs.delivery import Progress
+
+    with Progress("analysing") as progress:
+        answer = analysis.analyse(logs, aircraft, mapping, holdout, output, progress)
+    for line in answer.lines():
+        click.echo(line)
+    if json_path is not None:
+        write_json(answer.to_json(), json_path)
+    repeated_stages = ", ".join(answer.repeated)
+    click.echo(
+        f"page: {output / 'index.html'}"
+        + (f" (done in this run: {repeated_stages})" if repeated_stages else " (nothing had changed)")
+    )
+    return 0 if answer.passed else 1

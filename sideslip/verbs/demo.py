@@ -1,0 +1,166 @@
+"""The verb `demo`: the whole chain in one go, told as a story."""
+
+from pathlib import Path
+
+import click
+
+from daq.contract.durable import whole, write_text
+from daq.contract.errors import UserError
+from daq.contract.outputs import tried_folder
+from sideslip.chain import fly_scenario
+
+DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
+DEMO_HIDDEN = ("Cn_da", 1.0)
+DEMO_SEED = 20
+DEMO_RADIO = {"drop": 0.05}
+
+
+@click.command(epilog="Example: sideslip demo --out demo")
+@click.option("--out", type=click.Path(path_type=Path), callback=tried_folder, default=Path("demo"), show_default=True)
+def demo(out: Path) -> int:
+    """Fly, record, downlink, calibrate, check, estimate, match, and close a gap: the whole chain on a simulated aircraft."""
+    import shutil
+    import time
+
+    start_time = time.monotonic()
+    if out.exists() and any(out.iterdir()) and not (out / "demo.txt").is_file():
+        raise UserError(f"{out} is not empty and not of an earlier demo; give --out another folder")
+    shutil.rmtree(out, ignore_errors=True)
+    report = out / "report"
+    report.mkdir(parents=True)
+    write_text(out / "demo.txt", "Written by sideslip demo; replaced by the next one.\n")
+
+    click.echo(
+        "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
+    )
+    flights = [_demo_flight(name, out) for name in DEMO_FLIGHTS]
+
+    click.echo(
+        "\n2  Do accelerations, rates, attitude and air data tell the same story? Instrument factors are found and taken out\n"
+    )
+    corrected = out / "corrected"
+    _run("check", *flights, "--json", report / "check.json", "--report", report / "check", "--write", corrected)
+    flights = [corrected / path.name for path in flights]
+
+    click.echo(
+        "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
+    )
+    saved = ("--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")
+    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief", *saved)
+
+    click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
+    _run(
+        "match",
+        out / "model.toml",
+        *flights,
+        "--free",
+        "CY_0,Cl_0,Cn_0",
+        "--json",
+        report / "match.json",
+        "--figure",
+        report / "match.svg",
+    )
+
+    click.echo("\n5  Four flights with something hidden in the aircraft; the gap workflow is not told what\n")
+    train, holdout = _demo_hidden(out)
+    _run("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
+
+    from estimation.report.front import write_front_page
+
+    click.echo("\n6  The truth beside the answers: what the simulator flew with, and what it hid\n")
+    write_truth(report / "truth.json")
+    for line in truth_lines(report):
+        click.echo(line)
+    page = write_front_page(report)
+    click.echo(f"\n{time.monotonic() - start_time:.0f} s. Report: {page}")
+    return 0
+
+
+def write_truth(path: Path) -> None:
+    """What the simulator flew with: derivatives of the demo's flights, and the hidden effect with its size and unit."""
+    from daq.contract.outputs import write_json
+    from firmware_sim.physics.effects.registry import EFFECTS
+    from firmware_sim.world.scenario import load_scenario
+    from firmware_sim.world.simulation import derivatives_of
+
+    name, scale = DEMO_HIDDEN
+    effect = EFFECTS[name](scale)
+    hidden = {"name": name, "title": effect.title, "parameters": {name: [float(effect.size), effect.unit]}}
+    write_json({"derivatives": derivatives_of(load_scenario(DEMO_FLIGHTS[0])), "hidden": hidden}, path)
+
+
+def truth_lines(report: Path) -> list[str]:
+    """The truth in `report`/truth.json beside the joint estimates in estimate.json and the answer in gap.json."""
+    import json
+
+    from estimation.report.tables import rounded
+
+    truth, estimate, gap = (
+        json.loads((report / f"{n}.json").read_text(encoding="utf-8")) for n in ("truth", "estimate", "gap")
+    )
+    method, joint_result = next(iter(estimate["joint"].items()))
+    lines = [f"  {'derivative':<12}{'truth':>10}{method:>12}{'bound':>10}"]
+    for name, e in joint_result["parameters"].items():
+        if not e["identifiable"] or name not in truth["derivatives"] or name.endswith("_0"):
+            continue  # constants take up the sensors' offsets
+        value, bound = rounded(e["estimate"], e["std_coloured"])
+        lines.append(f"  {name:<12}{truth['derivatives'][name]:10.4g}{value:>12}{bound:>10}")
+    hidden = truth["hidden"]
+    size, unit = hidden["parameters"][hidden["name"]]
+    lines.append(f"  hidden: {hidden['name']} ({hidden['title']}) of {size:.4g} {unit}; answer: {gap['verdict']}")
+    for step in gap["steps"]:
+        parameter_texts = "; ".join(
+            f"{n} = {' ± '.join(t for t in rounded(e['estimate'], e['std']) if t)}"
+            for n, e in step["parameters"].items()
+        )
+        lines.append(f"  found:  {step['effect']} ({step['title']}){': ' + parameter_texts if parameter_texts else ''}")
+    return lines
+
+
+def _run(verb: str, *arguments: object) -> None:
+    """Run a verb as a person would, in this process. A failed check (status 1) is part of the story."""
+    text = [verb, *(str(a) for a in arguments)]
+    click.echo(f"$ sideslip {' '.join(text)}\n")
+    from sideslip.cli import cli
+
+    status = cli.main(args=text, prog_name="sideslip", standalone_mode=False)
+    if status not in (0, 1, None):
+        raise UserError(f"demo: sideslip {verb} ended with status {status}")
+
+
+def _demo_flight(name: str, out: Path) -> Path:
+    from firmware_sim.world.scenario import load_scenario
+    from sideslip.verbs.delivery import Progress
+
+    scenario = load_scenario(name).altered(radio=DEMO_RADIO)
+    with Progress(f"flying {name}") as bar:
+        chain_flight = fly_scenario(scenario, out / name, tell=bar)
+    s = chain_flight.summary
+    lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
+    agree = "air and ground agree" if chain_flight.agreed else "air and ground DO NOT agree"
+    click.echo(f"{name}: {s['scans_received']} scans came down, {lost_scans} lost on the radio; after backfill {agree}")
+    return _named_copy(chain_flight.onboard, out, name)
+
+
+def _named_copy(flight: Path, out: Path, name: str) -> Path:
+    """The flight under a name of its own in one folder, where a person looks for it."""
+    import shutil
+
+    target = out / "flights" / f"{name}.mcap"
+    target.parent.mkdir(exist_ok=True)
+    with whole(target) as new:
+        shutil.copyfile(flight, new)
+    return target
+
+
+def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
+    """Three flights to learn from and one to hold out, all of one aircraft with one hidden effect."""
+    from firmware_sim.runs.campaign import CampaignFlights
+    from sideslip.verbs.delivery import Progress
+
+    paths = []
+    for number, (scenario, seed) in enumerate(CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
+        with Progress(f"flying hidden_{number}") as bar:
+            chain_flight = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
+        paths.append(_named_copy(chain_flight.onboard, out, f"hidden_{number}"))
+    return paths[:-1], paths[-1]
