@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.options import json_option
-from daq.contract.outputs import tried_file, write_json
+from daq.utilities.options import json_option
+from daq.utilities.outputs import tried_file, write_json
 
 if TYPE_CHECKING:
     from daq.contract.recordings.accounting import Verification

@@ -12,11 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
 from daq.companion.process import IdentificationConfig
-from daq.contract.errors import UserError
-from daq.contract.input_files import parse_toml, read_text
 from daq.recorder.config import RecorderConfig
 from daq.sensors.config import SensorsConfig
 from daq.telemetry.config import DownlinkConfig
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import parse_toml, read_text
 
 
 class ConfigError(UserError):

@@ -1,6 +1,6 @@
 """Errors of the estimation laboratory: each message says what is wrong, where, and what to do."""
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 
 class EstimationError(UserError):

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.contract.plain_words import comma_separated
+from daq.utilities.plain_words import comma_separated
 from estimation.aircraft import Aircraft, unknown_aircraft
 from estimation.aircraft.library import aircraft_of
 from estimation.errors import EstimationError

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import tomli_w
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 
 class ScenarioError(UserError):

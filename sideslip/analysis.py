@@ -58,7 +58,7 @@ def _imported(
     import hashlib
     from dataclasses import replace
 
-    from daq.contract.input_files import check_file
+    from daq.utilities.input_files import check_file
     from groundstation.flight import read_flight, write_flight
     from groundstation.importers.errors import ImportDataError
 

@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
-from daq.contract.durable import DISK_ERRNOS
-from daq.contract.errors import UserError
-from daq.contract.plain_words import VisibleStream, one_line
-from daq.contract.standard_streams import SafeStream
+from daq.utilities.durable import DISK_ERRNOS
+from daq.utilities.errors import UserError
+from daq.utilities.plain_words import VisibleStream, one_line
+from daq.utilities.standard_streams import SafeStream
 from sideslip.services import SERVICES
 
 if TYPE_CHECKING:
-    from daq.contract.interrupts import Interrupts
+    from daq.utilities.interrupts import Interrupts
 
 
 @dataclass(frozen=True, slots=True)

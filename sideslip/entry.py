@@ -1,6 +1,6 @@
 """Where the command begins: Ctrl-C is taken care of before the imports, which take the first second."""
 
-from daq.contract.interrupts import Interrupts, started_as_command
+from daq.utilities.interrupts import Interrupts, started_as_command
 
 INTERRUPTS = Interrupts() if started_as_command("sideslip") else None
 if INTERRUPTS is not None:
@@ -9,7 +9,7 @@ if INTERRUPTS is not None:
 
 def main(argv: list[str] | None = None) -> None:
     """Run `sideslip` with these arguments, or those of the process; ends it with the exit status."""
-    from daq.contract.standard_streams import sound_descriptors
+    from daq.utilities.standard_streams import sound_descriptors
 
     sound_descriptors()
     from sideslip.cli import run

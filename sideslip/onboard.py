@@ -9,9 +9,9 @@ import sys
 from typing import BinaryIO
 
 from daq.companion.wire import CompanionReply, Setup, read_frame, read_setup
-from daq.contract.errors import UserError
 from daq.contract.scan import ScanDecodeError
 from daq.identification.movement import ManoeuvreDetector
+from daq.utilities.errors import UserError
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.calibration_set import load_calibration
 from groundstation.identification.alignment import ScanAlignment

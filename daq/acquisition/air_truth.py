@@ -11,13 +11,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean, pstdev
 
-from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
 from daq.contract.scan import Scan
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.mounting import Axis, Mounting, check_mounting
 from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
 from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
+from daq.utilities.constants import GRAVITY, SEA_LEVEL_DENSITY
 
 WINDOW_S = 5.0
 LOOK_S = 1.0

@@ -24,10 +24,10 @@ from struct import Struct
 import imufusion
 import numpy as np
 
-from daq.contract.constants import GRAVITY
 from daq.sensors.config import AttitudeConfig
 from daq.sensors.gravity_reference import AirPath, GroundVelocity, VelocityFix
 from daq.sensors.vectors import UNTURNED, ZERO, Axes, Vector, cross, plus, times, turned
+from daq.utilities.constants import GRAVITY
 
 SCALE = 32767
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from daq.acquisition.attitude import AttitudeFilter
 from daq.acquisition.health import GroupHealth
 from daq.acquisition.supervisor import GroupOutcome
-from daq.contract.constants import GRAVITY
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.config import SensorsConfig
 from daq.sensors.gravity_reference import VelocityFix
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.ms4525do import indicated_airspeed, nominal_transfer
+from daq.utilities.constants import GRAVITY
 
 _USABLE = (SensorState.OK, SensorState.RECOVERING, SensorState.OUT_OF_RANGE)
 _TESLA_PER_COUNT = 0.15e-6

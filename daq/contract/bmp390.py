@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import Any, Self, TypeVar
 
-from daq.contract.constants import ZERO_CELSIUS
+from daq.utilities.constants import ZERO_CELSIUS
 
 Number = TypeVar("Number", bound=Any)
 """A number, or an array of them."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 
 from daq.contract.channel_rows import Channel, ChannelGroup, Downlink, FlightColumn, Rate, RawType, TableRows
-from daq.contract.constants import DEGREE, GRAVITY, ZERO_CELSIUS
+from daq.utilities.constants import DEGREE, GRAVITY, ZERO_CELSIUS
 
 BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("imu", "accelerometer and gyro", "ICM-20948"),

@@ -1,8 +1,5 @@
-"""Root of the errors that a person can act on."""
+"""The errors' root under the name that the documentation gives it (docs/api.md)."""
 
+from daq.utilities.errors import UserError
 
-class UserError(Exception):
-    """Unusable input or surroundings: one sentence that says what, where, and what to do.
-
-    The command line prints the sentence on standard error and exits with status 2.
-    """
+__all__ = ["UserError"]

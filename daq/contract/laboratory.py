@@ -24,8 +24,8 @@ from daq.contract.channel_rows import (
     RawType,
     TableRows,
 )
-from daq.contract.errors import UserError
-from daq.contract.input_files import read_toml
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import read_toml
 
 ENTRY_POINTS = "sideslip.channels"
 ROWS_FILE = "channels.toml"

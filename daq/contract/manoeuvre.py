@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.errors import UserError
-from daq.contract.input_files import read_toml
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import read_toml
 
 VERSION = 1
 STEP_RANGE = (0.005, 0.1)

@@ -17,8 +17,8 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES, GROUPS
-from daq.contract.errors import UserError
 from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, message_class, seal, seal_holds
+from daq.utilities.errors import UserError
 
 SCHEMA_NAME = "sideslip.Scan"
 SCAN_TOPIC = "/scan"

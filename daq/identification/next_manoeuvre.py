@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY
 from daq.identification.airframe import EQUATIONS, Airframe, Sample
 from daq.identification.estimates import EquationInformation
 from daq.identification.regression import LATERAL, Regression
+from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
 

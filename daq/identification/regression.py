@@ -220,4 +220,4 @@ class LiveAircraft:
 
 AircraftSource = Callable[[str, str | None, str], LiveAircraft]
 """(name or file, text of the file that travelled with the recording or None, model or "") -> the aircraft, for stations that
-know no aircraft files. Raises `daq.contract.errors.UserError` where there is none, or where it lacks what the estimator needs."""
+know no aircraft files. Raises UserError where there is none, or where it lacks what the estimator needs."""

@@ -12,10 +12,10 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Generic, NamedTuple, TypeVar
 
-from daq.contract.constants import GRAVITY
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
 from daq.identification.surfaces import Between, cubic_weights
+from daq.utilities.constants import GRAVITY
 
 LONGEST_STEP = 0.026  # s; rolling decays with some 17 /s and a servo's edge takes 35 ms: Runge-Kutta is within 0.1 %
 SETTLE = (

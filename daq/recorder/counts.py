@@ -7,7 +7,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq.contract.ranges import ranges
+from daq.utilities.ranges import ranges
 
 EDGES_US: tuple[int, ...] = (
     *(m * 10**e for e in range(1, 7) for m in (1, 2, 5)),  # 10 us to 5 s

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Protocol
 
-from daq.contract.durable import make_directories, sync_directory
+from daq.utilities.durable import make_directories, sync_directory
 
 
 class StorageFile(Protocol):

@@ -14,10 +14,10 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from daq.contract.errors import UserError
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.bus import I2cBus, SerialPortCalls
 from daq.sensors.timebase import TimeBase
+from daq.utilities.errors import UserError
 
 Wait = int
 """Time until the driver wants to go on [ns]."""

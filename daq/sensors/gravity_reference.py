@@ -18,8 +18,8 @@ using GPS/INS measurements", Control Engineering Practice 18 (2010) 723, of whic
 from collections import deque
 from dataclasses import dataclass
 
-from daq.contract.constants import GRAVITY
 from daq.sensors.vectors import ZERO, Axes, Vector, plus, turned, turned_back
+from daq.utilities.constants import GRAVITY
 
 _DOWN = (0.0, 0.0, GRAVITY)
 

@@ -17,7 +17,6 @@ from typing import Annotated, Literal
 
 from pydantic import field_validator
 
-from daq.contract.constants import GRAVITY
 from daq.contract.scan import SensorState
 from daq.sensors.base import (
     MS,
@@ -31,6 +30,7 @@ from daq.sensors.base import (
     one_of,
 )
 from daq.sensors.mounting import Mounting, Rotation, check_mounting, rotation
+from daq.utilities.constants import GRAVITY
 
 # bank 0
 WHO_AM_I, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, INT_PIN_CFG, INT_STATUS_1 = 0x00, 0x03, 0x06, 0x07, 0x0F, 0x1A

@@ -16,10 +16,10 @@ from typing import Literal
 
 from pydantic import field_validator
 
-from daq.contract.constants import SEA_LEVEL_DENSITY
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait
 from daq.sensors.bus import read_raw
+from daq.utilities.constants import SEA_LEVEL_DENSITY
 
 NORMAL, RESERVED, FETCHED, FAULT = range(4)
 FULL = 0x3FFF

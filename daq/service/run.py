@@ -17,7 +17,6 @@ from daq.actuation.pwm.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config
-from daq.contract.errors import UserError
 from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
 from daq.recorder.storage import RealStorage
@@ -29,6 +28,7 @@ from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
 from daq.transport.reconnecting_port import ReconnectingPort
+from daq.utilities.errors import UserError
 
 _LOG = logging.getLogger("sideslip.service")
 _STATUS_EVERY = 10  # watchdog messages

@@ -19,12 +19,12 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from daq.contract.errors import UserError
 from daq.contract.recordings.messages import EventMessage
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import Scan, encode_scan
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.worker import Worker
+from daq.utilities.errors import UserError
 
 _LOG = logging.getLogger("sideslip.uplink")
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 from daq.contract.bmp390 import Bmp390Trimming
 from daq.contract.channels import CHANNEL_BY_NAME
-from daq.contract.constants import (
+from daq.contract.scan import Scan, SensorState
+from daq.telemetry.config import DisplayConfig
+from daq.utilities.constants import (
     GAS_CONSTANT,
     HEAT_RATIO,
     LAPSE_RATE,
@@ -20,8 +22,6 @@ from daq.contract.constants import (
     SEA_LEVEL_TEMPERATURE,
     ZERO_CELSIUS,
 )
-from daq.contract.scan import Scan, SensorState
-from daq.telemetry.config import DisplayConfig
 
 Vector = tuple[float, float, float]
 

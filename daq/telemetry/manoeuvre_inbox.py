@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
 
-from daq.contract.errors import UserError
 from daq.contract.link import manoeuvre_wire as wire
 from daq.contract.manoeuvre import Weigh
 from daq.telemetry.control import Control
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.worker import Worker
+from daq.utilities.errors import UserError
 
 _PATIENCE_S = 0.5
 _WARNING = 4

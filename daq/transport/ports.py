@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 DEFAULT_BAUD = 57600
 MAX_PEERS = 8

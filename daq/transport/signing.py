@@ -18,8 +18,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import make_directories, replacing
-from daq.contract.errors import UserError
+from daq.utilities.durable import make_directories, replacing
+from daq.utilities.errors import UserError
 
 KEY_BYTES = 32
 SIGNATURE_BYTES = 13

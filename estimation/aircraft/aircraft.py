@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.errors import AircraftError
 
 SOURCES = ("wind tunnel", "engineering estimate", "flight", "computed", "handbook")

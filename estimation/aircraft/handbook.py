@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
+from daq.utilities.constants import GRAVITY, SEA_LEVEL_DENSITY
 
 if TYPE_CHECKING:
     from estimation.aircraft.aircraft import Aircraft, PriorDerivative

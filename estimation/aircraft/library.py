@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.contract.input_files import read_text
-from daq.contract.plain_words import meant
+from daq.utilities.input_files import read_text
+from daq.utilities.plain_words import meant
 from estimation.aircraft.aircraft import Aircraft
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError

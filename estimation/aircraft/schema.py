@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from daq.contract.input_files import parse_toml
+from daq.utilities.input_files import parse_toml
 from estimation.aircraft.aircraft import Aircraft, Engine, PriorDerivative, Servos, SimulatedFlight
 from estimation.aircraft.handbook import HandbookShape, beliefs
 from estimation.errors import AircraftError

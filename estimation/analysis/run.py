@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.contract.errors import UserError
-from daq.contract.outputs import write_json
+from daq.utilities.errors import UserError
+from daq.utilities.outputs import write_json
 from estimation.analysis.choice import RICHEST, ChosenStretches, choose_stretches, models_to_try, moved_controls
 from estimation.analysis.outcome import Analysis, recommendation_of, verdict_of
 from estimation.analysis.stages import Stage, Stages

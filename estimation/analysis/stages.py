@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import write_text
+from daq.utilities.durable import write_text
 
 FOLDER = "stages"
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.analysis.choice import models_to_try, moved_controls
 from estimation.session.recipe import Recipe

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.contract.durable import whole
-from daq.contract.errors import UserError
-from daq.contract.outputs import PICTURES, write_json
+from daq.utilities.durable import whole
+from daq.utilities.errors import UserError
+from daq.utilities.outputs import PICTURES, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,7 +134,7 @@ def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mappi
 
 def panels(ax: Any, count: int, size: tuple[float, float] | None = None) -> Any:
     """(count,) axes one above the other: those given, or new ones. UserError where another number is given. size: [inches]."""
-    from daq.contract.errors import UserError
+    from daq.utilities.errors import UserError
 
     if ax is None:
         from matplotlib import pyplot as plt

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.input_files import read_json
-from daq.contract.outputs import write_text
-from daq.contract.plain_words import comma_separated
+from daq.utilities.input_files import read_json
+from daq.utilities.outputs import write_text
+from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Rows, picture_writers
 from estimation.answers.estimates import Estimates
 from estimation.threads import single_threaded
@@ -53,7 +53,7 @@ def design(
     density [kg/m3]; rate_hz: samples a second. held: a pilot holds bank and pitch gently meanwhile. values, noise: of
     parameters and of outputs, in place of beliefs. Raises EstimationError for what cannot be designed, with the way out.
     """
-    from daq.contract.constants import GRAVITY
+    from daq.utilities.constants import GRAVITY
     from estimation.design.design import DesignTask
     from estimation.design.design import design as designed
     from estimation.design.limits import load_limits

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.input_files import read_text
-from daq.contract.plain_words import comma_separated
+from daq.utilities.input_files import read_text
+from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_estimates, rounded_texts
 from estimation.errors import EstimationError
 from estimation.threads import single_threaded

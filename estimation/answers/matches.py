@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.plain_words import comma_separated
+from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_proof, table_writers
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 from estimation.threads import single_threaded

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, table_writers
 from estimation.threads import single_threaded
 

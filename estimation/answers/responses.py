@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.plain_words import comma_separated
+from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
 from estimation.threads import single_threaded
 

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, field_validator, model_validator
 
-from daq.contract import limits
-from daq.contract.errors import UserError
-from daq.contract.input_files import read_toml
-from daq.contract.plain_words import meant
+from daq.utilities import limits
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import read_toml
+from daq.utilities.plain_words import meant
 from estimation.campaign.tasks import CampaignError
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import check_extras, find_estimator

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.durable import make_directories, whole
-from daq.contract.outputs import write_json
-from daq.contract.plain_words import visible
+from daq.utilities.durable import make_directories, whole
+from daq.utilities.outputs import write_json
+from daq.utilities.plain_words import visible
 from estimation.campaign.keys import key_of, versions
 from estimation.campaign.plan import CampaignPlan
 from estimation.campaign.schema import RESULTS, VERSION, table_of
@@ -96,7 +96,7 @@ def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> Non
 
 def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:
     """`folder`/<name><ending> for each text, none besides."""
-    from daq.contract.outputs import write_text
+    from daq.utilities.outputs import write_text
 
     for old in folder.glob(f"*{ending}"):
         if old.name.removesuffix(ending) not in texts:

@@ -6,7 +6,7 @@ Units: SI and radians; derivatives per radian. See docs/campaign.md for the mean
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.plain_words import printed
+from daq.utilities.plain_words import printed
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from daq.contract import limits
-from daq.contract.errors import UserError
-from daq.contract.input_files import matching, read_bytes
-from daq.contract.plain_words import visible
+from daq.utilities import limits
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import matching, read_bytes
+from daq.utilities.plain_words import visible
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import (
     FLIGHT_SUFFIXES,

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from daq.contract.durable import clear_leftovers, make_directories, open_log, whole
+from daq.utilities.durable import clear_leftovers, make_directories, open_log, whole
 from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
 from estimation.campaign.tasks import CampaignError, Row
 

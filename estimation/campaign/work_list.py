@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
 from estimation.campaign.plan import CampaignPlan

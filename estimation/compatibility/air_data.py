@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.contract.constants import RADIAN, SEA_LEVEL_DENSITY
+from daq.utilities.constants import RADIAN, SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
     ATTITUDE,
     GUST,

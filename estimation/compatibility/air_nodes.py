@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.compatibility.air_filter import INTERVAL, Nodes
 from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps, attitude_rates, unbroken_stretches
 from estimation.errors import DataError

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
-from daq.contract.plain_words import meant
+from daq.utilities.plain_words import meant
 from estimation.aircraft import Aircraft
 from estimation.design.limits import Condition, Limits, trimmed, usual_limits
 from estimation.design.measured_inputs import DRAWS, expected_errors

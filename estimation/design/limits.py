@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError, field_validator
 
-from daq.contract.constants import GRAVITY
-from daq.contract.input_files import read_toml
+from daq.utilities.constants import GRAVITY
+from daq.utilities.input_files import read_toml
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
 from estimation.models.base import Model

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.design.limits import Condition, Limits
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from daq.contract.plain_words import meant
+from daq.utilities.plain_words import meant
 from estimation.errors import EstimationError
 from estimation.estimators import methods
 from estimation.estimators.estimator import Estimator, Extra

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from estimation.estimators.coloured import (
     ResidualSegment,
     Spectrum,

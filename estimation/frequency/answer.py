@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from estimation.frequency.figure import response_picture
 from estimation.frequency.handling import Craft, Number, handling
 from estimation.frequency.response import FrequencyResponse

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.errors import EstimationError
 from estimation.frequency.forms import SURFACE_OF
 from estimation.frequency.response import FrequencyResponse

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from daq.contract.plain_words import file_name, one_line
+from daq.utilities.plain_words import file_name, one_line
 from estimation.errors import ModelError
 from estimation.models import plain
 from estimation.models.consistency import check_model

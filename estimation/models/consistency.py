@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 
-from daq.contract import limits
+from daq.utilities import limits
 from estimation.errors import ModelError
 from estimation.models.expressions import check_name, names_in, split_line
 from estimation.models.parts import TRANSFORM_KINDS, ModelParts

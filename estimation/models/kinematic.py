@@ -12,7 +12,7 @@ Table 2.
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.errors import ModelError
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from daq.contract.input_files import read_toml
-from daq.contract.outputs import write_text
-from daq.contract.plain_words import meant
+from daq.utilities.input_files import read_toml
+from daq.utilities.outputs import write_text
+from daq.utilities.plain_words import meant
 from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model

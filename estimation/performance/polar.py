@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight

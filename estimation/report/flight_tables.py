@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.contract.constants import ZERO_CELSIUS
+from daq.utilities.constants import ZERO_CELSIUS
 from estimation.aircraft.library import aircraft_of
 from estimation.errors import AircraftError
 from estimation.report.tables import ReportTable, number

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from daq.contract.input_files import read_json
-from daq.contract.outputs import write_json, write_text
+from daq.utilities.input_files import read_json
+from daq.utilities.outputs import write_json, write_text
 from estimation.errors import EstimationError
 from estimation.models import Model, read_model
 from estimation.report.names import tex

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import SEA_LEVEL_DENSITY
+from daq.utilities.constants import SEA_LEVEL_DENSITY
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model

@@ -4,7 +4,7 @@ import re
 
 from markupsafe import Markup, escape
 
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 
 _GREEK = {
     "alpha": "α",

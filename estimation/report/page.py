@@ -12,8 +12,8 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from daq.contract.durable import write_text
-from daq.contract.plain_words import printed
+from daq.utilities.durable import write_text
+from daq.utilities.plain_words import printed
 from estimation.report.drawing.figures import Picture
 from estimation.report.names import html as symbol
 from estimation.report.tables import ReportTable, cell_label, needs_width, table_slices, word_columns

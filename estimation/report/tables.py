@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.contract.durable import whole_text, write_text
-from daq.contract.plain_words import visible
+from daq.utilities.durable import whole_text, write_text
+from daq.utilities.plain_words import visible
 from estimation.report.names import tex
 
 CANNOT_TELL = "cannot tell"

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.errors import AircraftError, DataError, EstimationError
 from estimation.estimators.arithmetic import NumericalFailure, mark_not_finite, numerical_failures

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.errors import EstimationError
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.estimator import Task

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
-from daq.contract.errors import UserError
+from daq.utilities.constants import GRAVITY
+from daq.utilities.errors import UserError
 from estimation.engine.kernel import Array
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.equation_error import equation_error

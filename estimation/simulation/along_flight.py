@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.models.base import Model, Signal
 from estimation.prepare.columns import bridge_gaps
 from estimation.prepare.flight_data import FlightData, Preparation

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.aircraft.library import aircraft_of
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures

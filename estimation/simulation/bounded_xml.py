@@ -4,7 +4,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
-from daq.contract.input_files import read_bytes
+from daq.utilities.input_files import read_bytes
 from estimation.simulation.oracle import SimulationError
 
 LARGEST = 4 * 2**20  # bytes; models of PX4 have some 20 kB

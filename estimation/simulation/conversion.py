@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
-from daq.contract.input_files import read_json
-from daq.contract.outputs import write_json
+from daq.utilities.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
+from daq.utilities.input_files import read_json
+from daq.utilities.outputs import write_json
 from estimation.models.base import Model
 from estimation.models.load import read_model, write_model
 from estimation.simulation.jsbsim.aircraft import ATTITUDES, HELD, JsbsimOracle, jsbsim_simulation

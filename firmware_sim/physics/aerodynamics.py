@@ -8,7 +8,7 @@ pp 889-912, eq 4); moments are about body axes at the CG. The derivatives are th
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.aircraft import Aircraft, SimulatedFlight
 from firmware_sim.tables import ScenarioError
 

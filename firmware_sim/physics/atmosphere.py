@@ -7,8 +7,8 @@ standard lapse in pressure altitude, temperature is the standard one plus the of
 import math
 from dataclasses import dataclass
 
-from daq.contract.constants import EARTH_RADIUS, GAS_CONSTANT, GRAVITY, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
-from daq.contract.constants import LAPSE_RATE as LAPSE
+from daq.utilities.constants import EARTH_RADIUS, GAS_CONSTANT, GRAVITY, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
+from daq.utilities.constants import LAPSE_RATE as LAPSE
 from firmware_sim.physics.maths import Value
 
 EXPONENT = GRAVITY / (GAS_CONSTANT * LAPSE)  # 5.2559

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.aircraft import Aircraft, Engine, Servos
 from firmware_sim.physics.aerodynamics import Aerodynamics
 from firmware_sim.physics.atmosphere import Site, air_at

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from firmware_sim.physics.atmosphere import air_at
 from firmware_sim.physics.maths import Value
 

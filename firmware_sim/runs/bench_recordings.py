@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.constants import GAS_CONSTANT, GRAVITY
-from daq.contract.durable import write_text
+from daq.utilities.constants import GAS_CONSTANT, GRAVITY
+from daq.utilities.durable import write_text
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.physics.atmosphere import Site, air_at

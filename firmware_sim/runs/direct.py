@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.durable import write_text
+from daq.utilities.durable import write_text
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.simulation import Wiring
 from firmware_sim.world.world import simulate_many

@@ -18,11 +18,11 @@ from daq.actuation.servos import plan_of
 from daq.assembly import Assembly, HardwareEdge, assemble
 from daq.clock import SimulatedClock
 from daq.config import LoggerConfig, parse_config
-from daq.contract.durable import write_text
 from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPortCalls
 from daq.sensors.config import ExtraConfig
+from daq.utilities.durable import write_text
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot

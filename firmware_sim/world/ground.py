@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from firmware_sim.physics.atmosphere import Site, air_at, geodetic
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.world.truth import Truth, supply_voltage

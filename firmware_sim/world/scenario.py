@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from daq.contract.input_files import read_toml
-from daq.contract.plain_words import file_name, meant
+from daq.utilities.input_files import read_toml
+from daq.utilities.plain_words import file_name, meant
 from estimation.aircraft import load_aircraft
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Shape, StickInput

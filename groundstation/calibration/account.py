@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from groundstation.calibration import curves
 from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
 from groundstation.calibration.calibration_set import CalibrationSet

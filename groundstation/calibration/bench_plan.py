@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from daq.contract.input_files import parse_toml, read_text
+from daq.utilities.input_files import parse_toml, read_text
 from groundstation.calibration.schema import CalibrationError, Finite, Vector
 
 

@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from pydantic import ValidationError
 
-from daq.contract.input_files import parse_toml, read_text
+from daq.utilities.input_files import parse_toml, read_text
 from groundstation.calibration.schema import CalibrationError, Instrument
 
 NOMINAL_DIRECTORY = Path(__file__).parent / "files"

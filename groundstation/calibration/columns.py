@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, CHANNELS, COLUMNS, Channel, FlightColumn, sources_of
-from daq.contract.constants import ROUND_EARTH_RADIUS, SEA_LEVEL_PRESSURE
+from daq.utilities.constants import ROUND_EARTH_RADIUS, SEA_LEVEL_PRESSURE
 from groundstation.calibration import conversions
 from groundstation.calibration.align import derivative
 from groundstation.calibration.calibration_set import CalibrationSet

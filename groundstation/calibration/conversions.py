@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract import bmp390
-from daq.contract.constants import GAS_CONSTANT, GRAVITY, LAPSE_RATE, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
-from daq.contract.constants import HEAT_RATIO as GAMMA
+from daq.utilities.constants import GAS_CONSTANT, GRAVITY, LAPSE_RATE, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
+from daq.utilities.constants import HEAT_RATIO as GAMMA
 from groundstation.calibration.schema import CalibrationError, MountingAngles, Triad, Vane, Vector
 
 Array = NDArray[np.float64]

@@ -4,14 +4,14 @@ import hashlib
 from pathlib import Path
 
 from daq.contract.channels import GROUP_NAMES
-from daq.contract.errors import UserError
-from daq.contract.input_files import parse_toml
 from daq.contract.link.commands import parse_pitot_zero
-from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify_recording
 from daq.contract.recordings.reading import Recording, read_recordings, sound
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from daq.contract.scan import SCAN_TOPIC
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import parse_toml
+from daq.utilities.ranges import count
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 from groundstation.calibration.facts import Reported, reported

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from daq.contract.constants import SEA_LEVEL_PRESSURE
-from daq.contract.errors import UserError
+from daq.utilities.constants import SEA_LEVEL_PRESSURE
+from daq.utilities.errors import UserError
 
 
 class CalibrationError(UserError):

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract import outputs
-from daq.contract.durable import write_text
-from daq.contract.errors import UserError
-from daq.contract.options import json_option
-from daq.contract.outputs import tried_file, tried_folder
+from daq.utilities import outputs
+from daq.utilities.durable import write_text
+from daq.utilities.errors import UserError
+from daq.utilities.options import json_option
+from daq.utilities.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daq.contract.durable import write_text
-from daq.contract.options import aircraft_option
-from daq.contract.outputs import tried_file
+from daq.utilities.durable import write_text
+from daq.utilities.options import aircraft_option
+from daq.utilities.outputs import tried_file
 from groundstation.cli.data import JSON_OPTION, OUTPUT_HELP, SPLIT_OPTION, write_and_report, write_json
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from daq.contract.errors import UserError
-from daq.contract.options import aircraft_option, json_option, model_option
-from daq.contract.outputs import tried_folder
+from daq.utilities.errors import UserError
+from daq.utilities.options import aircraft_option, json_option, model_option
+from daq.utilities.outputs import tried_folder
 from groundstation.cli.view import VIEW, VIEW_HELP, terminated_is_interrupt
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _ignore_hangup() -> Iterator[None]:
 def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iterator[tuple[Path, Say]]:
     """The session's folder, held against other ground stations, and where its lines go: standard output, as long as there is
     one, and `ground.log` in the folder. replayed: then it must not hold a session already."""
-    from daq.contract.durable import FolderInUseError, folder_of_ones_own
+    from daq.utilities.durable import FolderInUseError, folder_of_ones_own
     from groundstation.live.config import GroundConfigError
     from groundstation.live.console import spoken
 

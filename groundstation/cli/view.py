@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from daq.contract.outputs import tried_file
+from daq.utilities.outputs import tried_file
 
 VIEW = click.Choice(["web", "native", "none"])
 VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."

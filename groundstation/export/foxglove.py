@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import EARTH_RADIUS
-from daq.contract.durable import whole
+from daq.utilities.constants import EARTH_RADIUS
+from daq.utilities.durable import whole
 from groundstation.export.tracks import height_above_sea, stamps_ns
 from groundstation.flight import Array, Flight
 from groundstation.flight.writing import Encoded, open_flight_writer

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from daq.contract.durable import whole, whole_text
-from daq.contract.errors import UserError
+from daq.utilities.durable import whole, whole_text
+from daq.utilities.errors import UserError
 from groundstation.calibration.recording import open_flight
 from groundstation.flight.tables import ColumnTable, TableColumn, flight_table
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.durable import whole
+from daq.utilities.durable import whole
 from groundstation.flight import Array, Flight, FlightError
 from groundstation.flight.tables import ColumnTable, TableColumn
 from groundstation.flight.writing import provenance_utc_offset, utc_stamps

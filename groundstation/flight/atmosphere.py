@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from daq.contract.constants import (
+from daq.utilities.constants import (
     GAS_CONSTANT,
     LAPSE_RATE,
     SEA_LEVEL_DENSITY,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 UNKNOWN_SHOWN = 4  # of the columns that go by no known name: a hint, not the list
 

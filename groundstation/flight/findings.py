@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Literal
 
-from daq.contract.plain_words import one_line
 from daq.contract.recordings.flight_rows import as_mapping, as_texts
+from daq.utilities.plain_words import one_line
 
 Severity = Literal["ok", "note", "warn", "fail"]
 _SEVERITIES: tuple[Severity, ...] = ("ok", "note", "warn", "fail")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.plain_words import plain_name
+from daq.utilities.plain_words import plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, FindingKind, as_finding, without_repeats

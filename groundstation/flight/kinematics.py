@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from groundstation.flight.arrays import Array
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from daq.contract.plain_words import one_line
+from daq.utilities.plain_words import one_line
 from groundstation.flight.flight import LATEST, Flight
 
 MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"  # keys of a provenance's detail

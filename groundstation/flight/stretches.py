@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import SEA_LEVEL_DENSITY
-from daq.contract.plain_words import listed
+from daq.utilities.constants import SEA_LEVEL_DENSITY
+from daq.utilities.plain_words import listed
 from groundstation.flight.arrays import Array, Mask, true_runs
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import MODE, Expression, parse_condition

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, finding_texts

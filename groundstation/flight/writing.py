@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.durable import whole, write_bytes
+from daq.utilities.durable import whole, write_bytes
 from groundstation.flight.errors import FlightError
 from groundstation.flight.findings import to_meta
 from groundstation.flight.tables import FlightView

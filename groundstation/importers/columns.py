@@ -9,8 +9,8 @@ from itertools import count
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import SEA_LEVEL_DENSITY
-from daq.contract.plain_words import LONGEST_NAME, listed
+from daq.utilities.constants import SEA_LEVEL_DENSITY
+from daq.utilities.plain_words import LONGEST_NAME, listed
 from groundstation.flight.arrays import Array
 from groundstation.flight.contradictions.air import air_density
 from groundstation.flight.expression import parse

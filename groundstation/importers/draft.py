@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.errors import UserError
-from daq.contract.input_files import check_file, parse_toml, read_bytes
-from daq.contract.plain_words import one_line
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import check_file, parse_toml, read_bytes
+from daq.utilities.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
 from groundstation.importers.draft_names import (
     UnitGuess,

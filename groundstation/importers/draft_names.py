@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from groundstation.flight.arrays import Array
 from groundstation.importers.units import UNITS, find_unit
 

@@ -1,6 +1,6 @@
 """Errors of importing that a person can act on."""
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 
 class ImportDataError(UserError):

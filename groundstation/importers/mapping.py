@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.input_files import read_toml
+from daq.utilities.input_files import read_toml
 from groundstation.flight.expression import ExpressionError, parse
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.servos import ServoMap

@@ -6,7 +6,7 @@ Sources: ArduPilot `mode.h` of Plane, Copter and Rover; PX4 `vehicle_status.msg`
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from daq.contract.plain_words import one_line
+from daq.utilities.plain_words import one_line
 from groundstation.flight.marks import LONGEST_TEXT, Mark, Marks, mode_changes
 
 PLANE: Mapping[int, str] = {

@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from daq.contract.input_files import parse_toml, read_bytes, read_text
+from daq.utilities.input_files import parse_toml, read_bytes, read_text
 from groundstation.flight import AIRCRAFT_FILE, Flight
 from groundstation.flight.arrays import Array
 from groundstation.flight.findings import Finding

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.input_files import check_file
-from daq.contract.plain_words import listed, plain_name
+from daq.utilities.input_files import check_file
+from daq.utilities.plain_words import listed, plain_name
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.arrays import Array
 from groundstation.flight.contradictions import CONTRADICTIONS

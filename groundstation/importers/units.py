@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 
-from daq.contract.constants import DEGREE as _DEG
-from daq.contract.constants import FOOT as _FOOT
-from daq.contract.constants import GRAVITY as _G
-from daq.contract.constants import KNOT as _KNOT
-from daq.contract.constants import MILE_PER_HOUR as _MPH
-from daq.contract.constants import POUND as _LBF
-from daq.contract.constants import PSI as _PSI
-from daq.contract.constants import ZERO_CELSIUS as _ZERO_C
+from daq.utilities.constants import DEGREE as _DEG
+from daq.utilities.constants import FOOT as _FOOT
+from daq.utilities.constants import GRAVITY as _G
+from daq.utilities.constants import KNOT as _KNOT
+from daq.utilities.constants import MILE_PER_HOUR as _MPH
+from daq.utilities.constants import POUND as _LBF
+from daq.utilities.constants import PSI as _PSI
+from daq.utilities.constants import ZERO_CELSIUS as _ZERO_C
 from groundstation.importers.errors import ImportDataError
 
 

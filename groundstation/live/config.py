@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from daq.contract.errors import UserError
-from daq.contract.input_files import read_toml
 from daq.identification.regression import REGRESSIONS
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import read_toml
 from groundstation.live.watches import FREE, LEFT, LandingLimits, Limit
 from groundstation.receiver.ports import LinkConfig
 

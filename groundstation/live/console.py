@@ -16,9 +16,9 @@ from pathlib import Path
 import click
 
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
-from daq.contract.plain_words import visible
-from daq.contract.rotating_log import RotatingLog
-from daq.contract.standard_streams import Speaker
+from daq.utilities.plain_words import visible
+from daq.utilities.rotating_log import RotatingLog
+from daq.utilities.standard_streams import Speaker
 from groundstation.identification.words import lines
 from groundstation.live.station import Station
 from groundstation.receiver.downloads import LogFetcher

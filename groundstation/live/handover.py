@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.linalg import LinAlgError
 
-from daq.contract.errors import UserError
-from daq.contract.outputs import write_json
 from daq.contract.recordings.recording import RecordingError
+from daq.utilities.errors import UserError
+from daq.utilities.outputs import write_json
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import CalibrationError
 from groundstation.flight import Flight, FlightError, write_flight

@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
 from daq.identification.movement import ManoeuvreDetector
 from daq.identification.regression import AircraftSource, LiveAircraft
 from daq.transport.mavlink_codec import FrameEncoder, message_by_name
 from daq.transport.ports import BytePort
+from daq.utilities.errors import UserError
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 
 FRESH_S = 2.5
 """Longest age [s] of a number that is shown: slow channels come about once a second, and one of them may be lost."""

@@ -4,7 +4,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from groundstation.receiver.timeline import NS
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq.contract.recordings.recording import RecordingInfo
-from daq.contract.rotating_log import RotatingLog
 from daq.identification.regression import AircraftSource
+from daq.utilities.rotating_log import RotatingLog
 from groundstation.calibration.calibration_set import CalibrationSet, load_calibration
 from groundstation.calibration.facts import reported
 from groundstation.calibration.schema import CalibrationError

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from daq.contract.durable import open_log
+from daq.utilities.durable import open_log
 from groundstation.receiver.timeline import NS
 
 DATA_BYTES = 90

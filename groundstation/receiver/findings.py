@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from daq.contract.plain_words import one_line
+from daq.utilities.plain_words import one_line
 from groundstation.receiver import events as ev
 from groundstation.receiver.events import ReceptionFindingKind
 from groundstation.receiver.timeline import NS

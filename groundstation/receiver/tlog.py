@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.channels import CHANNELS
-from daq.contract.errors import UserError
-from daq.contract.input_files import read_bytes
 from daq.contract.link.wire import layouts
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, Junk, MavlinkFrame, frame_at
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import read_bytes
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived
 from groundstation.receiver.storage.lasting_log import LastingLog

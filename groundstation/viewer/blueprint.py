@@ -13,8 +13,8 @@ from typing import Any, Literal
 import rerun as rr
 import rerun.blueprint as rrb
 
-from daq.contract.durable import write_bytes
 from daq.identification.airframe import EQUATIONS
+from daq.utilities.durable import write_bytes
 from groundstation.viewer import entities as e
 
 Layout = Literal["full", "light"]

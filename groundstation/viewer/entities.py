@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMNS, GROUPS, FlightColumn
-from daq.contract.constants import ZERO_CELSIUS
+from daq.utilities.constants import ZERO_CELSIUS
 
 TIMELINE = "flight_time"
 APPLICATION = "sideslip"

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Mapping
 from http import HTTPStatus
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 LOOPBACK = "127.0.0.1"
 HERE = frozenset({"127.0.0.1", "localhost", "::1"})

@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from daq.contract.constants import ROUND_EARTH_RADIUS
+from daq.utilities.constants import ROUND_EARTH_RADIUS
 from groundstation.flight import Flight
 from groundstation.identification.session import LiveState
 from groundstation.live.readouts import READOUTS, FreshValues, readout_line

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from daq.contract.options import json_option, path_option
-from daq.contract.outputs import check_file, write_json, write_text
+from daq.utilities.options import json_option, path_option
+from daq.utilities.outputs import check_file, write_json, write_text
 
 
 @click.group(

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from daq.contract.options import aircraft_option, flights_argument, json_option, path_option
-from daq.contract.outputs import tried_folder, write_json
+from daq.utilities.options import aircraft_option, flights_argument, json_option, path_option
+from daq.utilities.outputs import tried_folder, write_json
 
 EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
 _PATH = click.Path(path_type=Path)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.options import aircraft_option, flag_option, json_option, model_option, path_option, seed_option
-from daq.contract.outputs import tried_folder, write_json
-from daq.contract.plain_words import comma_separated
+from daq.utilities.options import aircraft_option, flag_option, json_option, model_option, path_option, seed_option
+from daq.utilities.outputs import tried_folder, write_json
+from daq.utilities.plain_words import comma_separated
 
 if TYPE_CHECKING:
     from estimation.campaign.plan import CampaignPlan

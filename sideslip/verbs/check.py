@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daq.contract.options import (
+from daq.utilities.options import (
     aircraft_option,
     figure_option,
     flag_option,
@@ -15,7 +15,7 @@ from daq.contract.options import (
     report_option,
     segments_option,
 )
-from daq.contract.outputs import tried_folder
+from daq.utilities.outputs import tried_folder
 
 EXAMPLE = (
     "Example: sideslip check ld1.mcap ld2.mcap --factors +K_alpha,dalpha --figure compatibility.png --json check.json"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from daq.contract.outputs import write_json
-from daq.contract.plain_words import VisibleStream, one_line
+from daq.utilities.outputs import write_json
+from daq.utilities.plain_words import VisibleStream, one_line
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import click
 
-from daq.contract.durable import whole, write_text
-from daq.contract.errors import UserError
-from daq.contract.outputs import tried_folder
+from daq.utilities.durable import whole, write_text
+from daq.utilities.errors import UserError
+from daq.utilities.outputs import tried_folder
 from sideslip.chain import fly_scenario
 
 DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
@@ -78,7 +78,7 @@ def demo(out: Path) -> int:
 
 def write_truth(path: Path) -> None:
     """What the simulator flew with: derivatives of the demo's flights, and the hidden effect with its size and unit."""
-    from daq.contract.outputs import write_json
+    from daq.utilities.outputs import write_json
     from firmware_sim.physics.effects.registry import EFFECTS
     from firmware_sim.world.scenario import load_scenario
     from firmware_sim.world.simulation import derivatives_of

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daq.contract.options import (
+from daq.utilities.options import (
     aircraft_option,
     figure_option,
     flag_option,
@@ -14,7 +14,7 @@ from daq.contract.options import (
     path_option,
     seed_option,
 )
-from daq.contract.outputs import tried_model
+from daq.utilities.outputs import tried_model
 
 EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multisine --time 20 -o multisine.toml"
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daq.contract.options import (
+from daq.utilities.options import (
     aircraft_option,
     figure_option,
     flag_option,
@@ -19,7 +19,7 @@ from daq.contract.options import (
     segments_option,
     simulation_option,
 )
-from daq.contract.outputs import tried_model
+from daq.utilities.outputs import tried_model
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import estimator_names, listed_words
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.options import flag_option, path_option
-from daq.contract.outputs import check_file, check_folder, tried_file, tried_folder
+from daq.utilities.options import flag_option, path_option
+from daq.utilities.outputs import check_file, check_folder, tried_file, tried_folder
 from estimation.errors import EstimationError
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def to_simulator(
     json_path: Path | None,
 ) -> int:
     """Write and prove; 1 where what was written is not the model."""
-    from daq.contract.outputs import write_json
+    from daq.utilities.outputs import write_json
     from estimation.simulation.autopilot import writing
     from estimation.simulation.autopilot.gathering import Stated
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.errors import UserError
-from daq.contract.options import flag_option, json_option, path_option, seed_option
-from daq.contract.outputs import tried_folder, write_json
+from daq.utilities.errors import UserError
+from daq.utilities.options import flag_option, json_option, path_option, seed_option
+from daq.utilities.outputs import tried_folder, write_json
 from sideslip.chain import fly_scenario
 
 if TYPE_CHECKING:

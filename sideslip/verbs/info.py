@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from daq.contract.errors import UserError
-from daq.contract.options import json_option
-from daq.contract.outputs import write_json
+from daq.utilities.errors import UserError
+from daq.utilities.options import json_option
+from daq.utilities.outputs import write_json
 
 MOST_SAID = 40
 """Modes, and events with messages, that are printed; the JSON has all."""

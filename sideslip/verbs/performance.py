@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daq.contract.options import (
+from daq.utilities.options import (
     aircraft_option,
     figure_option,
     flag_option,

@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from daq.contract.options import json_option, path_option
-from daq.contract.outputs import tried_file
+from daq.utilities.options import json_option, path_option
+from daq.utilities.outputs import tried_file
 
 EXAMPLE = "Example: sideslip reconstruct log.mcap -o flight.mcap && sideslip estimate flight.mcap --model lateral"
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from daq.contract.options import (
+from daq.utilities.options import (
     aircraft_option,
     json_option,
     model_option,
@@ -14,7 +14,7 @@ from daq.contract.options import (
     seed_option,
     segments_option,
 )
-from daq.contract.outputs import tried_file
+from daq.utilities.outputs import tried_file
 
 EXAMPLE = "Example: sideslip watch flight.mcap --model ld4.toml --json watch.json"
 

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError
 from daq.contract.recordings.recovery import recover
+from daq.utilities.ranges import count
 
 
 @dataclass(frozen=True, slots=True)

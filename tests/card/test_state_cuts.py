@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from daq.clock import SimulatedClock
-from daq.contract.durable import make_directories, whole, write_text
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recovery import recover
@@ -20,6 +19,7 @@ from daq.recorder.storage import RealStorage
 from daq.service.preflight import _probe
 from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
 from daq.transport.signing import SignatureVerdict, Signer, SigningState, load_state, save_state
+from daq.utilities.durable import make_directories, whole, write_text
 from groundstation.receiver import events as ev
 from groundstation.receiver.storage.recording import SessionRecorder
 from tests.card.cuts import FLIGHT

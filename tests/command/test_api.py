@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sideslip as ss
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from sideslip.api import Estimates
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

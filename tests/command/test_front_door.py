@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import sideslip as ss
-from daq.contract.errors import UserError
-from daq.contract.outputs import write_json
+from daq.utilities.errors import UserError
+from daq.utilities.outputs import write_json
 from estimation.aircraft import unknown_aircraft
 from estimation.models import load_model, write_model
 from estimation.session import runner

@@ -10,7 +10,7 @@ import pytest
 from lxml import etree, html
 
 import sideslip
-from daq.contract.plain_words import file_name, one_line, plain_name, visible
+from daq.utilities.plain_words import file_name, one_line, plain_name, visible
 
 FOREIGN = Path(__file__).parents[2] / "recordings" / "foreign" / "ordinary_0.csv"
 SCRIPT = "<script>alert(1)</script>"

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract import durable
-from daq.contract.durable import (
+from daq.utilities import durable
+from daq.utilities.durable import (
     clear_leftovers,
     open_log,
     replacing,
@@ -88,7 +88,7 @@ def test_two_writers_of_one_name_both_succeed_and_one_content_stands(tmp_path: P
 CHILD = """
 import sys, time
 from pathlib import Path
-from daq.contract.durable import whole
+from daq.utilities.durable import whole
 with whole(Path(sys.argv[1])) as new:
     new.write_text("half")
     print("writing", flush=True)
@@ -119,7 +119,7 @@ def test_what_a_living_process_writes_is_left_alone(tmp_path: Path) -> None:
     with whole(tmp_path / "a") as new:
         new.write_text("half")
         child = subprocess.run(
-            [sys.executable, "-c", f"from daq.contract.durable import *; clear_leftovers(Path({str(tmp_path)!r}))"],
+            [sys.executable, "-c", f"from daq.utilities.durable import *; clear_leftovers(Path({str(tmp_path)!r}))"],
             check=True,
         )
         assert child.returncode == 0
@@ -149,7 +149,7 @@ def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path: Path) -> None:
 
 def test_a_pipe_takes_it_as_it_comes(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", "from daq.contract.durable import *; write_text(Path('/dev/stdout'), 'hello')"],
+        [sys.executable, "-c", "from daq.utilities.durable import *; write_text(Path('/dev/stdout'), 'hello')"],
         capture_output=True,
         check=True,
     )

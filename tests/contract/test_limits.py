@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract import limits
-from daq.contract.errors import UserError
-from daq.contract.input_files import matching, read_json, read_xml
+from daq.utilities import limits
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import matching, read_json, read_xml
 
 
 def test_xml_that_nests_swells_or_is_none_is_a_sentence(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.outputs import OutputError, check_file, check_folder, write_json, write_text
+from daq.utilities.outputs import OutputError, check_file, check_folder, write_json, write_text
 
 
 def test_json_replaces_in_one_step_and_makes_its_folder(tmp_path: Path) -> None:

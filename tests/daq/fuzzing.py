@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.errors import UserError
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.recording import RecordedMessage, RecordingWriter
 from daq.contract.recordings.recovery import recover
@@ -19,6 +18,7 @@ from daq.contract.recordings.summary import info_mcap
 from daq.contract.scan import encode_scan
 from daq.contract.seal import SEAL_SIZE, seal
 from daq.transport.mavlink_codec import FrameEncoder
+from daq.utilities.errors import UserError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.receiver.tlog import info_tlog

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from daq import commands
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS
-from daq.contract.ranges import count, ranges, subtract
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError, RecordingWriter
 from daq.contract.recordings.summary import info_mcap
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
+from daq.utilities.ranges import count, ranges, subtract
 from groundstation.flight import Flight, Provenance, write_flight
 from sideslip.verbs.info import info
 from tests.daq.synthetic import PERIOD_NS, make_info, make_scan

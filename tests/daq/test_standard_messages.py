@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from daq.contract.constants import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.telemetry.config import DisplayConfig, DownlinkConfig
 from daq.telemetry.display import WindMean, calibrated_airspeed, standard_density
 from daq.telemetry.standard_messages import StandardMessages, autopilot_version, heartbeat, sys_status
 from daq.transport.mavlink_codec import message_types
+from daq.utilities.constants import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
 from groundstation.calibration import conversions
 from tests.link_rig import random_scan

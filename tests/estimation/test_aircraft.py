@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from daq.assembly import recording_info
 from daq.config import ConfigError, parse_config
-from daq.contract.errors import UserError
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
+from daq.utilities.errors import UserError
 from estimation.aircraft import Aircraft, PriorDerivative, built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.aircraft.handbook import HandbookShape, beliefs, flap_effectiveness, lift_slope, wing_moment
 from estimation.aircraft.library import aircraft_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.errors import DataError, ModelError
 from estimation.estimators.output_error import output_error

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import cho_factor, eigh, solve_discrete_are
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.engine.simulate import Simulator
 from estimation.errors import EstimationError

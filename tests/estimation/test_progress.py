@@ -65,7 +65,7 @@ def test_the_bar_is_drawn_and_words_of_strangers_are_not_obeyed(root: Path) -> N
     """As the command has it: its streams show control characters instead of passing them on."""
     code = f"""
 import contextlib, sys
-from daq.contract.plain_words import VisibleStream
+from daq.utilities.plain_words import VisibleStream
 with contextlib.redirect_stderr(VisibleStream(sys.stderr)):
     {CODE.strip().replace(chr(10), chr(10) + "    ").replace("tell(i / 100)", "tell('[red]f' + chr(27) + '[2J', i / 100)")}
 """

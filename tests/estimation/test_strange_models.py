@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract import limits
+from daq.utilities import limits
 from estimation.errors import ModelError
 from estimation.gap.effects.catalogue import load_effects
 from estimation.gap.errors import EffectError

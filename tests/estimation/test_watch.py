@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import sideslip
-from daq.contract.errors import UserError
 from daq.identification.monitor import threshold
 from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration
+from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import values_of

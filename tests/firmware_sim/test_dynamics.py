@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from firmware_sim.physics.atmosphere import Site as FlyingSite
 from firmware_sim.physics.atmosphere import air_at, geodetic, pressure_altitude
 from firmware_sim.physics.plant import ARMS, ATTITUDE, POSITION, RATES, RIGID_STATES, THRUST, Commands, Plant

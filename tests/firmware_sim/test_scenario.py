@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.physics.effects.registry import EFFECTS

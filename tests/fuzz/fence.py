@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from daq.contract.errors import UserError
-from daq.contract.plain_words import one_line
+from daq.utilities.errors import UserError
+from daq.utilities.plain_words import one_line
 
 MOST_CPU_S = 10.0
 MOST_BYTES = 500_000_000

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from groundstation.flight import Flight, Provenance, read_flight
 from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
 from tests.groundstation.turning import RHO, Columns, turning_flight

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from daq.contract.recordings.reading import read_recording
-from daq.contract.rotating_log import RotatingLog
+from daq.utilities.rotating_log import RotatingLog
 from groundstation.live.watches import FREE, LEFT, FreeSpace
 from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.storage.lasting_log import LastingLog

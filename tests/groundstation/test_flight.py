@@ -172,7 +172,7 @@ def test_a_flight_that_cannot_be_written_leaves_the_old_one(
     def fail(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("daq.contract.durable.os.fsync", fail)
+    monkeypatch.setattr("daq.utilities.durable.os.fsync", fail)
     with pytest.raises(FlightError, match="No space left"):
         write_flight(made.with_columns(q=np.ones(5)), path)
     assert path.read_bytes() == old

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 import sideslip
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
 from estimation.models.load import write_model

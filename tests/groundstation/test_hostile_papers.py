@@ -13,10 +13,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq.contract.errors import UserError
 from daq.contract.recordings.reading import read_recording
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, frames_of
 from daq.transport.ports import MemoryPort, memory_pair
+from daq.utilities.errors import UserError
 from groundstation.live.config import GroundConfig
 from groundstation.live.handover import hand_over
 from groundstation.live.station import Station

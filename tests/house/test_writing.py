@@ -1,4 +1,4 @@
-"""Every file that the program writes goes through `daq.contract.durable`: other calls that open for writing are listed here."""
+"""Every file that the program writes goes through `daq.utilities.durable`: other calls that open for writing are listed here."""
 
 import ast
 from collections import Counter
@@ -14,10 +14,10 @@ PACKAGES = ("daq", "groundstation", "estimation", "firmware_sim", "sideslip")
 GIVEN = "writes to the hidden file that `whole` gave its caller"
 ALLOWED: dict[tuple[str, str], str] = {
     ("daq/actuation/pwm/heartbeat.py", "open:wb"): "a device of the kernel",
-    ("daq/contract/durable.py", "open:a+b"): "the one place",
-    ("daq/contract/durable.py", "open:w"): "the one place",
-    ("daq/contract/durable.py", "os.open:w"): "the one place",
-    ("daq/contract/durable.py", "write_bytes"): "the one place",
+    ("daq/utilities/durable.py", "open:a+b"): "the one place",
+    ("daq/utilities/durable.py", "open:w"): "the one place",
+    ("daq/utilities/durable.py", "os.open:w"): "the one place",
+    ("daq/utilities/durable.py", "write_bytes"): "the one place",
     ("daq/contract/link/dialect/generate.py", "write_text"): "makes source text of this program, run by its developers",
     ("daq/contract/recordings/recovery.py", "open:wb"): GIVEN,
     ("daq/recorder/storage.py", "os.open:w"): "the card: segments that grow, unbuffered",
@@ -36,7 +36,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("groundstation/flight/writing.py", "write_table"): GIVEN,
     ("groundstation/viewer/live.py", "FileSink"): "a picture that grows while it is seen",
     ("groundstation/receiver/storage/recording.py", "open:wb"): GIVEN,
-    ("daq/contract/standard_streams.py", "os.open:w"): "the null device, in place of a standard stream that is closed",
+    ("daq/utilities/standard_streams.py", "os.open:w"): "the null device, in place of a standard stream that is closed",
     ("estimation/answers/answer.py", "to_csv"): GIVEN,
     (
         "daq/contract/link/dialect/build.py",
@@ -93,7 +93,7 @@ def test_no_file_is_opened_for_writing_besides_the_one_way_and_the_listed_places
                 found[name, kind] += 1
                 if (name, kind) not in ALLOWED:
                     where.append(f"{name}:{line} {kind}")
-    assert where == [], "write through daq.contract.durable"
+    assert where == [], "write through daq.utilities.durable"
     assert set(ALLOWED) <= set(found), "no longer there: take it off the list"
 
 
@@ -115,4 +115,4 @@ def test_the_list_leaves_reading_alone(line: str) -> None:
 
 def test_the_root_is_this_tree() -> None:
     assert isinstance(ROOT, Path)
-    assert (ROOT / "daq/contract/durable.py").is_file()
+    assert (ROOT / "daq/utilities/durable.py").is_file()

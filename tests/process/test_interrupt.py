@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT / "recordings"
-FIRST = "daq.contract.interrupts"
+FIRST = "daq.utilities.interrupts"
 """Our first import: what comes before is Python's own start, in which nobody can interfere; from the next one on we answer."""
 
 VERBS: dict[str, list[str]] = {

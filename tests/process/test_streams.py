@@ -95,7 +95,7 @@ def test_a_verb_that_is_ended_by_a_signal_leaves_the_old_file_alone(how: signal.
     program = (
         "import sys, time\nsys.argv[0] = 'sideslip'\nfrom sideslip.entry import main\nimport groundstation.export.run as w\n"
         "def slow(table, path, **_):\n"
-        "    from daq.contract.durable import whole_text\n"
+        "    from daq.utilities.durable import whole_text\n"
         "    with whole_text(path) as f:\n"
         "        f.write('half'); print('writing', flush=True); time.sleep(60)\n"
         "w.write_csv = slow\n"

@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
 from daq.contract.recordings.recording import RecordingError
 from daq.contract.recordings.recovery import recover
 from daq.contract.scan import SensorState
+from daq.utilities.ranges import count
 
 _BURST = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_temperature")
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.gap.effects import catalogue
 from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap

@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models import load_model

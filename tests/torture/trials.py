@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import ENDING
+from daq.utilities.durable import ENDING
 from tests.conftest import ROOT
 
 LIMIT_S = 120.0

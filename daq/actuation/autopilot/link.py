@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import Protocol
 
-from daq.contract.errors import UserError
 from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, MavlinkFrame, frames_of, padded
+from daq.utilities.errors import UserError
 
 RC_CHANNELS, RC_CHANNELS_OVERRIDE = 65, 70
 RELEASE, LEAVE = 0, 65535

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Protocol
 
 from daq.actuation.config import HeartbeatConfig
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 
 
 class HeartbeatError(UserError):

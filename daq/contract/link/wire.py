@@ -27,8 +27,8 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 from daq.contract.channels import CHANNELS, Channel, Rate
-from daq.contract.errors import UserError
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
+from daq.utilities.errors import UserError
 
 SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID, SCAN_LABORATORY_ID = 44100, 44101, 44102, 44108
 SCAN_IDS = (SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID, SCAN_LABORATORY_ID)

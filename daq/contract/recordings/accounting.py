@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
 from daq.contract.recordings.reading import Recording, by_session, join
 from daq.contract.recordings.salvage import Damage
 from daq.contract.recordings.segments import RecordingWalk, read_segments
+from daq.utilities.ranges import Range, count, ranges, shown, subtract
 
 LOST_TO_DAMAGE = "lost_to_damage"
 

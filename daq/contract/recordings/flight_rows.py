@@ -15,9 +15,9 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from daq.contract.errors import UserError
 from daq.contract.recordings.segments import FLIGHT_METADATA, FLIGHT_TOPIC, RecordingWalk
 from daq.contract.seal import message_class
+from daq.utilities.errors import UserError
 
 FLIGHT_SCHEMA = "sideslip.FlightSample"
 MAX_COLUMNS = 4096

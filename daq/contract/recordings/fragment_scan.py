@@ -8,10 +8,10 @@ import re
 import struct
 from collections.abc import Iterator
 
-from daq.contract.errors import UserError
 from daq.contract.recordings.expand import Bad, Effort, expand_torn
 from daq.contract.recordings.recording import SCHEMA_OF_TOPIC, RecordedMessage, entry_of
 from daq.contract.seal import SEAL_SIZE, SEAL_TAG, seal_holds
+from daq.utilities.errors import UserError
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE = 5

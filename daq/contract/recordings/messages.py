@@ -14,8 +14,8 @@ from typing import Any
 from google.protobuf import descriptor_pb2, timestamp_pb2
 from google.protobuf.message import DecodeError
 
-from daq.contract.errors import UserError
 from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, message_class, seal, seal_holds
+from daq.utilities.errors import UserError
 
 EVENT_TOPIC, LOG_TOPIC, STATISTICS_TOPIC = "/event", "/log", "/statistics"
 HEALTH_TOPIC, SEQUENCER_TOPIC = "/health", "/sequencer"

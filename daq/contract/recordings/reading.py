@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from daq.contract.plain_words import visible
 from daq.contract.recordings.messages import (
     EVENT_TOPIC,
     HEALTH_TOPIC,
@@ -28,6 +27,7 @@ from daq.contract.recordings.recording import RecordedMessage, RecordingError, R
 from daq.contract.recordings.salvage import Damage
 from daq.contract.recordings.segments import RecordingWalk, read_segments
 from daq.contract.scan import SCAN_TOPIC, Scan, decode_scan
+from daq.utilities.plain_words import visible
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from typing import IO, NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from daq.contract.channels import CHANNELS, COLUMNS, GROUPS
-from daq.contract.errors import UserError
 from daq.contract.recordings import messages as m
 from daq.contract.scan import SCAN_TOPIC, SCHEMA_NAME, Scan, encode_scan, file_descriptor_set, scan_stamp
+from daq.utilities.errors import UserError
 
 INFO_NAME = "sideslip.recording"
 """Name of the metadata record, and stem of the attachment, with the recording's identity."""

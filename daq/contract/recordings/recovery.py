@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import make_directories, replacing
-from daq.contract.plain_words import visible
 from daq.contract.recordings.accounting import LOST_TO_DAMAGE, Verification, verify_recording, verify_segments
 from daq.contract.recordings.reading import Recording, by_session, join
 from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter, utc_of
 from daq.contract.recordings.segments import RecordingWalk, read_segments
+from daq.utilities.durable import make_directories, replacing
+from daq.utilities.plain_words import visible
 
 
 @dataclass(frozen=True)

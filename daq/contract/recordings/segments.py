@@ -13,7 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from daq.contract.input_files import read_bytes
 from daq.contract.recordings.mcap_records import Attachment, Metadata
 from daq.contract.recordings.recording import (
     CHANNELS_ATTACHMENT,
@@ -30,6 +29,7 @@ from daq.contract.recordings.recording import (
 )
 from daq.contract.recordings.salvage import Began, Closed, Damage, Item, Walk
 from daq.contract.scan import SCAN_TOPIC
+from daq.utilities.input_files import read_bytes
 
 FLIGHT_TOPIC, FLIGHT_METADATA = "/flight", "sideslip.flight"
 LINK_TOPIC = "/link"

@@ -12,10 +12,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY
 from daq.identification.airframe import Airframe
 from daq.identification.monitor.bank import MonitoredEffect
 from daq.identification.monitor.predictors import FlightsScan, Inputs, LateralMotion
+from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY
 from daq.identification.airframe import DERIVATIVES, Airframe
 from daq.identification.monitor.bank import MonitoredEffect
 from daq.identification.monitor.evidence import ORDER
 from daq.identification.monitor.surfaces import BLIND, Kinds, Pair, SurfacesBetween, kind_of
+from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
 LONGEST_STEP = 0.026  # s; as in `simulated_motion`

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.contract.plain_words import file_name
+from daq.utilities.plain_words import file_name
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.joint import curve, half_band
 from estimation.campaign.aerodynamics.pooled import PooledCurves

@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from daq.contract.constants import FOOT
-from daq.contract.plain_words import file_name
+from daq.utilities.constants import FOOT
+from daq.utilities.plain_words import file_name
 from estimation.campaign.aerodynamics.tables import SURFACE
 from estimation.campaign.tasks import Row
 from groundstation.flight import Array

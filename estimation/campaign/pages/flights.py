@@ -8,8 +8,8 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from daq.contract.constants import RADIAN
-from daq.contract.plain_words import file_name
+from daq.utilities.constants import RADIAN
+from daq.utilities.plain_words import file_name
 from estimation.campaign.groups import label_in
 from estimation.campaign.tasks import Row
 from estimation.report.page import Page, Section, box, breakable, bullets, free_table, paragraph

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.campaign.keys import versions
 from estimation.campaign.tasks import Row, Work

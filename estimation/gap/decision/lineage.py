@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from daq.contract.outputs import write_json
+from daq.utilities.outputs import write_json
 from estimation.estimators.result import Estimate
 from estimation.gap.answer.result import EffectStep, GapResult
 from estimation.gap.fit.baseline import Baseline

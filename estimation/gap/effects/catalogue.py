@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from daq.contract.input_files import read_toml
+from daq.utilities.input_files import read_toml
 from estimation.errors import ModelError
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import EffectError

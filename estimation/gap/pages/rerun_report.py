@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.contract.durable import make_directories
+from daq.utilities.durable import make_directories
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import GapResult, Histories
 from estimation.gap.errors import GapError

@@ -18,7 +18,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole, Signal

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Group
 from estimation.gap.errors import GapError

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.contract.durable import make_directories, whole, write_bytes
+from daq.utilities.durable import make_directories, whole, write_bytes
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Look
 from estimation.estimators.registry import estimator_names, find_estimator

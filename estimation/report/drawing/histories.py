@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from estimation.report.drawing.figures import save_figure
 from groundstation.flight import Array
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from daq.contract.input_files import DEEPEST, LARGEST_TEXT, read_bytes
+from daq.utilities.input_files import DEEPEST, LARGEST_TEXT, read_bytes
 from estimation.simulation.autopilot.equations import BUILT_IN, CLAMP, FULL, MASS, OFFSET, SitlPlane
 from estimation.simulation.autopilot.gathering import symmetric_throws
 from estimation.simulation.autopilot.linear import LINES, SLOPES, LinearAircraft

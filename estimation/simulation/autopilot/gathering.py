@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from daq.contract.input_files import parse_toml, read_text
+from daq.utilities.input_files import parse_toml, read_text
 from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.errors import EstimationError
 from estimation.models.base import Model

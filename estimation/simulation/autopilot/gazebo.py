@@ -11,8 +11,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from daq.contract.constants import DEGREE
-from daq.contract.constants import SEA_LEVEL_DENSITY as DENSITY
+from daq.utilities.constants import DEGREE
+from daq.utilities.constants import SEA_LEVEL_DENSITY as DENSITY
 from estimation.simulation.autopilot.gathering import symmetric_throws
 from estimation.simulation.autopilot.linear import LINES, SLOPES, Body, LinearAircraft, remaining_body, rotated_body
 from estimation.simulation.oracle import Array

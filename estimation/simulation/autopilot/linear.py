@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY, SEA_LEVEL_DENSITY
+from daq.utilities.constants import GRAVITY, SEA_LEVEL_DENSITY
 from estimation.aircraft import Aircraft
 from estimation.simulation.oracle import SURFACES, Array
 

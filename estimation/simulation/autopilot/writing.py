@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from daq.contract.outputs import write_json, write_text
+from daq.utilities.outputs import write_json, write_text
 from estimation.simulation.autopilot import ardupilot, gazebo
 from estimation.simulation.autopilot.against import SimulatorProof, against_gazebo, against_sitl, against_text
 from estimation.simulation.autopilot.ardupilot import file_text, read_sitl_plane

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from daq.contract.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
+from daq.utilities.constants import FOOT, SEA_LEVEL_DENSITY, SLUG
 from estimation.aircraft import Aircraft
 from estimation.simulation.jsbsim.library import (
     EXPORTED,

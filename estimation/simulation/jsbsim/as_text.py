@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree as ET
 
-from daq.contract.constants import INCH
+from daq.utilities.constants import INCH
 from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import names_in

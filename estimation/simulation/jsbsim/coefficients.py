@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree as ET
 
-from daq.contract.constants import FOOT, SLUG
+from daq.utilities.constants import FOOT, SLUG
 from estimation.models.base import Parameter
 from estimation.models.expressions import FUNCTIONS
 from estimation.models.parts import usual_role

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from daq.contract.durable import replacing_folder, whole
+from daq.utilities.durable import replacing_folder, whole
 from estimation.models.base import Model
 from estimation.simulation.jsbsim.aircraft import aircraft_as_loaded
 from estimation.simulation.jsbsim.components import chains_of, states_of, surfaces_read

@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from daq.contract.constants import FOOT, POUND, SLUG
+from daq.utilities.constants import FOOT, POUND, SLUG
 from estimation.simulation.jsbsim.aircraft import GROUND, SWITCHED_OFF
 from estimation.simulation.jsbsim.forces import OURS
 from estimation.simulation.jsbsim.library import Surfaces, loaded, surfaces_of

@@ -4,7 +4,7 @@ import ast
 from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
-from daq.contract.constants import FOOT, POUND
+from daq.utilities.constants import FOOT, POUND
 from estimation.models.expressions import parse
 from estimation.simulation.jsbsim.functions import Term, Translator, copied, node, product, prop, total
 from estimation.simulation.jsbsim.increments import Addend, Increments

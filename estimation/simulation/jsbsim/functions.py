@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from daq.contract.constants import FOOT, POUND, SLUG
+from daq.utilities.constants import FOOT, POUND, SLUG
 from estimation.models.base import Model
 from estimation.models.expressions import NUMBERS, parse
 from estimation.simulation.oracle import SimulationError

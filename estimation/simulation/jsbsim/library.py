@@ -9,8 +9,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from daq.contract.constants import FOOT, GRAVITY, SLUG
-from daq.contract.input_files import read_xml
+from daq.utilities.constants import FOOT, GRAVITY, SLUG
+from daq.utilities.input_files import read_xml
 from estimation.simulation.oracle import SimulationError
 
 SLUG_FOOT2 = SLUG * FOOT**2

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from xml.etree import ElementTree as ET
 
-from daq.contract.constants import FOOT, SLUG
+from daq.utilities.constants import FOOT, SLUG
 from estimation.simulation.jsbsim.library import Follows
 from estimation.simulation.jsbsim.terms import (
     Product,

@@ -10,7 +10,7 @@ import struct
 
 import numpy as np
 
-from daq.contract.constants import ZERO_CELSIUS
+from daq.utilities.constants import ZERO_CELSIUS
 from firmware_sim.hardware.registers.chip import Inputs, RegisterChip, to_counts
 
 CHIP_ID, REV_ID, ERR, STATUS, DATA, SENSOR_TIME, EVENT, INT_STATUS = 0x00, 0x01, 0x02, 0x03, 0x04, 0x0C, 0x10, 0x11

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GRAVITY, ZERO_CELSIUS
+from daq.utilities.constants import GRAVITY, ZERO_CELSIUS
 from firmware_sim.hardware.registers.chip import Inputs, RegisterChip
 
 BASE_RATE_HZ = 1125.0

@@ -4,7 +4,7 @@ Inputs: differential pressure [Pa] and die temperature [K]. There are no registe
 status and pressure first. A second read before the next measurement returns the old value marked stale.
 """
 
-from daq.contract.constants import PSI, ZERO_CELSIUS
+from daq.utilities.constants import PSI, ZERO_CELSIUS
 from firmware_sim.hardware.registers.chip import Inputs, PoweredChip, to_counts
 
 UPDATE_NS = 500_000

@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from daq.contract.durable import write_text
+from daq.utilities.durable import write_text
 from estimation.aircraft import Aircraft
 from firmware_sim.tables import toml_text
 

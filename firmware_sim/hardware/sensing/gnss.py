@@ -8,7 +8,7 @@ the speed of the line.
 import math
 from collections.abc import Callable
 
-from daq.contract.constants import ROUND_EARTH_RADIUS
+from daq.utilities.constants import ROUND_EARTH_RADIUS
 from firmware_sim.hardware.registers.ublox import ReceiverFix, UbloxReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments
 

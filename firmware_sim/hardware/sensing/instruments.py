@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.constants import GAS_CONSTANT, HEAT_RATIO
+from daq.utilities.constants import GAS_CONSTANT, HEAT_RATIO
 from firmware_sim.hardware.registers.chip import Inputs
 from firmware_sim.hardware.sensing.sensor_models import (
     AT,

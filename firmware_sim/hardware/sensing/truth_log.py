@@ -7,7 +7,7 @@ from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
 
-from daq.contract.durable import whole_text
+from daq.utilities.durable import whole_text
 from firmware_sim.hardware.sensing.instruments import GRID_S, HISTORY_S, TruthSource
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
 

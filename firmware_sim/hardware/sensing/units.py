@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from daq.contract.constants import PSI
+from daq.utilities.constants import PSI
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
 from firmware_sim.hardware.sensing.sensor_models import (
     REFERENCE_TEMPERATURE,

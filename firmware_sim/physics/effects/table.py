@@ -7,7 +7,7 @@ engineering estimates for this aircraft at 17 m/s. All lift pays for itself: wha
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from firmware_sim.physics.effects.base import HiddenEffect, Host, Sensed
 from firmware_sim.physics.maths import State, Value
 

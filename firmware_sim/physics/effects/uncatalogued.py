@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.contract.constants import GRAVITY
+from daq.utilities.constants import GRAVITY
 from firmware_sim.physics.effects.base import HiddenEffect, Sensed
 from firmware_sim.physics.maths import State, Value
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.contract.constants import SEA_LEVEL_DENSITY
+from daq.utilities.constants import SEA_LEVEL_DENSITY
 from groundstation.flight.atmosphere import (
     density,
     density_at_altitude,

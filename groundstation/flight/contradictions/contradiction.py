@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.contract.plain_words import one_line
 from daq.contract.recordings.flight_rows import as_texts
+from daq.utilities.plain_words import one_line
 
 
 @dataclass(frozen=True, slots=True)

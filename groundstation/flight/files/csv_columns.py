@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.errors import UserError
-from daq.contract.plain_words import one_line, plain_name
+from daq.utilities.errors import UserError
+from daq.utilities.plain_words import one_line, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, MOST_ROWS
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.errors import UserError
-from daq.contract.input_files import read_bytes
+from daq.utilities.errors import UserError
+from daq.utilities.input_files import read_bytes
 from groundstation.flight.arrays import Array
 
 MOST_CELLS = 12_000_000

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.input_files import check_file
-from daq.contract.plain_words import listed, one_line, plain_name
 from daq.contract.recordings.flight_rows import as_mapping, json_object
+from daq.utilities.input_files import check_file
+from daq.utilities.plain_words import listed, one_line, plain_name
 from groundstation.flight.errors import FlightError
 from groundstation.flight.files.csv_columns import read_csv
 from groundstation.flight.files.parquet_columns import read_parquet

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import FOOT, GRAVITY, MILE_PER_HOUR, NAUTICAL_MILE, RADIAN
+from daq.utilities.constants import FOOT, GRAVITY, MILE_PER_HOUR, NAUTICAL_MILE, RADIAN
 from groundstation.flight.arrays import Array, integral, slope_and_agreement, windows
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.kinematics import GYROS, heading_rate

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.constants import RADIAN
+from daq.utilities.constants import RADIAN
 from groundstation.flight.arrays import Array, Mask, longest_run, true_runs
 from groundstation.flight.contradictions import contradictions
 from groundstation.flight.findings import Finding, FindingKind, Severity

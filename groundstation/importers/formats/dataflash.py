@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.input_files import read_bytes
+from daq.utilities.input_files import read_bytes
 from groundstation.flight.arrays import Array
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.modes import dataflash_marks

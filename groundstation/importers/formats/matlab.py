@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.contract.input_files import read_bytes
-from daq.contract.plain_words import listed, plain_name
+from daq.utilities.input_files import read_bytes
+from daq.utilities.plain_words import listed, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS
 from groundstation.importers.errors import ImportDataError

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.plain_words import listed, one_line
+from daq.utilities.plain_words import listed, one_line
 from groundstation.flight.arrays import Array, Mask
 from groundstation.flight.files.csv_columns import is_number
 from groundstation.importers.errors import ImportDataError

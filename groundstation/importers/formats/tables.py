@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.input_files import read_bytes
-from daq.contract.plain_words import listed, one_line, plain_name
+from daq.utilities.input_files import read_bytes
+from daq.utilities.plain_words import listed, one_line, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.files.csv_columns import plain_columns
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parquet

@@ -15,8 +15,8 @@ import fastcrc
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.input_files import read_bytes
 from daq.transport.mavlink_codec import padded
+from daq.utilities.input_files import read_bytes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tlog_series import LONGEST_ARRAY, ReceivedMessages, by_boot
 from groundstation.importers.series import Log

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.input_files import read_bytes
-from daq.contract.plain_words import LONGEST_NAME, one_line
+from daq.utilities.input_files import read_bytes
+from daq.utilities.plain_words import LONGEST_NAME, one_line
 from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
 from groundstation.importers.attitude import euler_from_quaternion
 from groundstation.importers.errors import ImportDataError

@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import IO
 
-from daq.contract.durable import open_log, sync_directory
+from daq.utilities.durable import open_log, sync_directory
 
 MOST_WAITING = 64 << 20
 """Bytes that wait for a disk: half a day of telemetry at 1.5 kB/s. What comes beyond is refused, and counted."""

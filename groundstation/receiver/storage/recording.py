@@ -10,7 +10,6 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import IO, Any
 
-from daq.contract.durable import replacing
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.recordings.messages import EVENT_TOPIC, EventMessage, MessageError, decode, encode
 from daq.contract.recordings.recording import (
@@ -23,6 +22,7 @@ from daq.contract.recordings.recording import (
     utc_of,
 )
 from daq.contract.scan import decode_scan
+from daq.utilities.durable import replacing
 from groundstation.receiver import events as ev
 from groundstation.receiver.storage.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
 from groundstation.receiver.storage.session_log import RecordKind, SessionLog

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from daq.contract.errors import UserError
+from daq.utilities.errors import UserError
 from estimation.campaign.keys import seed_of
 from estimation.campaign.plan import CampaignPlan, plan_from
 from estimation.campaign.sources import entries_of

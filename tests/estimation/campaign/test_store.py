@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from daq.contract.durable import ENDING
+from daq.utilities.durable import ENDING
 from estimation.campaign.schema import RESULTS, VERSION_KEY, arrow_schema
 from estimation.campaign.store import EVERY_S, Store
 from estimation.campaign.tasks import CampaignError

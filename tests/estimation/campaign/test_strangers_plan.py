@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import sideslip
-from daq.contract import limits
+from daq.utilities import limits
 from estimation.campaign.plan import plan_from, read_plan
 from estimation.campaign.sources import entries_of, fetched
 from estimation.campaign.tasks import CampaignError

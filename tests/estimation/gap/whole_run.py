@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from daq.contract.outputs import write_json
+from daq.utilities.outputs import write_json
 from estimation.gap.answer.result import GapResult
 from estimation.gap.decision.lineage import with_models
 from estimation.gap.effects import Effect

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import sideslip
-from daq.contract.errors import UserError
 from daq.identification.airframe import DERIVATIVES
 from daq.identification.regression import LiveAircraft
 from daq.transport.mavlink_codec import FrameDecoder
+from daq.utilities.errors import UserError
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
 from groundstation.identification.history import BELIEVED, DETAIL, MOST, LiveHistory, history_of

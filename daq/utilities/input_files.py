@@ -15,8 +15,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO, Any
 
-from daq.contract import limits
-from daq.contract.errors import UserError
+from daq.utilities import limits
+from daq.utilities.errors import UserError
 
 LARGEST_TEXT, LARGEST_DATA, DEEPEST = limits.TEXT_BYTES, limits.DATA_BYTES, limits.TOML_DEPTH
 _PIECE = 2**20

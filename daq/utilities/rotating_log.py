@@ -5,7 +5,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from daq.contract.durable import open_log
+from daq.utilities.durable import open_log
 
 LARGEST = 8 << 20
 """Bytes of one file: some 80,000 lines, more than a day of a talkative aircraft."""

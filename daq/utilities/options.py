@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import click
 
-from daq.contract.outputs import tried_file, tried_folder, tried_picture
+from daq.utilities.outputs import tried_file, tried_folder, tried_picture
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any] | click.Command)
 Option = Callable[[Decorated], Decorated]

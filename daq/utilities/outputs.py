@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from daq.contract import durable
-from daq.contract.durable import make_directories
-from daq.contract.errors import UserError
+from daq.utilities import durable
+from daq.utilities.durable import make_directories
+from daq.utilities.errors import UserError
 
 PICTURES = (".eps", ".jpeg", ".jpg", ".pdf", ".png", ".ps", ".svg", ".svgz", ".tif", ".tiff", ".webp")
 """Endings of pictures that figures are written as."""

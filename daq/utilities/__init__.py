@@ -1,0 +1,1 @@
+"""What every package may use: files read within bounds and written whole, errors, words, constants, options of verbs."""
