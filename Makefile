@@ -47,7 +47,7 @@ torture: $(STAMP)
 	$(BIN)/python -m tests.torture --minutes $(MINUTES)
 
 study: $(STAMP)
-	$(BIN)/pytest -q -m study
+	$(BIN)/pytest -q -m study tests
 
 format: $(STAMP)
 	$(BIN)/ruff format .

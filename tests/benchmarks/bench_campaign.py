@@ -28,8 +28,8 @@ from estimation.campaign.workers.in_process import SerialEngine
 from estimation.campaign.workers.subjects import read_subject
 from estimation.campaign.workers.work import do_work
 from groundstation.flight.quality.report import quality_report
-from tests.estimation.campaign.running import children, results_of, start
 from tests.studies.campaign_scaling import make_flights, memory_of
+from tests.unit.estimation.campaign.running import children, results_of, start
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 

@@ -11,8 +11,8 @@ import pytest
 
 from daq.contract.recordings.accounting import verify
 from tests.benchmarks.bench_logger import measure
-from tests.card.mounted import mounted, need_card
-from tests.card.troubles import Troubles
+from tests.chain.card.mounted import mounted, need_card
+from tests.chain.card.troubles import Troubles
 from tests.studies.power_cuts import WAYS, written
 
 SECONDS = float(os.environ.get("CARD_BENCH_S", "30"))

@@ -13,7 +13,7 @@ from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import SystemClock
 from tests.benchmarks.conftest import Against
-from tests.link_rig import random_scan
+from tests.support.link_rig import random_scan
 
 COUNT = 20_000
 READ = 280

@@ -25,7 +25,7 @@ from estimation.models import load_model
 from estimation.prepare.flight_data import FlightData
 from estimation.prepare.pipeline import prepare
 from groundstation.flight import write_flight
-from tests.estimation.truth import NOISE, STRONG, Case, fly
+from tests.unit.estimation.truth import NOISE, STRONG, Case, fly
 
 MODEL = load_model("lateral-simple", "cdfp")
 

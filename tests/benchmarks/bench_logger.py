@@ -22,8 +22,8 @@ from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 from tests.benchmarks.conftest import Against
 from tests.benchmarks.replayed_bus import RecordingBus, RecordingPort
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 SECONDS = float(os.environ.get("LOGGER_BENCH_S", "60"))
 WARM_UP_S = 5.0
 SCANS_HZ = 20.0

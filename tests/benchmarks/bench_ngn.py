@@ -14,7 +14,7 @@ from estimation.estimators.neural_gauss_newton.training import default_options
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
 from tests.benchmarks.conftest import Against
-from tests.estimation.truth import NOISE, Case, fly
+from tests.unit.estimation.truth import NOISE, Case, fly
 
 BOOTSTRAP_MOST, WHOLE_MOST = 16.0, 100.0
 """Twice the 8 times that were measured, and well above the 37 times of networks from random starts."""

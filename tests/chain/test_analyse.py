@@ -15,7 +15,7 @@ from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from sideslip.verbs.analyse import analyse
 from tests.chain.autopilot_logs import BOOT, dataflash
-from tests.docs.blocks import files_of
+from tests.cli.docs.blocks import files_of
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 

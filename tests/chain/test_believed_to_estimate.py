@@ -19,7 +19,7 @@ from groundstation.flight import Flight
 from groundstation.importers.records import with_aircraft
 from groundstation.importers.run import import_data
 from tests.chain.autopilot_logs import pulses
-from tests.groundstation.importers import autopilots
+from tests.unit.groundstation.importers import autopilots
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 MAP = """format = 1

@@ -1,7 +1,6 @@
 """The gap workflow on recordings that went through sensors, bus, logger and calibration, attitude filter included."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -10,8 +9,9 @@ from estimation.gap.effects import catalogue
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import read_flight
+from tests.support.paths import ROOT
 
-FOLDER = Path(__file__).parents[2] / "recordings" / "gap"
+FOLDER = ROOT / "recordings" / "gap"
 OPTIONS = Options(seed=2, most=2)
 
 

@@ -15,7 +15,7 @@ from firmware_sim.world.world import simulate_many
 from groundstation.flight import read_flight
 from groundstation.importers.formats.ulog_scan import MAGIC
 from tests.chain.autopilot_logs import BOOT, dataflash, ulog
-from tests.docs.blocks import commands_of, files_of, write_files
+from tests.cli.docs.blocks import commands_of, files_of, write_files
 
 pytestmark = pytest.mark.timeout(300)  # commands of a page, as a reader runs them
 PAGE = Path("docs") / "import.md"

@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.docs.blocks import files_of, write_files
+from tests.cli.docs.blocks import files_of, write_files
 from tests.rig.machine import Image, RigError
 from tests.rig.page import HOME, PAGE, installing
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = (
     "systemd systemd-sysv udev dbus sudo kmod python3 python3-venv e2fsprogs procps util-linux linux-image-amd64"

@@ -4,9 +4,10 @@ import shlex
 import subprocess
 from pathlib import Path
 
-from tests.docs.blocks import commands_in
+from tests.cli.docs.blocks import commands_in
+from tests.support.paths import ROOT
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "install-companion.md"
+PAGE = ROOT / "docs" / "install-companion.md"
 HOME = "/root/sideslip"
 """Where the reader stands: a folder with the checkout, `wheels` and `calibration`."""
 _BOOTED = "## 8. "  # from this section on the computer has been restarted

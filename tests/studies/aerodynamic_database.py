@@ -2,13 +2,14 @@
 
     python -m tests.studies.aerodynamic_database [-n 60]
 
-Estimates are drawn as those of `tests/estimation/campaign/aerodynamics/test_envelope_curves.py`; seconds, for no flight is flown.
+Estimates are drawn as those of `tests/unit/estimation/campaign/aerodynamics/test_envelope_curves.py`; seconds,
+for no flight is flown.
 """
 
 import click
 import numpy as np
 
-from tests.estimation.campaign.aerodynamics.test_envelope_curves import (
+from tests.unit.estimation.campaign.aerodynamics.test_envelope_curves import (
     NAMES,
     SLOPES,
     conditions,

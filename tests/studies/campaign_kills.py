@@ -24,7 +24,7 @@ import click
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tests.estimation.campaign.running import children, repeatable, results_of, start, workers_of
+from tests.unit.estimation.campaign.running import children, repeatable, results_of, start, workers_of
 
 LOOK_S = 1.0
 GONE_S = 120.0  # in which processes below a killed client must be gone

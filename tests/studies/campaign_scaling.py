@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 
 from firmware_sim.runs.direct import direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario
-from tests.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start
+from tests.unit.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start
 
 BAD = ("truncated", "empty", "degrees", "column", "kills", "hangs", "pipe", "noise", "twice", "words")
 BLOCK = 50  # flights flown side by side

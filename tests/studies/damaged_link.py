@@ -15,7 +15,7 @@ from daq.contract.recordings.segments import read_segments
 from daq.contract.scan import encode_scan
 from daq.transport.mavlink_codec import FrameDecoder, MavlinkFrame
 from groundstation.receiver.ports import LinkConfig
-from tests.link_rig import Rig, quiet_scan
+from tests.support.link_rig import Rig, quiet_scan
 
 KINDS = ("flip", "dropped byte", "burst", "all and copies")
 SHARES = (0.001, 0.01, 0.1)

@@ -1,7 +1,7 @@
 """Statistics of the frequency domain: coverage of frequency responses and fits, and output error there against the time domain.
 
 `python -m tests.studies.frequency_statistics [responses] [fits] [estimates] [--seeds 20]`: all three unless named. Responses
-and fits are of a linear aircraft with a closed form (`tests.estimation.frequency.linear_aircraft`), estimates of flights of
+and fits are of a linear aircraft with a closed form (`tests.unit.estimation.frequency.linear_aircraft`), estimates of flights of
 `second_truth`. The last result is kept in docs/frequency.md.
 """
 
@@ -16,8 +16,8 @@ from estimation.frequency.response import ResponseOptions, frequency_response
 from estimation.frequency.transfer import fit_transfer
 from estimation.models import load_model
 from groundstation.flight import Flight
-from tests.estimation.frequency.linear_aircraft import DUTCH_ROLL, ROLL, Case, Plant, fly
 from tests.studies.live_statistics import second_flights
+from tests.unit.estimation.frequency.linear_aircraft import DUTCH_ROLL, ROLL, Case, Plant, fly
 
 PLANTS = {"roll": (ROLL, "delta_a", "p"), "dutch roll": (DUTCH_ROLL, "delta_r", "r")}
 CASES = tuple(

@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.daq.fuzzing import answered, mutated
+from tests.unit.daq.fuzzing import answered, mutated
 
 LONGEST_S = 10.0
 

@@ -23,9 +23,9 @@ from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.session import runner
 from groundstation.flight import Flight
 from groundstation.importers.run import import_data
-from tests.gallery import records
-from tests.gallery.aircraft import Kind
-from tests.gallery.records import DEG, Columns, Flown, fly, recorded
+from tests.support.gallery import records
+from tests.support.gallery.aircraft import Kind
+from tests.support.gallery.records import DEG, Columns, Flown, fly, recorded
 
 METHODS = ("ml", "fem", "fem-noise", "ls")
 OFF = 3.0  # corrected bounds

@@ -26,11 +26,11 @@ from estimation.gap.search.state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models import load_model
 from groundstation.flight import Flight
-from tests.gallery import records
-from tests.gallery.aircraft import Kind, executive
-from tests.gallery.records import Columns, Flown, fly, recorded
 from tests.studies.gallery import KINDS, RATES
 from tests.studies.gap_benchmark import same_class
+from tests.support.gallery import records
+from tests.support.gallery.aircraft import Kind, executive
+from tests.support.gallery.records import Columns, Flown, fly, recorded
 
 SPEEDS = (1.0, 0.94, 1.08, 1.03)
 """Of the aircraft's own speed: three flights to train on, one held out."""

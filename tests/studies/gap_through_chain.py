@@ -18,8 +18,8 @@ from estimation.models.load import load_model
 from firmware_sim.runs.campaign import CampaignFlights
 from groundstation.flight import Flight, read_flight
 from sideslip import fly_scenario
-from tests.firmware_sim.campaigns import fly_campaigns
 from tests.studies.gap_benchmark import flights as from_columns
+from tests.unit.firmware_sim.campaigns import fly_campaigns
 
 EFFECTS = (
     "Cn_da", "beta_lag", "Cl_alpha_beta", "rudder_delay", "Cl_beta3", "aileron_delay", "CY_da", "beta_scale",

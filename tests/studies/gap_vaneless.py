@@ -23,11 +23,12 @@ from firmware_sim.runs.campaign import CampaignFlights
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import Flight, read_flight
 from tests.chain.autopilot_logs import BOOT, dataflash
-from tests.docs.blocks import files_of, write_files
+from tests.cli.docs.blocks import files_of, write_files
+from tests.support.paths import ROOT
 
 PLANS = {"lateral": "rich", "longitudinal": "longitudinal", "six-dof": "all_axes"}
 WIND = {"gust_deg": 0.15, "speed_m_s": 4.0, "from_deg": 70.0}
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "import.md"
+PAGE = ROOT / "docs" / "import.md"
 
 
 def reconstructed(folder: Path, model: str, effects: Sequence[str], seed: int) -> list[Flight]:

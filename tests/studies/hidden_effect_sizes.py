@@ -15,7 +15,7 @@ from firmware_sim.physics.effects.registry import EFFECTS
 from firmware_sim.runs.campaign import CampaignFlights
 from firmware_sim.runs.direct import ORDINARY_NOISE
 from groundstation.flight import Flight
-from tests.firmware_sim.campaigns import fly_campaigns
+from tests.unit.firmware_sim.campaigns import fly_campaigns
 
 OUTPUTS = ("beta", "p", "r", "phi", "ay")
 

@@ -26,7 +26,7 @@ from daq.telemetry.link import radio_link
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.ports import UdpPort
 from groundstation.receiver.timeline import NS
-from tests.link_rig import FakeLogger, quiet_scan
+from tests.support.link_rig import FakeLogger, quiet_scan
 
 PERIOD_S = 0.05
 AHEAD_S = 2.0

@@ -26,7 +26,7 @@ from pathlib import Path
 from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import read_recording
 from tests.benchmarks.bench_logger import ROOT, bench_config, record_answers
-from tests.hostile_sender import KINDS
+from tests.support.hostile_sender import KINDS
 
 RATE_HZ = 20.0
 TRANSFER_US = 130.0
@@ -106,7 +106,7 @@ def _older_recordings(folder: Path) -> None:
 
 
 def _flood(number: int, kind: str, seconds: float, environment: dict[str, str]) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-m", "tests.hostile_sender", str(number), kind, str(seconds)]
+    command = [sys.executable, "-m", "tests.support.hostile_sender", str(number), kind, str(seconds)]
     return subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True)
 
 

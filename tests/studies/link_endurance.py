@@ -32,10 +32,11 @@ from groundstation.receiver.receive import Receiver
 from groundstation.receiver.tlog import read_tlog
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
 from groundstation.viewer.window import NativeWindow
-from tests.aircraft_process import AircraftProcess, resident_mb
-from tests.link_rig import PERIOD_NS, START_UTC_NS
+from tests.support.aircraft_process import AircraftProcess, resident_mb
+from tests.support.link_rig import PERIOD_NS, START_UTC_NS
+from tests.support.paths import ROOT
 
-RECORDING = Path(__file__).parents[2] / "recordings" / "cdfp_ld4_raw.mcap"
+RECORDING = ROOT / "recordings" / "cdfp_ld4_raw.mcap"
 SCANS_PER_HOUR = 72_000
 DAMAGED = 0.05
 PACE = 35.0  # about so many times faster than it really goes

@@ -1,7 +1,7 @@
 """Statistics of the maximum-likelihood estimates over many seeds: error against both bounds, and coverage.
 
 `python -m tests.studies.output_error_statistics [SET ...] [--seeds 200] [--method ml|fem]`: every set below unless named.
-Flights of three simulators that share no code: `tests.estimation.truth` (made), `tests.studies.second_truth` (second) and
+Flights of three simulators that share no code: `tests.unit.estimation.truth` (made), `tests.studies.second_truth` (second) and
 `firmware_sim.runs.direct` (sim). Each flight is fitted by itself, and every four of one aircraft together with coefficients at
 rest of their own. The last result is kept in docs/estimation.md.
 """
@@ -21,8 +21,8 @@ from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight
-from tests.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 from tests.studies import second_truth
+from tests.unit.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 
 TOGETHER = 4
 BATCH = 5  # flights flown at once; those of the first simulator share the timing of their edges

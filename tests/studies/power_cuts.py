@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.recorder.storage import RealFile, StorageFile
-from tests.card.cuts import Case, cut_flight, next_session
-from tests.card.flight import SLOW, SOUND, CardFlight, Slowness
-from tests.card.forgetting import CUTS
-from tests.card.mounted import mounted
+from tests.chain.card.cuts import Case, cut_flight, next_session
+from tests.chain.card.flight import SLOW, SOUND, CardFlight, Slowness
+from tests.chain.card.forgetting import CUTS
+from tests.chain.card.mounted import mounted
 
 _COUNTED_S = 120.0  # of flight, for bytes; one file of the default length
 _SECTOR = 512

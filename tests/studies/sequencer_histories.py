@@ -2,7 +2,7 @@
 
 `python -m tests.studies.sequencer_histories [--histories 3000] [--seed 1]`
 
-The strategies and properties are those of tests/daq/sequencer_histories.py. The last result is kept in docs/sequencer.md.
+The strategies and properties are those of tests/unit/daq/sequencer_histories.py. The last result is kept in docs/sequencer.md.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from collections import Counter
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from daq.contract.sequencing import Reason, State
-from tests.daq.sequencer_histories import History, histories, played
+from tests.unit.daq.sequencer_histories import History, histories, played
 
 
 def main() -> None:

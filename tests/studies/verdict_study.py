@@ -3,7 +3,8 @@
     python -m tests.studies.verdict_study [FLIGHTS]
 
 Flies FLIGHTS (10) seeds at each gust with the independent six-degree-of-freedom simulator of `second_truth`, and pairs of
-lateral manoeuvres of an aircraft of a twin jet's size (`tests.estimation.truth.JET`) estimated jointly; methods ml, fem and ls.
+lateral manoeuvres of an aircraft of a twin jet's size (`tests.unit.estimation.truth.JET`) estimated jointly; methods ml, fem
+and ls.
 The last table is kept in docs/estimation.md.
 """
 
@@ -20,8 +21,8 @@ from estimation.models.base import ParameterRole
 from estimation.session import runner
 from estimation.session.verdict import Verdict
 from groundstation.flight import Flight
-from tests.estimation.truth import DEG, JET, JET_TRUE, Case, fly
 from tests.studies import second_truth
+from tests.unit.estimation.truth import DEG, JET, JET_TRUE, Case, fly
 
 METHODS = ("ml", "fem", "fem-noise", "ls")
 GUSTS = (0.0, 0.15, 0.5, 1.0, 2.0, 3.5)  # deg of sideslip, rms

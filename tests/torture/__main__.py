@@ -45,7 +45,7 @@ def main() -> int:
             print(f"  {fault}")
     cases = max(100, round(FUZZ_A_MINUTE * share / 60.0))
     fuzz = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz.study", "--cases", str(cases), "--seed", str(given.seed)], check=False
+        [sys.executable, "-m", "tests.unit.fuzz.study", "--cases", str(cases), "--seed", str(given.seed)], check=False
     )
     return 1 if any(t.faults for t in rows.values()) or found.lost or fuzz.returncode else 0
 

@@ -14,7 +14,7 @@ from groundstation.live.station import Station
 from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.timeline import NS
 from sideslip.live_aircraft import live_aircraft
-from tests.link_rig import Rig, quiet_scan
+from tests.support.link_rig import Rig, quiet_scan
 
 STEP_NS = NS // 20
 WARM_S = 600.0

@@ -161,7 +161,7 @@ def two(one: str, other: str) -> Tally:
 def ground_killed(times: int, rng: random.Random) -> Tally:
     """A ground station killed at random instants while frames come: what its journal holds can be read, and it goes on there."""
     from groundstation.receiver.storage.session_log import SessionLog
-    from tests.free_ports import free_port
+    from tests.support.free_ports import free_port
 
     tally = Tally()
     with tempfile.TemporaryDirectory() as name:

@@ -1,0 +1,39 @@
+"""A viewer that is killed or hangs in flight costs the reception nothing: the short form of the link endurance study."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.studies.link_endurance import Reception, Viewers
+from tests.unit.groundstation.viewer.vulkan import need_vulkan
+
+pytestmark = [pytest.mark.long, pytest.mark.viewer, pytest.mark.timeout(120)]
+
+
+def shows(viewers: Viewers, time_s: float) -> bool:
+    """Whether the viewer comes to show data of that flight time; it takes some in with every picture it draws."""
+    return any(viewers.latest_s() > time_s for _ in range(30))
+
+
+def test_viewer_killed_and_hanging_in_flight(tmp_path: Path) -> None:
+    need_vulkan()
+    reception = Reception(tmp_path)
+    viewers = Viewers(reception.view.url)
+    try:
+        reception.fly(400)
+        assert shows(viewers, 15.0), "the viewer shows nothing"
+        viewers.kill_and_restart()
+        with viewers.hanging():
+            reception.fly(400)
+        reception.fly(400)
+        deadline = time.monotonic() + 30.0
+        while not reception.view._queue.empty():
+            assert time.monotonic() < deadline, "the view does not draw what it was given"
+            time.sleep(0.01)
+        assert shows(viewers, 55.0), "the viewer started anew shows nothing of what came since"
+        reception.fly(300, scan=False)
+        assert "all fetched; log and recording complete" in reception.check()
+    finally:
+        viewers.close()
+        reception.close()

@@ -1,0 +1,363 @@
+"""Rules of the rounds, each at its limit, on rounds and candidates made by hand: when one is accepted, what becomes of earlier
+ones, when a round is asked again."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimation.gap.answer.result import Rejected
+from estimation.gap.criteria import AS_SET
+from estimation.gap.errors import GapError
+from estimation.gap.search import accept as accepting
+from estimation.gap.search import rounds as searching
+from estimation.gap.search.accept import (
+    accept,
+    by_timing,
+    doubtful,
+    explains,
+    followed_by_surfaces,
+    holds_on_holdout,
+    is_strong,
+    repeats_on_flights,
+)
+from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
+from estimation.gap.search.select import Choice
+from estimation.gap.search.state import AcceptedEffect, Options
+from estimation.gap.significance.calibration import Round
+from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
+
+SETTING: Any = stub(options=Options())
+
+
+# ------------------------------------------------------------------------------------------------ when one is accepted
+@pytest.mark.parametrize(("gain", "enough"), [(73.0, False), (77.0, True)])
+def test_a_name_gains_three_quarters_of_what_a_nameless_term_does(gain: float, enough: bool) -> None:
+    assert explains(gain, 100.0, AS_SET) is enough
+
+
+@pytest.mark.parametrize(("score", "strong"), [(5.8, False), (6.2, True)])
+def test_half_as_much_again_as_the_threshold_is_strong(score: float, strong: bool) -> None:
+    assert is_strong(score, 4.0, AS_SET) is strong
+
+
+@pytest.mark.parametrize(
+    ("cross", "strong", "timing", "gains", "repeated"),
+    [
+        (1.0, False, False, (9.0, -5.0, -9.0), True),  # gains on flights it was not fitted to
+        (-1.0, False, False, (9.0, 9.0), False),
+        (-1.0, True, False, (9.0, 9.0), True),  # beyond linear theory: the joint fit speaks
+        (-1.0, True, False, (90.0, -1.0), False),
+        (None, False, False, (90.0, 1.0), True),  # nonlinear: without the flight that gains most
+        (None, False, False, (90.0, -1.0), False),
+        (None, False, True, (90.0, -1.0), True),  # the base had followed it by timing
+        (None, False, False, (90.0,), True),  # one flight cannot be asked
+    ],
+)
+def test_an_effect_repeats(
+    cross: float | None, strong: bool, timing: bool, gains: tuple[float, ...], repeated: bool
+) -> None:
+    assert repeats_on_flights(cross, strong, timing, gains) is repeated
+
+
+@pytest.mark.parametrize(
+    ("held", "spare", "stands"),
+    [
+        (None, 0.0, True),
+        (0.1, 0.0, True),
+        (-0.1, 0.0, False),
+        (-2.0, 2.5, True),
+        (-3.0, 2.5, False),
+        (-8.0, np.inf, True),
+        (-10.0, np.inf, False),
+    ],
+)
+def test_chance_may_take_on_held_out_flights_what_there_is_to_spare(
+    held: float | None, spare: float, stands: bool
+) -> None:
+    assert holds_on_holdout(held, spare, AS_SET) is stands
+
+
+@pytest.mark.parametrize(("freed", "followed"), [(45.0, False), (55.0, True)])
+def test_the_base_had_followed_where_timing_frees_half_of_the_gain(freed: float, followed: bool) -> None:
+    assert followed_by_surfaces(freed, 100.0, AS_SET) is followed
+
+
+@pytest.mark.parametrize(("moved", "followed"), [(0.04, False), (0.06, True)])
+def test_timing_is_freed_of_its_prior(moved: float, followed: bool) -> None:
+    """A tenth of a second wide; 0.06 s costs 0.18 of the log-likelihood: 0.36 of a gain of 0.5 in twice of it."""
+    problem = stub(free=("timing_delta_a",), prior=lambda name: (0.0, 0.1))
+    baseline = stub(problem=problem, fit=stub(values={"timing_delta_a": moved}))
+    found = candidate(gain=0.5)
+    found.fit.values["timing_delta_a"] = 0.0
+    assert by_timing(stub(baseline=baseline, criteria=AS_SET), found) is followed
+
+
+@pytest.fixture
+def own_gains(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Share of the gain of each hypothesis that the noise of the controls does not give it: all of it where nothing is said."""
+    shares: dict[str, float] = {}
+    monkeypatch.setattr(accepting.MeasuredAgain, "share", lambda self, gain, fit: shares.get(str(gain), 1.0))
+    return shares
+
+
+@pytest.mark.parametrize(("share", "stands"), [(0.9, True), (0.1, False)])
+def test_what_the_noise_of_the_controls_gives_is_no_effect(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float], share: float, stands: bool
+) -> None:
+    monkeypatch.setattr(accepting, "confirmed", lambda *_: ("child", ""))
+    one = candidate("a", evidence=50.0)
+    own_gains[str(one.gain)] = share
+    finding, said = accept(SETTING, ROUND, Choice((one,), {}, ()), REST)
+    assert (finding is not None) is stands
+    assert stands or "controls are measured again" in said[0].why
+    assert finding is None or finding.candidate.score == pytest.approx(one.score * np.sqrt(share))
+
+
+def test_the_first_candidate_that_is_confirmed_becomes_the_effect(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float]
+) -> None:
+    asked: list[tuple[str, float]] = []
+
+    def confirmed(setting: Any, round_: Any, one: FittedHypothesis, nameless: float) -> tuple[Any, str]:
+        asked.append((one.hypothesis.label, nameless))
+        return ("child", "") if one.hypothesis.label == "b" else (None, "no")
+
+    monkeypatch.setattr(accepting, "confirmed", confirmed)
+    rivals = tuple(candidate(n, evidence=50.0) for n in ("a", "b", "c"))
+    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), REST)
+    assert asked == [("a", 80.0), ("b", 80.0)], "a nameless term is the strongest term, not a burst"
+    assert finding is not None
+    assert (finding.candidate, finding.child) == (rivals[1], "child")
+    assert finding.choice.weights == pytest.approx({"b": 0.5, "c": 0.5})
+    assert said == [Rejected("a", "no")]
+
+
+@pytest.mark.parametrize(
+    ("gain", "shape", "doubted"),
+    [(4880.0, 5000.0, False), (4800.0, 5000.0, True), (75.0, 90.0, False), (75.0, 107.0, False), (75.0, 109.0, True)],
+)
+def test_a_name_is_doubted_where_a_shape_gains_clearly_more_and_by_what_is_significant(
+    gain: float, shape: float, doubted: bool
+) -> None:
+    """Scores are of half the gain: an inflation of two, so that twice the square of the threshold is significant."""
+    assert doubtful(candidate(gain=gain, score=float(np.sqrt(gain / 2.0))), shape, 4.0, AS_SET) is doubted
+
+
+def test_nothing_below_the_threshold_is_asked() -> None:
+    rivals = (candidate(score=3.9),)
+    assert accept(SETTING, ROUND, Choice(rivals, {}, ()), REST) == (None, [])
+
+
+@pytest.mark.parametrize(("shape", "nameless"), [(30.0, 80.0), (900.0, 900.0)])
+def test_a_name_is_held_against_a_shape_without_one(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float], shape: float, nameless: float
+) -> None:
+    asked: list[float] = []
+
+    def confirmed(setting: Any, round_: Any, one: FittedHypothesis, nameless: float) -> tuple[Any, str]:
+        asked.append(nameless)
+        return None, "no"
+
+    monkeypatch.setattr(accepting, "confirmed", confirmed)
+    accept(SETTING, ROUND, Choice((candidate(evidence=50.0),), {}, ()), REST, lambda: shape)
+    assert asked == [nameless]
+    accept(SETTING, ROUND, Choice((candidate(score=3.9),), {}, ()), REST, lambda: pytest.fail("asked for nothing"))
+
+
+def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_it_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = iter([finding("a"), finding("b")])
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "backward_check", lambda *given: None)
+    monkeypatch.setattr(searching, "accept", lambda *given: (next(found), []))
+
+    def screened(baseline: Any, number: int) -> Any:
+        if number == 2:
+            raise GapError("barely stable")
+        return ROUND
+
+    setting: Any = stub(screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    left = run_rounds(setting, stub())
+    assert [f.candidate.hypothesis.label for f in left.findings] == ["a"]
+    assert [r.effect for r in left.rejected] == ["b"]
+    assert "barely stable" in left.rejected[0].why
+    assert len(left.rounds) == 2
+    setting.screened = lambda baseline, number: screened(baseline, 2)
+    with pytest.raises(GapError):
+        run_rounds(setting, stub())
+
+
+# ------------------------------------------------------------------------------------------------ earlier effects again
+@pytest.mark.parametrize(("gain", "needless"), [(15.0, True), (17.0, False), (-3.0, True)])
+def test_an_effect_that_would_not_pass_beside_the_others_is_idle(gain: float, needless: bool) -> None:
+    assert idle(gain, 4.0) is needless
+
+
+def test_six_hypotheses_question_an_earlier_effect() -> None:
+    assert questioners(np.arange(9.0), AS_SET) == [8, 7, 6, 5, 4, 3]
+
+
+def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> FittedHypothesis:
+    """What gains so much, of which nulls scatter `scatter` times what theory says."""
+    return candidate(name, gain=gain, score=float(np.sqrt(gain / scatter)), why_not=why_not)
+
+
+def test_a_rival_must_beat_an_accepted_effect_clearly() -> None:
+    better, best, bad = rival("a", 108.5), rival("b", 109.0), rival("c", 999.0, why_not="no")
+    assert better_rivals([better, best, bad], 100.0, 4.0, AS_SET) == [best, better]
+    assert better_rivals([rival("x", 107.0)], 100.0, 4.0, AS_SET) == []
+    assert better_rivals([], 100.0, 4.0, AS_SET) == []
+
+
+def test_a_rival_counts_as_much_as_its_nulls_scatter_and_has_to_be_significant() -> None:
+    """An offset of the centre of gravity gained 1055 on flights of a light aircraft, and 100 times less by its nulls."""
+    assert better_rivals([rival("lateral_cg", 1055.0, 100.0)], 0.0, 4.0, AS_SET) == []  # 3.2 of 4
+    loud, fair = rival("a", 400.0, 3.8), rival("b", 200.0, 1.5)
+    assert better_rivals([loud, fair], 100.0, 4.0, AS_SET) == [fair]
+    assert better_rivals([loud], 100.0, 4.0, AS_SET) == []
+    assert better_rivals([rival("c", 15.0)], 0.0, 4.0, AS_SET) == []
+
+
+def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That is known of the last round, and of the earlier effect's own; the first that is confirmed takes the place. A bound is
+    widened by what a small step scatters, a score by what is said of delays and plays."""
+    asked = [hypothesis(name, "linear") for name in ("own", "loud", "new", "other")]
+    scatter = {"old": {asked[0].key: 2.0, asked[1].key: 3.0}, "last": {asked[1].key: 100.0}}
+    given: dict[str, Any] = {}
+
+    def round_of(threshold: float) -> Round:
+        none: Any = None
+        known = stub(hypotheses=asked[:2])
+        return Round(none, known, np.zeros(2), np.zeros((0, 2)), np.array([5.0, threshold]), threshold, none)
+
+    def confirmed(setting: Any, round_: Round, candidate: FittedHypothesis, nameless: float) -> tuple[str | None, str]:
+        given.update(baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains))
+        return (None, "does not repeat") if candidate.hypothesis.label == "new" else ("child", "")
+
+    def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[FittedHypothesis]:
+        given.update(found=found, gain=gain, threshold=threshold)
+        return [elsewhere, rival("new", 999.0), rival("other", 998.0)]
+
+    elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
+    monkeypatch.setattr(searching, "deeper_fit", lambda base, fit: fit if fit is elsewhere.fit else None)
+    monkeypatch.setattr(searching, "hypotheses_for", lambda *args: asked)
+    monkeypatch.setattr(searching, "Tangent", lambda *args: None)
+    monkeypatch.setattr(searching, "build_screen", lambda *args: stub(hypotheses=asked))
+    monkeypatch.setattr(searching, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
+    monkeypatch.setattr(searching, "linear_guess", lambda *args: {})
+    monkeypatch.setattr(
+        searching, "individual_inflation", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"]
+    )
+    monkeypatch.setattr(searching, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
+    monkeypatch.setattr(searching, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
+    monkeypatch.setattr(searching, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
+    monkeypatch.setattr(searching, "better_rivals", better)
+    monkeypatch.setattr(searching, "confirmed", confirmed)
+    record = stub(inputs=("delta_a",), input_noise={"delta_a": 0.002}, time=np.array([0.0, 0.05, 0.1]))
+    without = stub(problem=stub(records=[record]), criteria=AS_SET, clean=None, fit=None)
+    old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
+    found = searching._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
+    assert found is not None
+    assert (found[0].hypothesis.label, found[1]) == ("other", "child")
+    assert given.pop("gain") == pytest.approx(25.0)
+    assert given == {
+        "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 1.0))],
+        "threshold": 4.5,
+        "baseline": without,
+        "inflation": [5.0, 4.5, 1.0, 1.0],
+        "gains": [20.0, 1000.0, 30.0, 5.0],
+    }
+
+
+def finding(name: str, cost: float = 50.0) -> AcceptedEffect:
+    child: Any = stub(fit=stub(cost=cost), noise=None)
+    return AcceptedEffect(ROUND, Choice((), {}, ()), candidate(name), stub(), child)
+
+
+@pytest.mark.parametrize(
+    ("cost", "rival", "left", "why"),
+    [
+        (57.0, None, ["b"], "no longer needed"),
+        (70.0, "c", ["b", "c"], "c explains the same better"),
+        (70.0, None, None, ""),
+    ],
+)
+def test_an_earlier_effect_is_dropped_exchanged_or_stands(
+    monkeypatch: pytest.MonkeyPatch, cost: float, rival: str | None, left: list[str] | None, why: str
+) -> None:
+    """Threshold 4, so a gain of 2 (57 - 50) = 14 is too little and 40 enough."""
+    without = stub(fit=stub(cost=cost, values={}, locals=()), noise=None, model=None, clean=None)
+    monkeypatch.setattr(searching, "afresh_with", lambda *given: without)
+    monkeypatch.setattr(searching, "_rival", lambda *given: None if rival is None else (candidate(rival), "child"))
+    monkeypatch.setattr(searching, "fit_baseline", lambda *given: "fresh")
+    setting = stub(prepared=None, scatter=None, child=lambda *given: "child")
+    answer = searching.backward_check(setting, [finding("a"), finding("b")])
+    if left is None:
+        assert answer is None
+        return
+    assert answer is not None
+    assert [f.candidate.hypothesis.label for f in answer[0]] == left
+    assert answer[1][0].effect == "a"
+    assert answer[1][0].why.startswith(why)
+
+
+# ------------------------------------------------------------------------------------------------ rounds
+def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [finding("a"), finding("b"), None]
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, (Rejected("z", "weak"),)))
+    monkeypatch.setattr(searching, "backward_check", lambda *given: None)
+    seen: list[int] = []
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append(number)
+        return ROUND
+
+    def run(most: int) -> Any:
+        seen.clear()
+        answers = iter(found)
+        monkeypatch.setattr(searching, "accept", lambda *given: (next(answers), []))
+        setting: Any = stub(screened=screened, options=Options(most=most), tell=lambda *given: None, prepared=None)
+        return run_rounds(setting, stub())
+
+    every = run(4)
+    assert [f.candidate.hypothesis.label for f in every.findings] == ["a", "b"]
+    assert seen == [0, 1, 2]
+    assert len(every.rejected) == 3
+    assert [f.candidate.hypothesis.label for f in run(1).findings] == ["a"]
+    assert seen == [0, 1], "a last round examines what is left"
+
+
+def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a significant candidate leads its base to is not gained by it; two better valleys a round, and no more."""
+    leads, score, seen = {"first": "second", "second": "third", "third": "fourth"}, 10.0, []
+
+    def choose(*given: Any) -> Choice:
+        return Choice((candidate("a", score=score),), {}, (Rejected("z", "weak"),))
+
+    def base(name: str) -> Any:
+        return stub(name=name, model=None, clean=None, noise=None)
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append((baseline.name, number))
+        return stub(threshold=4.0, baseline=baseline)
+
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", choose)
+    monkeypatch.setattr(searching, "deeper_fit", lambda baseline, fit: leads.get(baseline.name))
+    monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
+    monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    state = run_rounds(setting, base("first"))
+    assert seen == [("first", 0), ("second", 0), ("third", 0)]
+    assert [r.baseline.name for r in state.rounds] == ["third"]
+    assert len(state.rejected) == 1, "what was said of a base that gave way is forgotten with it"
+    seen.clear()
+    score = 3.0  # of a threshold of 4
+    run_rounds(setting, base("first"))
+    assert seen == [("first", 0)]

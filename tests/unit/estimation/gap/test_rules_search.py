@@ -1,0 +1,290 @@
+"""Rules of the search, each at its limit, on rounds and candidates made by hand: which are fitted, how they are weighed, where a
+fit begins."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimation.gap.criteria import AS_SET
+from estimation.gap.decision.steps import misfit_of
+from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.search import confirm
+from estimation.gap.search.confirm import FittedHypothesis, assess, deflated, freed_by, impossible, leading, price
+from estimation.gap.search.select import Choice, credible_set, material, promise, shared_inflation, worth_comparing
+from estimation.gap.significance.measured_again import own_share
+from estimation.gap.significance.omnibus import Omnibus
+from estimation.gap.significance.screen import Hypothesis, Projected, equivalent_z
+from estimation.models.base import Signal as Variable
+from tests.unit.estimation.gap.candidates_by_hand import BASE, candidate, hypothesis, screen, stub
+
+
+# ------------------------------------------------------------------------------------------------ which are fitted in full
+def test_the_ten_best_get_a_full_fit() -> None:
+    delays = [hypothesis(f"d{i}", "delay") for i in range(15)]
+    assert leading(screen(delays), 100.0 - np.arange(15.0), AS_SET) == list(range(10))
+
+
+def test_four_get_one_however_weak_and_others_where_they_gain_a_share_of_the_best() -> None:
+    linear = screen([hypothesis(f"x{i}") for i in range(9)])
+    weak = np.array([100.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert leading(linear, weak, AS_SET) == [0, 1, 2, 3]
+    near = np.array([100.0, 99.0, 98.0, 97.0, 17.0, 16.0, 14.0, 13.0, 12.0])
+    assert leading(linear, near, AS_SET) == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(("cosine", "fitted"), [(0.88, False), (0.92, True)])
+def test_what_is_tied_to_the_best_is_fitted_too(cosine: float, fitted: bool) -> None:
+    gram = np.eye(13)
+    gram[0, 11] = gram[11, 0] = cosine
+    chosen = leading(screen([hypothesis(f"x{i}") for i in range(12)], gram), 100.0 - np.arange(12.0), AS_SET)
+    assert (11 in chosen) is fitted
+
+
+def test_a_play_is_always_fitted() -> None:
+    hypotheses = [*(hypothesis(f"x{i}") for i in range(12)), hypothesis("play", "backlash")]
+    assert 12 in leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0]), AS_SET)
+
+
+def test_a_lag_of_the_air_is_always_fitted() -> None:
+    """Not one of an instrument, which a small step tells."""
+    wake = Variable("beta_wake", "rad", start="beta")
+    parameter = EffectParameter("tau", "s", 0.1, 0.01, 0.6)
+    air = Form("air", (parameter,), terms={"Cl": ("Cl_beta*(beta_wake - beta)",)}, states=(wake,))
+    shown = Form("shown", (parameter,), outputs={"beta": "beta_wake"}, states=(wake,))
+    effects = [Effect(f.label, "", Group.UNSTEADY, "", "", "", "", {}, "", (f,)) for f in (air, shown)]
+    hypotheses = [*(hypothesis(f"x{i}") for i in range(12)), *(Hypothesis(e, e.forms[0]) for e in effects)]
+    chosen = leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0, 0.0]), AS_SET)
+    assert (12 in chosen, 13 in chosen) == (True, False)
+
+
+def test_nonlinear_hypotheses_promise_either_sign_and_are_not_held_against_their_scatter() -> None:
+    gram = np.eye(3)
+    gram[:2, 2] = gram[2, :2] = -6.0
+    one = screen([hypothesis("x"), hypothesis("late", "delay")], gram)
+    baseline = stub(
+        problem=stub(free=("timing_x", "a"), nuisance=lambda n: n != "a", prior=lambda n: (0.0, 0.005)), fit=stub()
+    )
+    baseline.fit.values = {"timing_x": 0.0, "a": 1.0}
+    round_ = stub(screen=one, gains=np.zeros(2), inflation=np.array([1.0, 9.0]), baseline=baseline)
+    assert promise(round_) == pytest.approx([0.0, 36.0 / 5.0])
+    baseline.fit.values["timing_x"] = 0.025
+    assert promise(round_) == pytest.approx([0.0, 25.0]), (
+        "the base had moved it in time by five widths of what is believed"
+    )
+
+
+# ------------------------------------------------------------------------------------------------ how they are weighed
+@pytest.mark.parametrize(("own", "used"), [(1.9, 1.0), (2.1, 2.1)])
+def test_rivals_share_one_inflation_unless_theirs_is_twice_as_large(own: float, used: float) -> None:
+    one = screen([hypothesis("best"), hypothesis("x"), hypothesis("late", "delay")])
+    round_ = stub(screen=one, gains=np.array([100.0, 50.0, 50.0]), inflation=np.array([1.0, own, 5.0]), criteria=AS_SET)
+    found = shared_inflation(round_)
+    assert found[("x", "x")] == used
+    assert found[("late", "late")] == 1.0, "what is judged by a full fit takes the common one"
+
+
+@pytest.mark.parametrize(("cosine", "used"), [(0.88, 9.0), (0.92, 1.0)])
+def test_rivals_of_nearly_one_signature_share_one_inflation_whatever_their_own(cosine: float, used: float) -> None:
+    gram = np.eye(3)
+    gram[0, 1] = gram[1, 0] = cosine
+    one = screen([hypothesis("best"), hypothesis("x")], gram)
+    round_ = stub(screen=one, gains=np.array([100.0, 99.0]), inflation=np.array([1.0, 9.0]), criteria=AS_SET)
+    assert shared_inflation(round_)[("x", "x")] == used
+
+
+def test_inflation_divides_what_residuals_gain_and_not_what_priors_do() -> None:
+    """A base without the delay moves a surface by 5 prior widths: 25 of a gain of 33, and all else is inflated fourfold."""
+    assert deflated(33.0, 25.0, 4.0) == pytest.approx(25.0 + 8.0 / 4.0)
+    believed = {"late": (0.0, 0.005), "a": (0.0, 1e-3)}
+    problem = stub(free=("late", "a"), nuisance=lambda n: n == "late", prior=believed.get)
+    before, after = stub(values={"late": 0.025, "a": 1.0}), stub(values={"late": 0.0, "a": 0.0})
+    assert freed_by(problem, before, after) == pytest.approx(25.0), "what is believed of a derivative is not nuisance"
+
+
+def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -> None:
+    assert price(3.0, 0.3, 3.0, 3.0) == pytest.approx(
+        2.0 * np.log(4.0 / 3.0) + np.log(10.0)
+    )  # Student's t, three degrees of freedom
+    assert price(0.3, 0.3, 3.0, 3.0) == pytest.approx(
+        0.5 * 0.1**2 * 4.0 / 3.0 + np.log(10.0), abs=1e-4
+    )  # near none as a Gaussian
+    assert price(30.0, 0.3, 3.0, 3.0) < np.log(10.0) + 8.0  # ten times the width is dear, not impossible
+    assert price(0.0, 30.0, 3.0, 3.0) == 0.0
+    assert price(3.0, np.inf, 3.0, 3.0) == 0.0
+
+
+def assessed(
+    value: float, forms: int = 1, stretches: Sequence[int] = (0,), states: Sequence[str] = ()
+) -> FittedHypothesis:
+    """stretches: the flight of each. states: of the hypothesis' own."""
+    fitted = stub(values={"x": value}, cost=40.0, diverged=False, std=lambda: {"x": 0.03})
+    problem = stub(model=BASE, criteria=AS_SET, free=(), records=[stub(flight=k) for k in stretches])
+    tried = hypothesis("x", forms=forms)
+    tried = replace(tried, form=replace(tried.form, states=tuple(Variable(n) for n in states)))
+    return assess(problem, stub(cost=100.0, values={}), tried, fitted, 4.0, 1.0)
+
+
+def test_evidence_is_the_gain_over_the_inflation_less_the_price_of_the_size() -> None:
+    """Prior three wide (1.5 usual sizes of 2), bound 0.03 inflated twice."""
+    found = assessed(3.0)
+    assert found.gain == pytest.approx(120.0)
+    assert found.score == pytest.approx(np.sqrt(120.0))
+    assert found.size == 1.5
+    assert found.evidence == pytest.approx(0.5 * 120.0 / 4.0 - 2.0 * np.log(4.0 / 3.0) - np.log(3.0 / 0.06))
+    assert found.evidence - assessed(3.0, forms=2).evidence == pytest.approx(np.log(2.0))
+
+
+@pytest.mark.parametrize(("states", "begun"), [((), 0), (("late",), 3), (("late", "later"), 6)])
+def test_a_state_that_begins_anew_in_every_stretch_is_an_unknown_of_each(states: Sequence[str], begun: int) -> None:
+    """Two flights in five stretches: the gain of 120 is one of 1 + 3 unknowns, and half of the three is noise."""
+    found, whole = (
+        assessed(3.0, stretches=(0, 0, 0, 1, 1), states=states),
+        assessed(3.0, stretches=(0, 1), states=states),
+    )
+    assert whole.score == assessed(3.0).score
+    assert found.score == pytest.approx(equivalent_z(120.0, 1 + begun))
+    assert whole.evidence - found.evidence == pytest.approx(0.5 * begun)
+
+
+@pytest.mark.parametrize(("value", "why"), [(9.9, ""), (10.0, "outside"), (-10.0, "outside")])
+def test_an_estimate_at_a_physical_limit_is_none(value: float, why: str) -> None:
+    assert why in assessed(value).why_not
+    assert bool(assessed(value).why_not) is bool(why)
+
+
+def test_an_estimate_at_a_limit_that_is_no_effect_has_shrunk_to_nothing() -> None:
+    assert impossible(EffectParameter("x", "s", 2.0, 0.0, 10.0), 0.0, 0.0) == "x shrinks to nothing"
+
+
+@pytest.mark.parametrize(("size", "called"), [(0.14, False), (0.16, True)])
+def test_an_effect_of_a_seventh_of_its_usual_size_is_immaterial(size: float, called: bool) -> None:
+    assert (not material(candidate(size=size), 0.05, {}, AS_SET).why_not) is called
+
+
+@pytest.mark.parametrize(("late", "called"), [(0.18, False), (0.22, True)])
+def test_a_surface_late_by_a_fifth_of_a_sample_was_sampled_so(late: float, called: bool) -> None:
+    found = candidate("late", "delay", estimates={"late": (late * 0.05, 0.001)})
+    assert (not material(found, 0.05, {}, AS_SET).why_not) is called
+    assert not material(candidate("play", "backlash", estimates={"play": (0.0, 0.1)}), 0.05, {}, AS_SET).why_not
+
+
+@pytest.mark.parametrize(("width", "called"), [(2.2, False), (2.3, True)])
+def test_a_play_no_wider_than_the_noise_of_its_control_takes_that_off(width: float, called: bool) -> None:
+    found = candidate("play", "backlash", estimates={"play": (width * 0.001, 0.0001)})
+    assert (not material(found, 0.05, {"delta_a": 0.001}, AS_SET).why_not) is called
+    late = candidate("late", "delay", estimates={"late": (0.02, 0.001)})
+    assert not material(late, 0.05, {"delta_a": 1.0}, AS_SET).why_not
+
+
+def test_the_six_best_are_compared_again_where_the_best_is_promising() -> None:
+    many = [candidate(f"x{i}", score=2.2) for i in range(9)]
+    assert list(worth_comparing(many, AS_SET)) == many[:6]
+    assert not worth_comparing([candidate(score=1.8), *many], AS_SET)
+    assert not worth_comparing([], AS_SET)
+
+
+def test_the_set_holds_nineteen_twentieths_of_the_weight() -> None:
+    assert [n for n, _ in credible_set({"a": 0.94, "b": 0.05, "c": 0.01}, AS_SET)] == ["a", "b"]
+    assert [n for n, _ in credible_set({"a": 0.96, "b": 0.04}, AS_SET)] == ["a"]
+
+
+def test_a_refused_candidate_takes_its_weight_with_it() -> None:
+    one, other = candidate("a", evidence=3.0), candidate("b", evidence=3.0)
+    left = Choice((one, other), {"a": 0.5, "b": 0.5}, ()).without({("a", "a")})
+    assert left.candidates == (other,)
+    assert left.weights == {"b": 1.0}
+
+
+def test_rivals_are_less_sure_where_something_is_left_without_a_name() -> None:
+    """Drag of an elevator gains 261 where an accelerometer off the centre of gravity gains 270: 1 to 90, or 1 to 2 where what is
+    left without a name is 2.5 times its threshold."""
+    one, two = candidate("imu_z", evidence=134.5), candidate("CD_de2", evidence=130.0)
+    choice = Choice((one, two), {"imu_z": 0.99, "CD_de2": 0.01}, ())
+    assert choice.beside_rest(1.0) is choice.weights
+    assert choice.beside_rest(6.25)["CD_de2"] == pytest.approx(1.0 / (1.0 + np.exp(4.5 / 6.25)))
+    alone_ = Choice((), {"imu_z": 1.0}, ())
+    assert alone_.beside_rest(6.25) == {"imu_z": 1.0}
+
+
+@pytest.mark.parametrize(("score", "misfit"), [(5.19, 1.0), (5.21, (5.21 / 4.0) ** 2), (10.0, 6.25)])
+def test_a_rest_that_matters_is_so_many_times_what_noise_leaves(score: float, misfit: float) -> None:
+    assert misfit_of(Omnibus(score, 4.0, ()), AS_SET) == pytest.approx(misfit)
+
+
+def test_projection_takes_out_what_the_base_can_absorb() -> None:
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((50, 4))
+    projected = Projected.of(rows.T @ rows, 2, 1)
+    left = rows[:, 2:] - rows[:, :2] @ np.linalg.lstsq(rows[:, :2], rows[:, 2:], rcond=None)[0]
+    assert projected.B[0, 0] == pytest.approx(left[:, 0] @ left[:, 0])
+    assert projected.scores()[0, 0] == pytest.approx(left[:, 0] @ left[:, 1] / np.linalg.norm(left[:, 0]))
+
+
+# ------------------------------------------------------------------------------------------------ where a fit begins
+@pytest.mark.parametrize(
+    ("ends", "kept"),
+    [
+        # of both starts after their first steps: cost and play; of what is carried on: the same
+        ({"near": ((12.0, 0.6), (3.0, 1.0)), "usual": ((10.0, 0.0), (10.0, 0.0))}, 3.0),
+        ({"near": ((12.0, 0.6), (11.0, 0.4)), "usual": ((10.0, 0.0), (9.0, 0.0))}, 9.0),
+        ({"near": ((12.0, 0.0), (3.0, 1.0)), "usual": ((10.0, 0.0), (9.0, 0.0))}, 9.0),
+        ({"near": ((8.0, 0.6), (5.0, 0.8)), "usual": ((10.0, 1.0), (1.0, 1.0))}, 5.0),
+    ],
+    ids=[
+        "nothing gives way to something better",
+        "or stays where that is none",
+        "no start that is at nothing too goes on",
+        "something found ends the search",
+    ],
+)
+def test_an_end_at_nothing_is_not_believed_while_another_start_goes_on(
+    monkeypatch: pytest.MonkeyPatch, ends: dict[str, tuple[tuple[float, float], ...]], kept: float
+) -> None:
+    """A rudder with a degree of play, in six degrees of freedom: five steps from the usual size the fit had shrunk to no play at
+    all, five from a third of it the way to the right one was half gone, and its cost the larger."""
+
+    def fitted(which: str, turn: int) -> Any:
+        cost, play = ends[which][turn]
+        return stub(
+            cost=cost, values={"play": play, "which": which}, locals=[], converged=turn == 1, diverged=False, model=None
+        )
+
+    parameter = EffectParameter("play", "rad", 1.0, 0.0, 3.0)
+    hypothesis = stub(form=stub(parameters=(parameter,), nonlinear=True))
+    monkeypatch.setattr(
+        confirm, "_begun", lambda p, b, h, start, _: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
+    )
+    monkeypatch.setattr(confirm, "fit", lambda trial, values, locals_, **_: fitted(str(values["which"]), 1))
+    _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
+    assert found.cost == kept
+
+
+@pytest.mark.parametrize(
+    ("end", "kept"),
+    [((30.0, 1.5), 3.0), ((20.5, 1.5), 20.5), ((30.0, 3.0), 30.0), ((30.0, 0.0), 30.0)],
+    ids=["another valley", "as good as the base", "at its limit", "nothing"],
+)
+def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
+    monkeypatch: pytest.MonkeyPatch, end: tuple[float, float], kept: float
+) -> None:
+    """A rudder with a degree of play: from four fifths of it and more another valley, from two thirds and less the right one."""
+
+    def begun(problem: Any, base: Any, hypothesis: Any, start: Any, beyond: float) -> Any:
+        cost, play = (3.0, 1.0) if start["play"] < 0.2 else end
+        values = {"play": play}
+        return problem, stub(cost=cost, values=values, locals=[], converged=True, diverged=False, model=None)
+
+    monkeypatch.setattr(confirm, "_begun", begun)
+    hypothesis = stub(form=stub(parameters=(EffectParameter("play", "rad", 1.0, 0.0, 3.0),), nonlinear=True))
+    _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
+    assert found.cost == kept
+
+
+@pytest.mark.parametrize(("gain", "without", "share"), [(60.0, 20.0, 0.2), (40.0, -40.0, 1.0), (30.0, 30.0, 0.0)])
+def test_a_fifth_of_what_the_noise_of_the_controls_gives_is_not_counted(
+    gain: float, without: float, share: float
+) -> None:
+    assert own_share(gain, without, AS_SET) == pytest.approx(share, abs=1e-12)

@@ -1,0 +1,65 @@
+"""Reports state what their numbers mean; a thesis table prints no number that could not be told."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimation.aircraft import load_aircraft
+from estimation.answers.estimates import session_lines
+from estimation.models import load_model
+from estimation.report.conventions import conventions_table
+from estimation.report.model_export import export_estimates
+from estimation.report.tables import CANNOT_TELL, ReportTable
+from estimation.session import runner
+from estimation.session.session import EstimationSession
+from tests.unit.estimation.truth import NOISE, Case, fly
+
+
+@pytest.fixture(scope="module")
+def session() -> EstimationSession:
+    """A flight without any rudder, whose derivatives cannot be told."""
+    flights = fly(Case(noise=NOISE, rudder=0.0), np.random.default_rng(8))[0]
+    aircraft = load_aircraft("cdfp")
+    return runner.estimate(load_model("lateral", aircraft), flights, aircraft, ["ml"])
+
+
+def test_the_printed_answer_and_the_page_state_conventions_and_constants(session: EstimationSession) -> None:
+    text = "\n".join(session_lines(session))
+    for words in (
+        "per rad",
+        "p b/2V",
+        "rolls left",
+        "y right",
+        "S 0.787 m2",
+        "b 1.5 m",
+        "m 3.5 kg",
+        "Ixz 0.008",
+        "0.44 m aft",
+    ):
+        assert words in text
+    assert "wind tunnel" in text
+    table = conventions_table(session)
+    assert {"axes", "units", "signs", "constants", "CG"} <= {row[0] for row in table.rows}
+
+
+def test_a_latex_table_has_no_number_for_what_cannot_be_told_and_the_belief_beside_what_can(
+    session: EstimationSession, tmp_path: Path
+) -> None:
+    export_estimates(session.to_json(), tmp_path / "t.tex")
+    lines = (tmp_path / "t.tex").read_text().splitlines()
+    (rudder,) = (line for line in lines if "n_{\\delta_r}" in line)
+    assert "cannot tell" in rudder
+    (damping,) = (line for line in lines if "-0.45$" in line)
+    assert "cannot tell" not in damping
+    assert "engineering estimate" in damping
+
+
+def test_a_group_that_ends_in_cannot_tell_says_only_that() -> None:
+    row = ("Cn_dr", "0.12", "0.01", CANNOT_TELL, "0.13", "0.02", "0.03")
+    table = ReportTable(
+        "t", "c", ("", *("estimate", "bound", "corrected") * 2), (row,), (("", 1), ("ml", 3), ("ls", 3))
+    )
+    (line,) = (text for text in table.latex().splitlines() if "cannot tell" in text)
+    assert "0.12" not in line
+    assert "0.13" in line
