@@ -18,7 +18,16 @@ from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration import conversions, curves
 from groundstation.calibration.account import account
-from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
+from groundstation.calibration.align import (
+    BRIDGED,
+    COMPLETE,
+    by_stamp,
+    completeness,
+    connectedness,
+    hold,
+    to_scan_time,
+    undo_lag,
+)
 from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.columns import GNSS, CombinedColumns, direct_columns
 from groundstation.calibration.facts import RecordedFacts
@@ -185,13 +194,16 @@ class Calibrator:
         values.update(conversions.continuous_quaternion(values))
         furthest = BRIDGED if table.bridged else math.inf
         for name, reading in values.items():
-            if name in _HELD:
+            group, smooth = readings.group[name], name not in self._linear and name not in _HELD
+            sampled_at = table.time + table.known_offset(group) - readings.delay[name]
+            if self.facts.stamped(group):
+                lag = readings.lag.get(name, 0.0)
+                values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag)
+            elif name in _HELD:
                 values[name] = hold(reading, table.number)
             else:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
-                sampled_at = table.time + table.known_offset(readings.group[name]) - readings.delay[name]
-                smooth = name not in self._linear
                 values[name] = to_scan_time(
                     reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
                 )

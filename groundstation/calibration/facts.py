@@ -49,6 +49,10 @@ class RecordedFacts:
         """Count at which an instrument was told, before flight, that it sees nothing; None when it was not."""
         return self._number(f"{instrument}.zero_count")
 
+    def stamped(self, group: str) -> bool:
+        """Whether a group's samples carry their sender's time, and stand in each scan until the next."""
+        return self.values.get(f"{group}.stamped") == "sender"
+
     def delay(self, instrument: str, group: str) -> float:
         """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
         if instrument in _LAG_KEYS:

@@ -150,9 +150,10 @@ class Instruments:
         row[25] = truth.temperature + m.static.die_above_air_k
         row[26] = (truth.thrust + m.thrust.zero_n) * m.thrust.counts_per_newton * 0.5 / (NAU7802_GAIN * 2**23)
         row[27:33] = (truth.latitude, truth.longitude, truth.altitude, *truth.velocity_ned)
-        row[33:39] = truth.pulses_us
-        row[33:39] *= 1e-6
-        row[39:44] = truth.digital
+        row[33:37] = (s.phi, s.theta, math.cos(s.psi), math.sin(s.psi))
+        row[37:43] = truth.pulses_us
+        row[37:43] *= 1e-6
+        row[43:48] = truth.digital
         return row
 
     @staticmethod
