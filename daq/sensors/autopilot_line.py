@@ -217,6 +217,11 @@ class AutopilotLine:
         """The message that was true last; None before the first."""
         return self._newest.get(message)
 
+    @property
+    def complete(self) -> bool:
+        """Whether every parameter asked for has been told."""
+        return all(name in self.parameters for name in self._names)
+
     def rate_hz(self, message: int) -> float:
         """How often it comes, by those that came last."""
         times = self._arrivals.get(message)

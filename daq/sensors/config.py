@@ -11,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME, GROUP_NAMES, channels_of
 from daq.sensors.ads1115 import Ads1115, AnalogConfig
+from daq.sensors.as5600 import As5600, EncoderConfig
 from daq.sensors.ak09916 import Ak09916, MagConfig
 from daq.sensors.autopilot import SENDERS, AutopilotGroup, AutopilotSection, MavlinkServo
 from daq.sensors.base import (
@@ -36,6 +37,7 @@ CHIPS: tuple[type[Driver], ...] = (
     Ads1115,
     Ms4525do,
     Bmp390,
+    As5600,
     Nau7802,
     Capture,
     MavlinkServo,
@@ -135,6 +137,8 @@ class SensorsConfig(SensorConfigSection):
     thrust: ThrustConfig | None = None
     capture: CaptureConfig | None = None
     gnss: GnssConfig | None = None
+    vane_alpha: EncoderConfig | None = None
+    vane_beta: EncoderConfig | None = None
     autopilot: AutopilotSection | None = None
     health: HealthConfig = HealthConfig()
     extra: dict[str, ExtraConfig] = Field(default_factory=dict)
