@@ -99,6 +99,7 @@ def build_aircraft(
     bus = SimulatedBus(clock, {**chips, **laboratory}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
+    autopilot.start_utc_ns = clock.utc_ns()
     events = FaultEvents(faults, {**board, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
     events.at(origin)
     if events.any_left:
@@ -243,14 +244,13 @@ def prepare_flight(
     aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
     radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
-    capture = config.sensors.capture
     edge = HardwareEdge(
         clock,
         aircraft.bus,
         gnss,
         "simulated",
         autopilot=SimulatedSerial(aircraft.autopilot, clock.monotonic_ns)
-        if capture is not None and capture.driver == "mavlink_servo"
+        if config.sensors.autopilot_port is not None
         else None,
         pulse=aircraft.newest_pulse if models.gnss.pulse else None,
         radio=radio.air if config.downlink is not None else None,

@@ -94,6 +94,31 @@ def _too_sparse(finite: Mask, time: Array, number: NDArray[np.int64], furthest: 
     return float(np.median(np.diff(number[finite]))) > SLOWEST or float(np.median(np.diff(time[finite]))) > furthest
 
 
+REPEATED = 1e-3
+"""Stamps no further apart [s] are those of one sample: scans have them in whole microseconds, senders send none so close."""
+
+
+def by_stamp(values: Array, stamped_at: Array, target_times: Array, *, smooth: bool, lag: float = 0.0) -> Array:
+    """`values` (N,) dated by their sender at `stamped_at` (N,) [s], brought to `target_times` (N,) [s].
+
+    A sample stands in each scan until a newer one comes, and came when it came: it counts once, at its own time. Samples up to
+    BRIDGED seconds apart are neighbours. lag: of a first-order low pass, taken out [s]. smooth: cubic instead of linear.
+    """
+    rows = np.flatnonzero(np.isfinite(values) & np.isfinite(stamped_at))
+    rows = rows[np.argsort(stamped_at[rows], kind="stable")]
+    rows = rows[np.diff(stamped_at[rows], prepend=-np.inf) > REPEATED]
+    t, y = stamped_at[rows], values[rows]
+    aligned = np.full_like(values, np.nan)
+    number = np.cumsum(np.where(np.diff(t, prepend=-np.inf) <= BRIDGED, 1, 2)).astype(np.int64)
+    if lag:
+        y = undo_lag(y, t, number, lag)
+    for run in np.split(np.arange(t.size), np.flatnonzero(np.diff(number) > 1) + 1):
+        if run.size >= 2:
+            in_run = _in_run(t[run], y[run], target_times, smooth and run.size >= 4)
+            aligned = np.where(np.isnan(in_run), aligned, in_run)
+    return aligned
+
+
 def hold(values: Array, number: NDArray[np.int64]) -> Array:
     """A quantity that holds from one sample to the next (a pulse width): the last value in each scan of its runs."""
     row_runs, spacing = runs(number, np.isfinite(values))
