@@ -248,7 +248,7 @@ def _air(
 
 
 def _flow(velocity: Array, axes: Array) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
-    """alpha, beta, V (n,) of an air velocity (n, 3) NED, and their slopes by the states (n, 18)."""
+    """alpha, beta, V (n,) of an air velocity (n, 3) NED, and their slopes by the states (n, 19)."""
     u, v, w = np.einsum("ni,nij->jn", velocity, axes)
     speed = np.linalg.norm(velocity, axis=1)
     plane = u**2 + w**2

@@ -122,6 +122,7 @@ def _stretch(
         force=_between(_integral(time, force), time, node),
         turn=_between(_integral(time, axes.reshape(-1, 9)), time, node).reshape(-1, 3, 3),
         acceleration=_mean(acceleration, node, fixes[rows]),
+        speed_acceleration=_mean(acceleration, node, speeds[rows]),
         fix=_mean(fix - velocity, node, fixes[rows]),
         fixes=np.bincount(node, fixes[rows].astype(float)).astype(float),
         airspeed=_mean(airspeed[rows], node, speeds[rows]),
