@@ -177,7 +177,6 @@ def of_structure(
     for lack in ambiguous:
         text = ambiguous_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))
-        against += [text] if lack.apart > NOTABLE else []
     names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
         return replace(recommendation, lacks=names) if lacks else recommendation
@@ -208,8 +207,9 @@ def ambiguous_text(lack: Lack) -> str:
     rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
     return (
         f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
-        f" and moves estimates by up to {lack.apart:.1f} of their bounds: state {leading.name} in the aircraft file, measure the"
-        " other (a swing test for inertia), or fly a symmetric pull-up with aileron 3-2-1-1"
+        f" and moves estimates by up to {lack.apart:.1f} of their bounds, which the bounds now span: to tell them, state"
+        f" {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up with"
+        " aileron 3-2-1-1"
     )
 
 
