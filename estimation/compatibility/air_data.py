@@ -13,6 +13,8 @@ import numpy as np
 
 from daq.utilities.constants import RADIAN, SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
+    AGE,
+    AIRSPEED_AGE,
     ATTITUDE,
     GUST,
     INTERVAL,
@@ -25,7 +27,7 @@ from estimation.compatibility.air_filter import (
     gust_likelihoods,
     smooth_states,
 )
-from estimation.compatibility.air_nodes import FIX, INERTIAL, AirStretch, fresh_values, measured_noise, stretches_of
+from estimation.compatibility.air_nodes import FIX, INERTIAL, Ages, AirStretch, fresh_values, measured_noise, stretches_of
 from estimation.compatibility.records import attitude_errors
 from estimation.errors import DataError
 from estimation.prepare.columns import with_derived
@@ -33,6 +35,8 @@ from groundstation.flight import RECONSTRUCTED, Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 
 AIR = ("alpha", "beta", "V")
+
+MOST_AGE = 1.0  # [s]: what comes later than that is of another flight condition
 
 GUSTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6)
 """Levels [m/s] among which the likelihood chooses, steps of the root of 2: what a calm morning has near the ground, to moderate
@@ -89,6 +93,12 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     noise = _noise(flight, airspeed, assumed)
     nodes = [s.nodes for s in stretches]
     wind = _first_wind(stretches)
+    gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
+    smoothed = smooth_states(nodes, noise, gust, assumed, wind)
+    # an age is a linear state about the stamps; in a roll of 2 rad/s it has to be linear about itself
+    age, airspeed_age = smoothed.states[-1, [AGE, AIRSPEED_AGE]].clip(-MOST_AGE, MOST_AGE).tolist()
+    stretches, _ = stretches_of(flight, airspeed, Ages(age, airspeed_age))
+    nodes = [s.nodes for s in stretches]
     gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
     smoothed = smooth_states(nodes, noise, gust, assumed, wind)
     values, std = _air(flight, stretches, smoothed, noise)

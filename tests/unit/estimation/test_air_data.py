@@ -204,6 +204,7 @@ def test_filter_and_smoother_agree_with_the_joint_distribution() -> None:
             force=rng.standard_normal((n, 3)),
             turn=0.2 * axis,
             acceleration=rng.standard_normal((n, 3)),
+            speed_acceleration=rng.standard_normal((n, 3)),
             fix=fix,
             fixes=np.array([1.0, 0.0] + [1.0] * (n - 2)),
             airspeed=15.0 + rng.standard_normal(n),
