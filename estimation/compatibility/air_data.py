@@ -14,7 +14,6 @@ import numpy as np
 from daq.utilities.constants import RADIAN, SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
     AGE,
-    AIRSPEED_AGE,
     ATTITUDE,
     GUST,
     INTERVAL,
@@ -27,7 +26,7 @@ from estimation.compatibility.air_filter import (
     gust_likelihoods,
     smooth_states,
 )
-from estimation.compatibility.air_nodes import FIX, INERTIAL, Ages, AirStretch, fresh_values, measured_noise, stretches_of
+from estimation.compatibility.air_nodes import FIX, INERTIAL, AirStretch, fresh_values, measured_noise, stretches_of
 from estimation.compatibility.records import attitude_errors
 from estimation.errors import DataError
 from estimation.prepare.columns import with_derived
@@ -95,9 +94,9 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     wind = _first_wind(stretches)
     gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
     smoothed = smooth_states(nodes, noise, gust, assumed, wind)
-    # an age is a linear state about the stamps; in a roll of 2 rad/s it has to be linear about itself
-    age, airspeed_age = smoothed.states[-1, [AGE, AIRSPEED_AGE]].clip(-MOST_AGE, MOST_AGE).tolist()
-    stretches, _ = stretches_of(flight, airspeed, Ages(age, airspeed_age))
+    # a fix of before has the motion of before, which a linear state does not know in a roll of 2 rad/s
+    age = float(np.clip(smoothed.states[-1, AGE], -MOST_AGE, MOST_AGE))
+    stretches, _ = stretches_of(flight, airspeed, age)
     nodes = [s.nodes for s in stretches]
     gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
     smoothed = smooth_states(nodes, noise, gust, assumed, wind)

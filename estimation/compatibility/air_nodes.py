@@ -33,21 +33,10 @@ class AirStretch:
     nodes: Nodes
 
 
-@dataclass(frozen=True, slots=True)
-class Ages:
-    """How much older than its stamp a velocity fix and an airspeed is [s]."""
-
-    fix: float = 0.0
-    airspeed: float = 0.0
-
-
-AS_STAMPED = Ages()
-
-
-def stretches_of(flight: Flight, airspeed: Array, ages: Ages = AS_STAMPED) -> tuple[list[AirStretch], list[str]]:
+def stretches_of(flight: Flight, airspeed: Array, fix_age: float = 0.0) -> tuple[list[AirStretch], list[str]]:
     """Stretches in which the inertial motion is measured and the aircraft flies, and notes. airspeed: (N,) [m/s], true.
 
-    ages: as far as they are known; fixes and airspeeds are held against the motion of that time before.
+    fix_age: how much older than its stamp a velocity fix is [s], as far as it is known.
 
     Raises DataError when no stretch is long enough or none has a fix and an airspeed.
     """
@@ -64,7 +53,7 @@ def stretches_of(flight: Flight, airspeed: Array, ages: Ages = AS_STAMPED) -> tu
                 "velocity fix or airspeed in it"
             )
             continue
-        stretches.append(_stretch(flight, rows, airspeed, fixes, speeds, ages))
+        stretches.append(_stretch(flight, rows, airspeed, fixes, speeds, fix_age))
     if not stretches:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(INERTIAL)} all measured and "
@@ -115,7 +104,7 @@ def fresh_values(flight: Flight, column: str, values: Array) -> NDArray[np.bool_
 
 
 def _stretch(
-    flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_], ages: Ages
+    flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_], fix_age: float
 ) -> AirStretch:
     time = flight.time[rows]
     phi, theta, psi = _attitude(flight, rows)
@@ -127,17 +116,16 @@ def _stretch(
     velocity = _integral(time, acceleration)
     velocity += fix[first] - velocity[first]
     node = _node_of(time)
-    fix_velocity, speed_velocity = (_earlier(velocity, time, age) for age in (ages.fix, ages.airspeed))
     nodes = Nodes(
         time=_mean(time, node),
         velocity=_at_middle(velocity, time, node),
-        mean_velocity=_mean(speed_velocity, node, speeds[rows]),
+        mean_velocity=_mean(velocity, node, speeds[rows]),
         axes=_at_middle(axes.reshape(-1, 9), time, node).reshape(-1, 3, 3),
         force=_between(_integral(time, force), time, node),
         turn=_between(_integral(time, axes.reshape(-1, 9)), time, node).reshape(-1, 3, 3),
-        acceleration=_mean(_earlier(acceleration, time, ages.fix), node, fixes[rows]),
-        speed_acceleration=_mean(_earlier(acceleration, time, ages.airspeed), node, speeds[rows]),
-        fix=_mean(fix - fix_velocity, node, fixes[rows]),
+        acceleration=_mean(_earlier(acceleration, time, fix_age), node, fixes[rows]),
+        speed_acceleration=_mean(acceleration, node, speeds[rows]),
+        fix=_mean(fix - _earlier(velocity, time, fix_age), node, fixes[rows]),
         fixes=np.bincount(node, fixes[rows].astype(float)).astype(float),
         airspeed=_mean(airspeed[rows], node, speeds[rows]),
     )

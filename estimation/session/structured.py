@@ -50,15 +50,20 @@ class StructureWish(Enum):
 
 
 def with_structure_tests(
-    session: EstimationSession, task: Task, wish: StructureWish, fitted: Callable[[Model], EstimationSession]
+    session: EstimationSession,
+    task: Task,
+    wish: StructureWish,
+    fitted: Callable[[Model, Collection[str] | None], EstimationSession],
 ) -> EstimationSession:
     """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
 
-    fitted: the session of another model.
+    fitted: the session of another model by some methods, None being all. Until nothing more is to be added, only those that
+    the test looks at are fitted again.
     """
     added_names: list[str] = []
     ambiguous: list[Lack] = []
     tested = _tested(session, task)
+    looked_at = _looked_at(session)
     for _ in range(ROUNDS):
         lacks = _lacks(tested)
         new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
@@ -68,8 +73,21 @@ def with_structure_tests(
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         added_names += [t.name for t in terms]
         ambiguous += [lack for lack in new if lack.rivals]
-        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms))), task)
+        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms)), looked_at), task)
+    if added_names and looked_at is not None:
+        tested = _tested(fitted(tested.model, None), task)
     return _with_added(tested, added_names, ambiguous)
+
+
+def _looked_at(session: EstimationSession) -> tuple[str, ...] | None:
+    """The methods whose fits decide what a model lacks; None where that takes all: output error alone unless a filter is
+    believed."""
+    from estimation.session.verdict import verdict
+
+    groups = [session.joint] if session.joint else [f.results for f in session.flights]
+    believed = {verdict(results).recommended.method for results in groups}
+    others = set(session.methods) - {"ml"}
+    return None if not others or "ml" not in session.methods or believed & {*FILTERS} else ("ml",)
 
 
 def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
@@ -111,7 +129,11 @@ def _spanning(results: Mapping[str, Result], structure: StructureTest | None) ->
     if structure is None:
         return results
     spans: list[Mapping[str, float]] = [lack.differs for lack in structure.ambiguous]
-    why = {n: lack.rivals[0].candidate.phrase for lack in structure.ambiguous for n in (lack.leading.candidate.name, *lack.differs)}
+    why = {
+        n: lack.rivals[0].candidate.phrase
+        for lack in structure.ambiguous
+        for n in (lack.leading.candidate.name, *lack.differs)
+    }
     borne = [t.moves for lack in structure.lacks if not lack.matters for t in (lack.leading, *lack.rivals)]
     alternatives = {lack.leading.candidate.name: lack.leading.candidate.null for lack in structure.ambiguous}
     return {m: _spanned(r, spans, borne, alternatives, why) for m, r in results.items()}
@@ -136,7 +158,9 @@ def _spanned(
         parameters[name] = replace(e, std_coloured=wide)
         if e.identifiable and math.hypot(*rival, 0.0) > UNTOLD * abs(e.estimate):
             parameters[name] = replace(
-                parameters[name], identifiable=False, why=f"these flights cannot tell it from {why.get(name, 'a rival')}"
+                parameters[name],
+                identifiable=False,
+                why=f"these flights cannot tell it from {why.get(name, 'a rival')}",
             )
     return replace(result, parameters=parameters)
 

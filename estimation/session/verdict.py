@@ -101,6 +101,7 @@ def verdict(
     craft: AircraftObjections = NOTHING,
     structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
+    fast: Sequence[str] = (),
 ) -> Verdict:
     """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
 
@@ -108,6 +109,7 @@ def verdict(
     the gusts: methods that take them for the angles flown miss by bounds (docs/compatibility.md), output error hardly does.
     odd: what the records themselves show to be of another unit or sign, which no result is any better than. craft: what the
     aircraft's own review says. structure: what the model lacks; odd_flights: flights that differ from the others of a joint fit.
+    fast: what is over before the records of the controls can show it.
     """
     case = _Case(results, reconstructed=" and ".join(reconstructed))
     for text in craft.impossible:
@@ -131,6 +133,7 @@ def verdict(
     for method, results_of_flights in (members or {}).items():
         if method in results and len(results_of_flights) > 1:
             _members(case, method, results[method], results_of_flights)
+    case.doubts += [Doubt(DoubtKind.FAST, text) for text in fast]
     if members:
         case.doubts += _stretched(next(iter(results.values()), None))
     recommendation = of_structure(_choice(case, tested=structure is not None), case.doubts, structure, odd_flights)

@@ -158,7 +158,9 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             and _possible(t, result)
         ]
         differs = _differences(linear, strongest, rivals, scores)
-        apart = max((d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0)
+        apart = max(
+            (d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0
+        )
         holdout = held_out(linear, taken_up, strongest)
         lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, apart, holdout))
         taken_up.append(strongest)
