@@ -3,8 +3,8 @@
 The motion itself comes from integrating specific forces (nominal velocity); the filter estimates its slow errors, and the
 wind. States, NED unless said otherwise: error of the nominal velocity (3) [m/s], error of the attitude (3, rotation
 vector) [rad], accelerometer biases (3, body axes) [m/s2], wind (3) [m/s], gust (3) [m/s], scale error of the airspeed [1],
-sideslip in trim [rad], age of the satellite velocity [s], age of the airspeed [s]. Airspeed is not linear in them: filter and smoother are run
-again about what the smoother found.
+sideslip in trim [rad], age of the satellite velocity [s], age of the airspeed [s]. Airspeed is not linear in them: filter and
+smoother are run again about what the smoother found.
 
 Source: Jategaonkar, Flight Vehicle System Identification (2015), ch. 10 (flight-path reconstruction with wind states);
 Rauch, Tung, Striebel (1965) for the smoother.
@@ -69,8 +69,9 @@ class Nodes:
 
     time (K,) [s]; velocity (K, 3): nominal, at the node; mean_velocity (K, 3): over the node's samples; axes (K, 3, 3): body
     axes as columns, NED; force, turn: integrals from the node before of the specific force (K, 3) and of `axes` (K, 3, 3);
-    acceleration, speed_acceleration (K, 3): over the ground, at the fixes and at the airspeeds, NaN where there is none; fix (K, 3): GNSS velocity less the nominal one, NaN where there is none, and fixes
-    (K,) how many are in it; airspeed (K,): mean, NaN where not measured.
+    acceleration, speed_acceleration (K, 3): over the ground, at the fixes and at the airspeeds, NaN where there is none;
+    fix (K, 3): GNSS velocity less the nominal one, NaN where there is none, and fixes (K,) how many are in it;
+    airspeed (K,): mean, NaN where not measured.
     """
 
     time: Array

@@ -1,8 +1,9 @@
 """Modes that are over before the record of a control can say when it moved.
 
 A rate that damps with L (`p`: Cl_p) and is driven by a control answers an edge with a time constant of T = 1/L. Where the
-control was logged at intervals longer than T, an edge that came somewhere within an interval and a damping that is another one make the same
-samples: damping and control power trade against each other, and only their ratio, the steady rate for a deflection, is told.
+control was logged at intervals longer than T, an edge that came somewhere within an interval and a damping that is another one
+make the same samples: damping and control power trade against each other, and only their ratio, the steady rate for a
+deflection, is told.
 """
 
 import math

@@ -84,9 +84,9 @@ class Tested:
 
 @dataclass(frozen=True)
 class Lack:
-    """Something the model lacks, and what would serve as well. differs: parameter -> by how much its estimate differs with a
-    rival in its place; apart: the most of that in bounds. holdout: twice the log likelihood that it gains on each flight when fitted to all the others, summed; None with one
-    flight."""
+    """Something the model lacks, and what would serve as well. differs: parameter -> by how much its estimate
+    differs with a rival in its place; apart: the most of that in bounds. holdout: twice the log likelihood that it gains on each
+    flight when fitted to all the others, summed; None with one flight."""
 
     leading: Tested
     rivals: tuple[Tested, ...] = ()
