@@ -1,8 +1,8 @@
 """AS5600 and AS5600L: the angle of a vane by a magnet on the end of its shaft.
 
-ams datasheets AS5600 v1-06 and AS5600L v1-00. 4096 counts a turn; RAW ANGLE is recorded as the distance from `centre_count`, so
-that the wrap lies opposite to where the vane points. An AS5600 is at 0x36 always: of two vanes one is an AS5600L, whose address is
-programmable (0x40 as delivered), or the two sit behind a multiplexer that the kernel shows as two buses.
+ams datasheets AS5600 v1-06 and AS5600L v1-00. 4096 counts a turn; RAW ANGLE is recorded as the distance from `centre_count`: the
+wrap lies opposite to where the vane points. An AS5600 is at 0x36 always: of two vanes one is an AS5600L, whose address can be
+programmed (0x40 as delivered), or the two sit behind a multiplexer that the kernel shows as two buses.
 The chip's slow filter is set to 2x, settling in 0.286 ms, without fast filter, hysteresis or watchdog (table "CONF").
 
 Self-test: CONF read back, magnet there. Plausibility: STATUS bit 5 (MD) clear is no magnet, bit 4 (ML) one too weak or far,

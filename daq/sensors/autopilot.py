@@ -13,7 +13,7 @@ Self-test: a message of each group within two seconds. Plausibility: checksum, r
 """
 
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field
@@ -22,13 +22,16 @@ from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.autopilot_line import (
     ATTITUDE,
+    BYTES,
     GLOBAL_POSITION_INT,
     GPS_RAW_INT,
     HIGHRES_IMU,
+    LINE_SHARE,
     NAMES,
     RAW_IMU,
     SCALED_PRESSURE,
     SERVO_OUTPUT_RAW,
+    SLOW_BYTES_PER_S,
     SYSTEM_TIME,
     AutopilotLine,
     AutopilotMessage,
@@ -66,6 +69,12 @@ class AutopilotSample(NamedTuple):
     fault: str = ""
 
 
+def carried_hz(baud: int, groups: Sequence[str]) -> float:
+    """How often a line can bring a sample of each of the groups [Hz]."""
+    cycle = sum(BYTES.get(m, 0) for m in {_MESSAGES[g][0] for g in groups})
+    return max(1.0, (LINE_SHARE * baud / 10 - SLOW_BYTES_PER_S) / max(cycle, 1))
+
+
 class AutopilotGroup(Driver):
     """A group of channels out of the autopilot's messages."""
 
@@ -78,8 +87,12 @@ class AutopilotGroup(Driver):
         self._section, self._line, self._around, self._now = around.section(group), line, around, around.now_ns
         rate = min(around.rate_hz, self.max_rate_hz)
         messages = _MESSAGES[group]
-        rates = (GNSS_HZ, GNSS_HZ / 2) if group == "gnss" else (FRESH * rate, rate, rate / 2)
-        self._wishes: list[MessageWish] = [line.want(messages, *rates)]
+        carried = carried_hz(self._line_baud(around), [g for g in _MESSAGES if self._is_read(g, around)])
+        rates = tuple(r for r in (FRESH * rate, rate, rate / 2) if r <= carried) or (carried,)
+        self._wishes: list[MessageWish] = [line.want(messages, *(rates if group != "gnss" else (GNSS_HZ, GNSS_HZ / 2)))]
+        if carried < rate and group != "gnss":
+            words = f"{self._line_baud(around)} baud carry {carried:.0f} of {rate:.0f} samples a second"
+            self._wishes[0].refusal = f"{words}: raise the baud rate (USB: write 921600), or lower scan.rate_hz"
         if group == "gnss":
             self._wishes += [line.want((GPS_RAW_INT,), GNSS_HZ / 2), line.want((SYSTEM_TIME,), TIME_HZ)]
         self._seen_ns = self._time_ns = 0
@@ -92,6 +105,13 @@ class AutopilotGroup(Driver):
         names = tuple(_FILTERS.values()) if getattr(around.section("imu"), "driver", "") == cls.name else ()
         line = around.shared.setdefault("autopilot", AutopilotLine(port, around.now_ns, device, names))
         return cls(group, around, line)
+
+    @classmethod
+    def _is_read(cls, group: str, around: Surroundings) -> bool:
+        return getattr(around.section(group), "driver", "") == cls.name
+
+    def _line_baud(self, around: Surroundings) -> int:
+        return int(around.section("autopilot").baud)
 
     def initialise(self) -> Generator[Wait, None, None]:
         asked_ns = self._now()
@@ -233,6 +253,9 @@ class MavlinkServo(AutopilotGroup):
 
     name, groups = "mavlink_servo", ("capture",)
     max_rate_hz = 50.0
+
+    def _line_baud(self, around: Surroundings) -> int:
+        return int(self._section.baud)
 
     @classmethod
     def build(cls, group: str, around: Surroundings) -> Driver:

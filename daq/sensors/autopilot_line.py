@@ -49,6 +49,12 @@ V1, V2 = 0xFE, 0xFD
 SYSTEM, COMPONENT, AUTOPILOT = 1, 191, 1  # MAV_COMP_ID_ONBOARD_COMPUTER asks MAV_COMP_ID_AUTOPILOT1
 _NO_AUTOPILOT, _ONBOARD_COMPUTER = 8, 18
 _SET_MESSAGE_INTERVAL, _DENIED = 511, 2
+BYTES = {HIGHRES_IMU: 75, ATTITUDE: 40, SCALED_PRESSURE: 28, SERVO_OUTPUT_RAW: 34}
+"""On the wire, of messages that are wanted in each scan."""
+SLOW_BYTES_PER_S = 900
+"""Of positions, fixes, times, heartbeats and answers together."""
+LINE_SHARE = 0.7
+"""Of a serial line that streams may take: where it is full, an autopilot leaves messages out."""
 _RESULTS = {0: "accepted", 1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
 _BASE_NS = 2**32 * 1000
 """All times of the sender are taken modulo the range of its shortest stamp, 71 minutes."""
@@ -56,8 +62,8 @@ _DRIFT = 100e-6
 """Of its clock against ours: twice what a crystal has."""
 _JUMP_NS = 10 * SECOND
 """No message is under way so long: a time further from its clock is another start-up."""
-_TOO_LATE_NS, _LATE_IN_A_ROW = SECOND // 2, 20
-"""So many messages in a row later than that: no buffer, but another start-up within a few seconds of the last."""
+_BACK_NS = 400 * MS
+"""Times of one line follow one another, but that a fix is dated by its instant: going back by more is another start-up."""
 _ONE_WAY_NS = 4 * MS
 """Without an answer to TIMESYNC: 40 bytes at 115200 baud take so long."""
 _UNANSWERED_NS = 20 * MS
@@ -109,7 +115,7 @@ class SenderClock:
 
     def __init__(self) -> None:
         self._low, self._high, self._at_ns = -math.inf, math.inf, 0
-        self._late = 0  # messages in a row that came later than any buffer explains
+        self._last = -math.inf  # what came last, unwrapped
 
     @property
     def known(self) -> bool:
@@ -130,12 +136,13 @@ class SenderClock:
         if self.known:
             expected = now_ns - self.offset_ns
             unwrapped = expected + (sender_ns - expected + _BASE_NS / 2) % _BASE_NS - _BASE_NS / 2
-            self._late = self._late + 1 if abs(unwrapped - expected) > _TOO_LATE_NS else 0
-            if abs(unwrapped - expected) < _JUMP_NS and self._late < _LATE_IN_A_ROW:
+            if abs(unwrapped - expected) < _JUMP_NS and unwrapped > self._last - _BACK_NS:
+                self._last = max(self._last, unwrapped)
                 self._narrow(-math.inf, now_ns - unwrapped, now_ns)
                 return round(unwrapped)
-        self._low, self._high, self._at_ns, self._late = -math.inf, now_ns - sender_ns % _BASE_NS, now_ns, 0
-        return sender_ns % _BASE_NS
+        self._last = sender_ns % _BASE_NS
+        self._low, self._high, self._at_ns = -math.inf, now_ns - self._last, now_ns
+        return round(self._last)
 
     def answered(self, sender_ns: int, asked_ns: int, now_ns: int) -> None:
         """The sender's clock was at `sender_ns` after we had asked."""

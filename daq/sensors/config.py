@@ -11,8 +11,8 @@ from pydantic import Field, field_validator, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME, GROUP_NAMES, channels_of
 from daq.sensors.ads1115 import Ads1115, AnalogConfig
-from daq.sensors.as5600 import As5600, EncoderConfig
 from daq.sensors.ak09916 import Ak09916, MagConfig
+from daq.sensors.as5600 import As5600, EncoderConfig
 from daq.sensors.autopilot import SENDERS, AutopilotGroup, AutopilotSection, MavlinkServo
 from daq.sensors.base import (
     Address,

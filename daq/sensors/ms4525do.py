@@ -44,7 +44,7 @@ class PitotConfig(SensorSection):
 
 
 def nominal_transfer(config: object) -> tuple[float, float]:
-    """Pascal for each count, and pascal at count zero, by the data sheet or as the driver scales it; NaN for a sensor of one's own."""
+    """Pascal for each count, and pascal at count zero, as data sheet or driver have it; NaN for a sensor of one's own."""
     if not isinstance(config, PitotConfig):
         return math.nan, math.nan
     (low, high), (start, span) = config.range_pa, SPAN[config.output]

@@ -52,6 +52,8 @@ SEQUENCER_FILE = CONFIG_FILE.with_name("cdfp_sequencer.toml")
 """What a configuration with a sequencer has besides; merged in for scenarios with a table [sequencer]."""
 ARDUPILOT_FILE = CONFIG_FILE.with_name("cdfp_sequencer_ardupilot.toml")
 """The same for a sequencer that goes through an ArduPlane."""
+LOOP_HZ = 100.0
+"""SCHED_LOOP_RATE of an autopilot that is the source of samples."""
 BEFORE_NS = 10_000_000_000
 """An autopilot is on so long before the recording begins, and before the simulated flight settles."""
 MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "lateral_3211.toml"
@@ -242,6 +244,8 @@ def prepare_flight(
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")
     aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
+    if config.sensors.autopilot is not None:  # set up as docs/build.md asks for it
+        aircraft.autopilot.connect(config.sensors.autopilot.baud, LOOP_HZ)
     radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
     edge = HardwareEdge(

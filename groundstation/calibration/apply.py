@@ -136,6 +136,8 @@ class Calibrator:
         # a channel read later within its group shows a later instant: less delay
         delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
         _put_reading(readings, item.instrument, value, group, delay)
+        if item.servo_lag:
+            readings.lag[item.instrument] = -item.servo_lag
 
     def _pressure_transfer(self, item: Instrument, curve: CalibrationCurve, channel: str) -> tuple[float, float]:
         """What turns a reading into the curve's input: nothing, but for counts of any pitot that the curve takes in pascal."""
@@ -216,11 +218,12 @@ class Calibrator:
             sampled_at = table.time + table.known_offset(group) - readings.delay[name]
             if self.facts.stamped(group):
                 lag = readings.lag.get(name, 0.0)
-                values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag)
+                pulse = name in _HELD or lag < 0.0
+                values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag, pulse=pulse)
             elif name in _HELD:
                 values[name] = hold(reading, table.number)
             else:
-                if name in readings.lag:
+                if readings.lag.get(name, 0.0) > 0.0:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
                 values[name] = to_scan_time(
                     reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest

@@ -170,7 +170,7 @@ class Instrument(_CalibrationTable):
 
     delay: how far the instrument itself lags the physical quantity [s]: vane dynamics, tubing. The delay of a chip's
     filter is a fact of the recording and comes on top. column: the flight column that a curve makes, where it is not the one of
-    its channel: a surface by the pulse that moves it.
+    its channel: a surface by the pulse that moves it; servo_lag: with which it then follows [s].
     """
 
     format: Literal[1]
@@ -182,6 +182,7 @@ class Instrument(_CalibrationTable):
     channels: tuple[str, ...] = ()
     delay: Annotated[float, Field(ge=-0.05, le=1.0)] = 0.0
     note: str = ""
+    servo_lag: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     column: str | None = None
     curve: CalibrationCurve | None = None
     triad: Triad | None = None

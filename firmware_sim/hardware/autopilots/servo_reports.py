@@ -45,6 +45,8 @@ PITOT_NS = 100 * MS
 BOOTED_NS = 93_214_000_000
 """It was switched on so long before the recording begins; what it stamps counts from there."""
 CLOCK_PPM = 17.0
+BUFFER_NS = 40 * MS
+"""Where the line's buffer is full a stream's message is left out (HAVE_PAYLOAD_SPACE)."""
 UTC_AFTER_NS = 4_000 * MS
 LEVEL_ERROR_RAD, GAUSS, METRES_PER_HPA = 0.004, 1e-4, 8.4
 STREAMS: tuple[Message, ...] = (
@@ -72,6 +74,11 @@ class Autopilot:
         self._streams: dict[int, tuple[int, int]] = {}  # interval, when it is due [ns]
         self._packer, self._unpacker, self._line, self._inward = Packer(), Unpacker(), LossyLine(), LossyLine()
         self._powered = True
+
+    def connect(self, baud: int, loop_hz: float) -> None:
+        """Set up for a line, before it speaks: SERIALn_BAUD and SCHED_LOOP_RATE."""
+        self.loop_hz = loop_hz
+        self._line, self._inward = LossyLine(baud), LossyLine(baud)
 
     def set_power(self, on: bool, now_ns: int) -> None:
         """Power comes or goes; what was asked for is forgotten."""
@@ -142,7 +149,7 @@ class Autopilot:
 
     def _stream(self, message: Message, time_ns: int) -> None:
         fields = _FIELDS[message.number](self, time_ns)
-        if fields:
+        if self._line.behind_ns(time_ns) < BUFFER_NS:
             self._send(time_ns, message, *fields)
 
     def _send(self, time_ns: int, message: Message, *fields: float | bytes) -> None:
