@@ -21,6 +21,7 @@ import click
 
 from daq.utilities.durable import DISK_ERRNOS
 from daq.utilities.errors import UserError
+from daq.utilities.packages import missing
 from daq.utilities.plain_words import VisibleStream, one_line
 from daq.utilities.standard_streams import SafeStream
 from sideslip.services import SERVICES
@@ -100,7 +101,7 @@ class VerbTable(click.Group):
         try:
             command: click.Command = getattr(importlib.import_module(verb.module), verb.attribute)
         except ModuleNotFoundError as error:
-            raise MissingPackageError(cmd_name, error.name or str(error)) from error
+            raise missing(error, f"sideslip {cmd_name}") from error
         return command
 
     def resolve_command(
@@ -147,15 +148,6 @@ def _package_verb(name: str) -> click.Command | None:
                 ) from error
             return command
     return None
-
-
-class MissingPackageError(UserError):
-    """A package of an extra that was not installed."""
-
-    def __init__(self, verb: str, package: str) -> None:
-        super().__init__(
-            f"sideslip {verb}: package {package!r} is not installed; pip install 'sideslip[ground,estimation]'"
-        )
 
 
 def software_version() -> str:
@@ -218,7 +210,7 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
     except UserError as error:
         return _error_line(str(error))
     except ModuleNotFoundError as error:
-        return _error_line(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
+        return _error_line(str(missing(error, f"sideslip {(argv or sys.argv[1:] or [''])[0]}".rstrip())))
     except (KeyboardInterrupt, click.Abort):
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status

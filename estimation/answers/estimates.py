@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.utilities.input_files import read_text
+from daq.utilities.packages import optional
 from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_estimates, rounded_texts
 from estimation.errors import EstimationError
@@ -232,7 +233,7 @@ class Estimates(Answer):
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each flight (and "joint"), method and parameter; estimates are per rad, angles in rad."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         per_flight = [(f.flight.name, f.results) for f in self.session.flights]
         joint = [("joint", self.session.joint)] if self.session.joint else []

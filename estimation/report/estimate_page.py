@@ -317,7 +317,10 @@ def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfM
         return None
     outputs = session.model.output_names
     fits = [[p.fit.get(output) for output in outputs] for _, p in proofs]
-    pairs = [[(None, None) if fit is None else (fit.r2, fit.theil) for fit in flight] for flight in fits]
+    pairs = [
+        [(None, None, 0.0) if fit is None else (fit.r2, fit.theil, fit.limit(THEIL_LIMIT)) for fit in flight]
+        for flight in fits
+    ]
     return match_table(
         "figure10_match",
         "Proof of match over flights",
