@@ -69,9 +69,11 @@ def test_senseless_limits_are_refused(fields: dict[str, float], words: str) -> N
 
 def test_an_alarm_names_its_limit_and_value_in_units_and_which_sensor() -> None:
     limits = [
-        SPEED, Limit(channel="alpha", high=0.26, text="angle of attack"), Limit(channel="link.silence_s", high=3.0, text="no data"),
+        SPEED,
+        Limit(channel="alpha", high=0.26, text="angle of attack"),
+        Limit(channel="link.silence_s", high=3.0, text="no data"),
         Limit(channel="sensors.unusable", high=0.5, text="sensor not usable"),
-    ]  # fmt: skip
+    ]
     alarms = Alarms(limits)
     values = {"V": 10.5, "alpha": 0.3, "link.silence_s": 4.0, "sensors.unusable": 1.0}
     came = [c.text for c in alarms.update(0.0, values, {"sensors.unusable": "pitot (stuck)"})]
