@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import ProofOfMatch
     from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
-    from groundstation.flight import Flight
 
 SHOWN = 8  # flights with figures of their own; tables hold all
 SEED = 1
@@ -75,7 +74,7 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
     notes = notes_table((f.flight.name, note) for f in estimated_flights for note in f.notes)
     detail, unprinted = partial(Section, folded=True), partial(Section, folded=True, printed=False)
     sections = [
-        *_first_screen(session, flights),
+        *_first_screen(session),
         detail("verdict", "Whom to believe", [_verdict_table(session)], "Whom to believe"),
         detail("card", "Flight card", [flight_card(flights, named_aircraft)], "Flight card"),
         detail("scatter", "Each derivative over flights and methods", [*figures["scatter"], comparison])
@@ -147,7 +146,7 @@ def _can_be_proved(session: "EstimationSession") -> bool:
     return any(sum(converged) > 1 for converged in fits)
 
 
-def _first_screen(session: "EstimationSession", flights: Sequence["Flight"]) -> list[Section]:
+def _first_screen(session: "EstimationSession") -> list[Section]:
     """The answer on one page: sentence, derivatives as a table and as a picture, the fit in strips, what to do next."""
     answer = leading_answer(session)
     verdict = paragraph(sentence(answer.verdict), "verdict-line")
@@ -156,17 +155,15 @@ def _first_screen(session: "EstimationSession", flights: Sequence["Flight"]) -> 
     steps = [Markup("<p><b>Next</b></p>"), bullets(next_steps(session, answer))]
     table = answer_table(session, answer) if answer.rows else None
     return [
-        Section("", "", [verdict, _status_box(session, flights)]),
+        Section("", "", [verdict, _status_box(session)]),
         Section("answer", "", [table, drawn.get("forest")], kind="answer"),
         Section("", "", [drawn.get("strips"), *steps]),
     ]
 
 
-def _status_box(session: "EstimationSession", flights: Sequence["Flight"]) -> Markup | None:
-    """How it went, whether the flights are simulated, and which means are doubtful; None where there is nothing to say."""
+def _status_box(session: "EstimationSession") -> Markup | None:
+    """What did not converge, and which means are doubtful; None where there is nothing to say."""
     lines = [] if session.converged else [paragraph(sentence(session.text))]
-    if simulated(flights):
-        lines.append(paragraph("These flights come from a simulator."))
     doubts = [(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text]
     lines += [Markup("<p>{}, {}: {}.</p>").format(*doubt) for doubt in doubts]
     return box(lines, warn=not session.converged) if lines else None
@@ -245,6 +242,7 @@ def _lead(session: "EstimationSession") -> str:
     return (
         f"Model {session.model.name}{title}; {len(names)} flight{'s' if len(names) > 1 else ''}: {', '.join(names)}; "
         f"methods: {', '.join(session.methods)}."
+        + (" These flights come from a simulator." if simulated([f.flight for f in session.flights]) else "")
     )
 
 

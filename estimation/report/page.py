@@ -84,7 +84,7 @@ class Page:
         return environment.get_template("page.html.j2").render(
             page=self,
             links=[*((f"#{s.anchor}", s.link) for s in self.shown() if s.link), *self.links],
-            landscape=needs_width([*_tables(s for s in self.shown() if s.printed), *self.beside]),
+            landscape=needs_width(_tables(s for s in self.shown() if s.printed)),
             style=(HERE / "style.css").read_text(encoding="utf-8"),
             back=back,
             software=software(),

@@ -15,10 +15,17 @@ class MissingColumnError(FlightError):
     """A column that the work at hand needs is not in the flight.
 
     models: those that would do without. unknown: columns of the flight that go by no known name, among which it may be.
+    near: the name meant, to end the sentence with.
     """
 
     def __init__(
-        self, flight: str, missing: Sequence[str], purpose: str, models: Sequence[str] = (), unknown: Sequence[str] = ()
+        self,
+        flight: str,
+        missing: Sequence[str],
+        purpose: str,
+        models: Sequence[str] = (),
+        unknown: Sequence[str] = (),
+        near: str = "",
     ) -> None:
         self.missing = tuple(missing)
         names = ", ".join(missing)
@@ -30,5 +37,5 @@ class MissingColumnError(FlightError):
                 f"; if it is there by another name ({examples}), 'sideslip import' with --map gives it its own"
             )
         super().__init__(
-            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{alternatives}"
+            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{alternatives}{near}"
         )

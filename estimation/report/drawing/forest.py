@@ -19,21 +19,20 @@ MARKS = (
     ("published", "s", "#a35a00", "published"),
     ("truth", "*", TRUTH, "truth"),
 )
-STRIP, ROW = 0.52, 0.27  # inches of a channel, and of a derivative
+STRIP, ROW = 0.46, 0.25  # inches of a channel, and of a derivative
 
 
 def draw_forest(axis: Any, rows: "Sequence[AnswerRow]") -> Any:
     """Each derivative on a line: the estimate at nought with 95 % of its bound, others by their distance from it, in per cent of
     the estimate. One that the data could not tell shows what was believed alone, as a word. Gives the axes."""
     shown = list(rows)
-    places = np.arange(len(shown))
     for key, marker, colour, label in MARKS:
         others = [(y, row, getattr(row, key)) for y, row in enumerate(shown) if row.told and row.value]
         pairs = [(y, (other - row.value) / abs(row.value)) for y, row, other in others if other is not None]
         inside = [(d, y) for y, d in pairs if abs(d) <= REACH]
-        axis.plot(
-            [100 * d for d, _ in inside], [y for _, y in inside], marker, color=colour, ms=5, mfc="none", label=label
-        )
+        if pairs:
+            places = [100 * d for d, _ in inside], [y for _, y in inside]
+            axis.plot(*places, marker, color=colour, ms=5, mfc="none", label=label)
         for y, d in pairs:
             if abs(d) > REACH:
                 axis.plot(100 * REACH * np.sign(d), y, ">" if d > 0 else "<", color=colour, ms=5, mfc="none")
@@ -47,7 +46,7 @@ def draw_forest(axis: Any, rows: "Sequence[AnswerRow]") -> Any:
             axis.text(0, y, "cannot tell", ha="center", va="center", color="0.45", style="italic", fontsize=7.5)
     axis.axvline(0, color="0.6", lw=0.7)
     axis.set_xlim(-105 * REACH, 105 * REACH)
-    axis.set_yticks(places, [f"${tex(row.name)}$" for row in shown])
+    axis.set_yticks(range(len(shown)), [f"${tex(row.name)}$" for row in shown])
     axis.set_ylim(len(shown) - 0.4, -0.6)
     axis.set_xlabel("from the estimate [% of it]; bars: 95 %; arrows: beyond")
     axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handletextpad=0.3, columnspacing=1.0)
