@@ -78,7 +78,7 @@ def with_fast_modes(result: Result, flights: Sequence[Flight]) -> Result:
 
 
 def _damping_rate(size: float, constants: Sequence[float], flights: Sequence[Flight]) -> float:
-    """1/s. constants: inertia, length and area; at the median airspeed and density of the flights; NaN where a constant or an airspeed is not known."""
+    """1/s, at the median airspeed and density of the flights; NaN where one is not known. constants: inertia, length, area."""
     inertia, length, area = constants
     powers = [_density(f) * float(np.nanmedian(f["V"])) for f in flights if f.measured("V")]
     return 0.25 * size * float(np.median(powers)) * area * length**2 / inertia if powers else math.nan

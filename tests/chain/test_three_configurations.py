@@ -1,4 +1,4 @@
-"""The usual configurations: all sensors, an autopilot with vanes, an autopilot alone. Each flown, recorded, handed over, estimated."""
+"""All sensors, an autopilot with vanes, an autopilot alone: each configuration flown, recorded, handed over, estimated."""
 
 import json
 from pathlib import Path
