@@ -127,7 +127,24 @@ def _trim(d: Mapping[str, float], speed: float) -> tuple[float, float, float, fl
     return float(alpha), float(rest), pressure * AREA * (d["CD_0"] + d["CD_k"] * lift**2) / cos(alpha), level
 
 
-SEEN = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "delta_e", "delta_a", "delta_r", "thrust")
+SEEN = (
+    "ax",
+    "ay",
+    "az",
+    "p",
+    "q",
+    "r",
+    "phi",
+    "theta",
+    "psi",
+    "alpha",
+    "beta",
+    "V",
+    "delta_e",
+    "delta_a",
+    "delta_r",
+    "thrust",
+)
 
 
 def _flown(name: str, d: Mapping[str, float], speed: float, kind: Kind, rng: np.random.Generator) -> Flight:
@@ -171,13 +188,24 @@ def _motion(d: Mapping[str, float], speed: float, kind: Kind, sticks: Array, win
         CY = d["CY_beta"] * beta + d["CY_p"] * ph + d["CY_r"] * rh + d["CY_dr"] * dr + e["CY_da"] * da
         Cl = d["Cl_beta"] * beta + d["Cl_p"] * ph + d["Cl_r"] * rh + d["Cl_da"] * da + d["Cl_dr"] * dr
         Cl += e["Cl_beta3"] * beta**3 + e["Cl_alpha_beta"] * over * beta
-        Cm = d["Cm_alpha"] * over + d["Cm_q"] * qh + d["Cm_de"] * de + e["Cm_alpha2"] * over**2 + e["Cm_beta2"] * beta**2
+        Cm = (
+            d["Cm_alpha"] * over + d["Cm_q"] * qh + d["Cm_de"] * de + e["Cm_alpha2"] * over**2 + e["Cm_beta2"] * beta**2
+        )
         Cm += e["Cm_alphadot"] * rate_of_alpha * CHORD / (2 * airspeed)
-        Cn = d["Cn_beta"] * beta + d["Cn_p"] * ph + d["Cn_r"] * rh + d["Cn_dr"] * dr + e["Cn_da"] * da + e["Cn_beta3"] * beta**3
+        Cn = (
+            d["Cn_beta"] * beta
+            + d["Cn_p"] * ph
+            + d["Cn_r"] * rh
+            + d["Cn_dr"] * dr
+            + e["Cn_da"] * da
+            + e["Cn_beta3"] * beta**3
+        )
         lift = pressure * AREA / MASS
         ax = lift * (CL * sin(alpha) - CD * cos(alpha)) + thrust / MASS
         ay, az = lift * CY, -lift * (CL * cos(alpha) + CD * sin(alpha))
-        qdot = (pressure * AREA * CHORD * Cm + e["thrust_z"] * thrust + (IZZ - IXX) * p * r - IXZ * (p * p - r * r)) / IYY
+        qdot = (
+            pressure * AREA * CHORD * Cm + e["thrust_z"] * thrust + (IZZ - IXX) * p * r - IXZ * (p * p - r * r)
+        ) / IYY
         slow = slow + STEP * (beta - slow) / e["beta_lag"] if e["beta_lag"] and k else beta
         rows[k] = (
             ax - e["imu_x"] * (q * q + r * r), ay, az - e["imu_x"] * qdot, p, q, r, phi, theta, psi, alpha * (1.0 + e["alpha_scale"]),
@@ -220,7 +248,9 @@ def _instruments(motion: Mapping[str, Array], kind: Kind, every: int, rng: np.ra
         if name in ("phi", "theta", "psi") and kind.attitude != "measured":
             columns[name] = _autopilot(sampled, kind, rng)
             continue
-        columns[name] = sampled + factors.get(name, 1.0) * NOISE.get(name, 0.6 * DEG) * rng.standard_normal(sampled.size)
+        columns[name] = sampled + factors.get(name, 1.0) * NOISE.get(name, 0.6 * DEG) * rng.standard_normal(
+            sampled.size
+        )
         if kind.quantised and name in RESOLUTION:
             columns[name] = RESOLUTION[name] * np.round(columns[name] / RESOLUTION[name])
     return columns
