@@ -20,7 +20,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
-from estimation.prepare.flight_data import FlightData
+from estimation.prepare.flight_data import FlightData, Preparation
 from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
@@ -74,7 +74,8 @@ class FlightRecord:
     noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
     wrong: input -> (draws, N) of what its preparation may have left wrong. left: control -> (frequencies,) variance per sample of
     what is wrong with it, once that is known. apart: (N, ny) measured outputs that are not compared, as the repeats of a slow
-    sensor; NaN elsewhere. states: (N, nx) measured states without their noise.
+    sensor; NaN elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) what of it follows the
+    motion, which taking off its noise leaves.
     """
 
     flight: int
@@ -90,6 +91,7 @@ class FlightRecord:
     left: Mapping[str, Array] = field(default_factory=dict)
     apart: Array | None = None
     states: Array | None = None
+    follows: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -165,7 +167,7 @@ def prepare_flights(
     records: list[FlightRecord] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
-        data = prepare(probe, flight)
+        data = prepare(probe, flight, Preparation(every_axis=True))
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
         parts = [p for part in data.segments for p in _stretches(part, data.states, controls, criteria)]
@@ -178,7 +180,8 @@ def prepare_flights(
             raw, step_noise = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **step_noise}
             input_errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
-            skipped = _not_compared(base, flight, segment)
+            skipped, span = _not_compared(base, flight, segment), slice(segment.first, segment.first + length)
+            follows = data.follows[span].T if data.follows is not None else ()
             records.append(
                 FlightRecord(
                     index,
@@ -191,7 +194,8 @@ def prepare_flights(
                     raw=raw,
                     wrong=input_errors,
                     apart=skipped,
-                    states=data.states[segment.first : segment.first + length],
+                    states=data.states[span],
+                    follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
                 )
             )
     return FlightRecords(
