@@ -180,7 +180,7 @@ def has_pitch_rate(model: Model) -> bool:
 
 
 def feedback_restored(state: PreparationState) -> PreparationState:
-    """Controls with what follows the motion put back, and steps as measured where the model pitches.
+    """Controls with what follows the motion put back and steps as measured, where the model pitches or that is asked of any.
 
     A piece in which a control was not measured at every sample stays as it is.
     """
@@ -219,8 +219,6 @@ def _restore_feedback(
         if feedback is not None:
             u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
             errors[a:b, i], state.follows[a:b, i] = error_draws.T, part.following(feedback)
-        if not has_pitch_rate(state.model):
-            continue
         step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
         u[a + step_rows, i] = part.values[step_rows]
         errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))

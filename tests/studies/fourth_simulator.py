@@ -161,7 +161,7 @@ def _flown(name: str, d: Mapping[str, float], speed: float, kind: Kind, rng: np.
 
 def _motion(d: Mapping[str, float], speed: float, kind: Kind, sticks: Array, winds: Array, seen: Array) -> Array:
     """(steps, SEEN) what instruments without error would show."""
-    e = {n: 0.0 for n in HIDDEN} | {n: share * HIDDEN[n] for n, share in kind.hidden}
+    e = dict.fromkeys(HIDDEN, 0.0) | {n: share * HIDDEN[n] for n, share in kind.hidden}
     trim, rest, push, level = _trim(d, speed)
     u, v, w, p, q, r = speed * cos(trim), 0.0, speed * sin(trim), 0.0, 0.0, 0.0
     a, b, c, k4 = cos(0.5 * trim), 0.0, sin(0.5 * trim), 0.0  # quaternion, earth to body

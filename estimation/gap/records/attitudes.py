@@ -6,8 +6,6 @@ and seen with holes looks fast. The filter itself went from one value to the nex
 An attitude that is measured afresh each time (optically, say) is none of these and stays as it is.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from estimation.compatibility.records import attitude_rates

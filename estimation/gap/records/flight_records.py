@@ -21,7 +21,6 @@ from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
 from estimation.prepare.flight_data import FlightData, Preparation
-from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
@@ -238,10 +237,9 @@ def quick_length(count: int) -> int:
 def _raw_steps(
     base: Model, flight: Flight, first: int, inputs: dict[str, Array], noise: Mapping[str, float], criteria: Criteria
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
-    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
-    the noise that is left there."""
+    """Put the measured values of the controls by their steps into `inputs`; where that was, and the noise that is left there."""
     masks, levels = {}, {}
-    for signal in base.inputs if has_pitch_rate(base) else ():
+    for signal in base.inputs:
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
