@@ -205,7 +205,8 @@ def _restore_feedback(
     state: PreparationState, i: int, column: Array, pieces: Sequence[tuple[int, int]], level: float
 ) -> Array:
     """Change one control, and its errors, in place; what is still taken off it, over all pieces."""
-    assert state.errors is not None and state.follows is not None
+    assert state.errors is not None
+    assert state.follows is not None
     u, states, errors = state.u, state.states, state.errors
     smooth_states = [j for j in range(states.shape[1]) if all(np.isfinite(states[a:b, j]).all() for a, b in pieces)]
     parts = [

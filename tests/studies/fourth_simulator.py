@@ -208,8 +208,8 @@ def _motion(d: Mapping[str, float], speed: float, kind: Kind, sticks: Array, win
         ) / IYY
         slow = slow + STEP * (beta - slow) / e["beta_lag"] if e["beta_lag"] and k else beta
         rows[k] = (
-            ax - e["imu_x"] * (q * q + r * r), ay, az - e["imu_x"] * qdot, p, q, r, phi, theta, psi, alpha * (1.0 + e["alpha_scale"]),
-            slow * (1.0 + e["beta_scale"]), airspeed, *arms, thrust,
+            ax - e["imu_x"] * (q * q + r * r), ay, az - e["imu_x"] * qdot, p, q, r, phi, theta, psi,
+            alpha * (1.0 + e["alpha_scale"]), slow * (1.0 + e["beta_scale"]), airspeed, *arms, thrust,
         )  # fmt: skip
         gx, gy, gz = 2 * (b * k4 - a * c), 2 * (c * k4 + a * b), 1 - 2 * (b * b + c * c)
         before = alpha

@@ -6,7 +6,7 @@ import numpy as np
 
 from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
-from estimation.gap.criteria import AS_SET, Criteria
+from estimation.gap.criteria import Criteria
 from estimation.gap.records.attitudes import integral, white_share
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
@@ -31,7 +31,7 @@ def channel_noise(records: Sequence[FlightRecord]) -> Array:
 
 
 def filtered_attitudes(
-    records: Sequence[FlightRecord], outputs: Sequence[str], white: Array, criteria: Criteria = AS_SET
+    records: Sequence[FlightRecord], outputs: Sequence[str], white: Array, criteria: Criteria
 ) -> tuple[str, ...]:
     """Those attitudes among the outputs, of white noise `white` (ny,), that come from a filter which integrates the gyro.
 
@@ -61,9 +61,7 @@ def _white_share(records: Sequence[FlightRecord], outputs: Sequence[str], attitu
     return float(np.median(shares)) if shares else 1.0
 
 
-def bank_error(
-    records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria = AS_SET
-) -> Array:
+def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
     """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
 
     An attitude filter integrates the gyro and corrects slowly: from sample to sample its angle is smoother than one
@@ -83,9 +81,7 @@ def bank_error(
     return _widened(scatter, phi, errors)
 
 
-def pitch_error(
-    records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria = AS_SET
-) -> Array:
+def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
     """`scatter` with the noise of the pitch attitude replaced by its slow error where the attitude is a filter's: see
     `bank_error`."""
     if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter, criteria):

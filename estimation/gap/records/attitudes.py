@@ -28,8 +28,10 @@ def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
     courses |= {c: _joined(flight, flight[c], knots[c]) for c in knots}
     rates = attitude_rates(*(courses[c] for c in MOTION))
     for attitude, known in knots.items():
-        spacing = flight.time.size / max(np.count_nonzero(known), 1)
-        if spacing <= criteria.slow_control or np.count_nonzero(known) < FEWEST:
+        if np.count_nonzero(known) < FEWEST:
+            continue
+        spacing = float(np.median(np.diff(np.flatnonzero(known))))
+        if spacing <= criteria.slow_control:
             continue
         filled = _filled(flight, flight[attitude], known, rates[attitude], criteria)
         if filled is not None:
@@ -40,8 +42,9 @@ def with_attitudes_between(flight: Flight, criteria: Criteria) -> Flight:
 
 
 def white_share(known: Array, summed: Array) -> float:
-    """What of an attitude's steps against the summed rates is white noise of its values, 0 to 1; 1 where too few are known. known,
-    summed: (N,) values in a row, NaN where not measured, and the integral of the rates there.
+    """What of an attitude's steps against the summed rates is white noise of its values, 0 to 1; 1 where too few are known.
+
+    known, summed: (N,) values in a row, NaN where not measured, and the integral of the rates there.
 
     White noise of the values makes a step too large and the next as much too small: of steps that are nothing else two in a row
     have a correlation of -1/2. Of a filter, which errs slowly and by its gyros' noise, none. Told where the aircraft turns
@@ -72,7 +75,8 @@ def _filled(flight: Flight, values: Array, known: Array, rate: Array, criteria: 
         summed = integral(time, rate[segment])
         at_knots = values[segment][knots]
         shares.append(white_share(at_knots, summed[knots]))
-        inside = np.arange(knots[0], knots[-1] + 1)
+        reach = int(np.median(np.diff(knots)))  # nobody held the last value for longer
+        inside = np.arange(max(knots[0] - reach, 0), min(knots[-1] + reach, time.size))
         between = np.interp(time[inside], time[knots], at_knots - summed[knots])
         filled[segment.start + inside] = summed[inside] + between
     return filled if shares and max(shares) < criteria.filter_white else None
