@@ -11,7 +11,7 @@ import numpy as np
 from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
-from estimation.gap.records.sampling import known_at
+from estimation.gap.records.sampling import Mask, known_at
 from groundstation.flight import Flight
 
 MOTION = ("p", "q", "r", "phi", "theta")
@@ -66,7 +66,7 @@ def integral(time: Array, rate: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[1:] + rate[:-1]))])
 
 
-def _filled(flight: Flight, values: Array, known: Array, rate: Array, criteria: Criteria) -> Array | None:
+def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: Criteria) -> Array | None:
     filled, shares = np.where(known, values, np.nan), []
     for segment in flight.segments:
         time, knots = flight.time[segment], np.flatnonzero(known[segment])
@@ -82,6 +82,6 @@ def _filled(flight: Flight, values: Array, known: Array, rate: Array, criteria: 
     return filled if shares and max(shares) < criteria.filter_white else None
 
 
-def _joined(flight: Flight, values: Array, known: Array) -> Array:
+def _joined(flight: Flight, values: Array, known: Mask) -> Array:
     """(N,) straight lines through what is known of a column."""
     return np.interp(flight.time, flight.time[known], values[known]) if known.any() else np.zeros(values.size)
