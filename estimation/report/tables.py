@@ -83,7 +83,7 @@ def _no_formula(cell: str) -> str:
 
 
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}", "±": r"$\pm$", "²": "$^2$", "−": "$-$", "–": "--",
+    "\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "\n": " ", "±": r"$\pm$", "²": "$^2$", "−": "$-$", "–": "--",
     "Δ": r"$\Delta$", "·": r"$\cdot$", "~": r"$\sim$",
     "α": r"$\alpha$", "β": r"$\beta$", "φ": r"$\phi$", "θ": r"$\theta$", "ψ": r"$\psi$",
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import re
 import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
@@ -159,3 +160,14 @@ def test_a_scenario_cannot_name_a_folder_elsewhere(tmp_path: Path, capsys: pytes
         sideslip.main(["fly", str(path)])
     assert ended.value.code == 2
     assert "without slash" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "word", [r"\input{/etc/passwd}", r"\write18{rm x}", "a_b^c#1 50% & $x$ ~{}", "\u202egnp", "x\n\\end{table}"]
+)
+def test_words_of_strangers_are_no_commands_of_latex(word: str) -> None:
+    from estimation.report.tables import _latex_text
+
+    made = _latex_text(word)
+    bare = re.sub(r"\\(textbackslash|textasciicircum)\{\}|\$\\sim\$|\\[_#%&${}]", "", made)
+    assert not set(bare) & set("\\#%&$^_~{}\n\u202e"), made
