@@ -81,8 +81,8 @@ class Bmp390(Driver):
             raise SelfTestError(f"BMP390 trimming bytes are all 0x{nvm[0]:02x}; the chip is damaged")
         if trimming_crc(nvm) != stored:
             raise SelfTestError(
-                f"BMP390 trimming bytes do not match their checksum (0x{trimming_crc(nvm):02x}, stored 0x{stored:02x}): read wrongly,"
-                " or the chip is damaged; check supply and wiring"
+                f"BMP390 trimming bytes do not match their checksum (0x{trimming_crc(nvm):02x}, stored 0x{stored:02x}):"
+                " read wrongly, or the chip is damaged; check supply and wiring"
             )
         self._nvm = nvm
         bus.write_byte_data(address, OSR, self._osr)
