@@ -1,4 +1,4 @@
-"""An ArduPlane with elevons and rudder on a serial line: its loop of SCHED_LOOP_RATE, sticks to servos, failsafe, streams and commands.
+"""An ArduPlane with elevons and rudder on a serial line: its loop, sticks to servos, failsafe, streams and commands.
 
 The order within a loop is that of ArduPlane's scheduler: servos are set from what was read before, then the receiver is read,
 ten times a second the switches, then messages are taken and sent. A message so reaches the servos in the second loop

@@ -6,6 +6,7 @@ from collections.abc import Generator
 import pytest
 
 from daq.contract.scan import SensorState
+from daq.sensors import sdp3x
 from daq.sensors.ads1115 import Ads1115, AnalogConfig
 from daq.sensors.ak09916 import Ak09916, MagConfig
 from daq.sensors.as5600 import As5600, EncoderConfig
@@ -13,8 +14,9 @@ from daq.sensors.base import Driver, Reading, SelfTestError, WrongChipError
 from daq.sensors.bmp390 import Bmp390, StaticConfig
 from daq.sensors.capture import Capture, CaptureConfig, ChecksumError, crc8
 from daq.sensors.icm20948 import Icm20948, ImuConfig
-from daq.sensors.ms4525do import Ms4525do, PitotConfig, split
+from daq.sensors.ms4525do import Ms4525do, PitotConfig, nominal_transfer, split
 from daq.sensors.nau7802 import Nau7802, ThrustConfig
+from daq.sensors.sdp3x import Sdp3x, words_of
 from tests.unit.daq.fakes import FakeBus, FakeChip, WordChip
 
 
@@ -334,6 +336,40 @@ class TestBmp390:
     def test_oversampling_must_fit_the_rate(self) -> None:
         with pytest.raises(ValueError, match="longer than 1/rate_hz"):
             StaticConfig(rate_hz=200, pressure_oversampling=8)
+
+
+class TestSdp3x:
+    """Checksums from the data sheet's example: 0xBEEF has 0x92."""
+
+    def reading(self, data: str, chip: str = "sdp33") -> Reading:
+        plain = FakeChip()
+        plain.plain = bytes.fromhex(data)
+        config = PitotConfig(driver="sdp3x", address=0x21, chip=chip)  # type: ignore[arg-type]
+        return Sdp3x(config, FakeBus({0x21: plain})).read()
+
+    def test_checksum(self) -> None:
+        assert sdp3x.crc8(bytes.fromhex("BEEF")) == 0x92
+        assert words_of(bytes.fromhex("BEEF92")) == [0xBEEF]
+        with pytest.raises(OSError, match="checksum of a word"):
+            words_of(bytes.fromhex("BEEE92"))
+
+    def test_counts_and_scale(self) -> None:
+        word = bytes.fromhex("0BB8")  # 3000 counts: 150 Pa of an SDP33, 50 of an SDP31
+        warm = bytes.fromhex("1388")  # 25 degrees
+        data = word + bytes([sdp3x.crc8(word)]) + warm + bytes([sdp3x.crc8(warm)])
+        for chip, pascal in (("sdp33", 150.0), ("sdp31", 50.0), ("sdp32", 12.5)):
+            reading = self.reading(data.hex(), chip)
+            scale, offset = nominal_transfer(PitotConfig(driver="sdp3x", chip=chip))  # type: ignore[arg-type]
+            assert reading.values["pitot_pressure"] * scale + offset == pytest.approx(pascal)
+            assert reading.values["pitot_temperature"] * 200 / 2047 - 50 == pytest.approx(25.0, abs=0.06)
+
+    def test_another_chip_of_the_family_is_named(self) -> None:
+        plain = FakeChip()
+        plain.plain = b"".join(w + bytes([sdp3x.crc8(w)]) for w in (b"\0\0", b"\x13\x88", b"\0\x3c"))
+        bus = FakeBus({0x21: plain})
+        bus.i2c_rdwr = lambda *m: FakeBus.i2c_rdwr(bus, *m) if m[0].flags & 1 else None  # type: ignore[method-assign]
+        with pytest.raises(SelfTestError, match="60 counts a pascal: a SDP31, not an SDP33"):
+            set_up(Sdp3x(PitotConfig(driver="sdp3x", address=0x21), bus))
 
 
 class TestAs5600:
