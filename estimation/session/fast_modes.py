@@ -61,7 +61,7 @@ def fast_modes(result: Result, flights: Sequence[Flight]) -> list[FastMode]:
         constants = [result.model.constants.get(n, math.nan) for n in (inertia, length, "S")]
         if damping not in result.parameters or control not in result.parameters or not intervals:
             continue
-        rate = _damping_rate(abs(result.parameters[damping].estimate), *constants, flights)
+        rate = _damping_rate(abs(result.parameters[damping].estimate), constants, flights)
         if rate * min(intervals) > SLOWEST_RECORD:
             modes.append(FastMode(damping, control, min(intervals), 1.0 / rate, *_ratio(result, control, damping)))
     return modes
@@ -77,8 +77,9 @@ def with_fast_modes(result: Result, flights: Sequence[Flight]) -> Result:
     return replace(result, parameters=parameters)
 
 
-def _damping_rate(size: float, inertia: float, length: float, area: float, flights: Sequence[Flight]) -> float:
-    """1/s, at the median airspeed and density of the flights; NaN where a constant or an airspeed is not known."""
+def _damping_rate(size: float, constants: Sequence[float], flights: Sequence[Flight]) -> float:
+    """1/s, at the median airspeed and density of the flights; NaN where one is not known. constants: inertia, length, area."""
+    inertia, length, area = constants
     powers = [_density(f) * float(np.nanmedian(f["V"])) for f in flights if f.measured("V")]
     return 0.25 * size * float(np.median(powers)) * area * length**2 / inertia if powers else math.nan
 

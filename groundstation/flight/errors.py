@@ -16,6 +16,7 @@ class MissingColumnError(FlightError):
 
     models: those that would do without. unknown: columns of the flight that go by no known name, among which it may be.
     either: columns of which one would do.
+    near: the name meant, to end the sentence with.
     """
 
     def __init__(
@@ -26,6 +27,7 @@ class MissingColumnError(FlightError):
         models: Sequence[str] = (),
         unknown: Sequence[str] = (),
         either: Sequence[str] = (),
+        near: str = "",
     ) -> None:
         self.missing = tuple(missing)
         names = ", ".join(missing)
@@ -38,5 +40,5 @@ class MissingColumnError(FlightError):
                 f"; if it is there by another name ({examples}), 'sideslip import' with --map gives it its own"
             )
         super().__init__(
-            f"{flight}: column{plural} {names} missing{one_of}, needed for {purpose}; add the column{plural}{alternatives}"
+            f"{flight}: column{plural} {names} missing{one_of}, needed for {purpose}; add the column{plural}{alternatives}{near}"
         )
