@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from daq.identification.airframe import Airframe, Belief
-from daq.identification.regression import LATERAL, LONGITUDINAL, REGRESSIONS, LiveAircraft, Regression
+from daq.identification.regression import LATERAL, LONGITUDINAL, REGRESSIONS, LiveAircraft, PlaneRegression
 from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
 from estimation.aircraft.schema import aircraft_from_text
@@ -35,7 +35,7 @@ def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAi
     return LiveAircraft(aircraft.name, believed, sources, modelled if regressions == (LATERAL,) else None, regressions)
 
 
-def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[Regression, ...]]:
+def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[PlaneRegression, ...]]:
     """An aircraft as a model has it: its values, and what it says that these may be wrong by; and what it estimates."""
     from estimation.estimators.recursive import airframe_of, linear_terms, values_of
     from estimation.models.load import load_model
@@ -47,7 +47,7 @@ def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[R
     return replace(airframe, beliefs=beliefs), terms.regressions
 
 
-def airframe_of_file(aircraft: Aircraft, regressions: Sequence[Regression] = (LATERAL,)) -> Airframe:
+def airframe_of_file(aircraft: Aircraft, regressions: Sequence[PlaneRegression] = (LATERAL,)) -> Airframe:
     """Geometry, mass and beliefs of an aircraft, as the recursive estimator takes them."""
     pitching = LONGITUDINAL.name in [r.name for r in regressions]
     aircraft.need((*NEEDED, "c") if pitching else NEEDED, "live identification")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.estimates import LiveEstimates
 from daq.identification.live import LiveEstimator
-from daq.identification.regression import LATERAL, Regression
+from daq.identification.regression import LATERAL, PlaneRegression
 
 HORIZON = 900.0
 """How late [s] a sample may come and still be worked in; samples and copies older than that are forgotten, so that an hour of
@@ -32,7 +32,7 @@ class _Rework:
 class OrderedEstimator:
     """Takes samples in any order of time. A second one of the same time is ignored: the first that came is the record."""
 
-    def __init__(self, airframe: Airframe, regression: Regression = LATERAL) -> None:
+    def __init__(self, airframe: Airframe, regression: PlaneRegression = LATERAL) -> None:
         self._airframe = airframe
         self._regression = regression
         self._samples: list[Sample] = []

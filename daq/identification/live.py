@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.estimates import EquationInformation, LiveDerivative, LiveEstimates, joined, useful_bound
 from daq.identification.movement import ControlSignal
-from daq.identification.regression import LATERAL, Equation, Regression
+from daq.identification.regression import LATERAL, Equation, PlaneRegression
 from daq.identification.rows import RowMaker
 from daq.identification.simulated_motion import SteadiedVane, simulation_of
 from daq.identification.solve import Block, RegressionSolution, Sums, solve
@@ -35,7 +35,7 @@ class LiveEstimator:
     without a row, because a value was missing, time did not advance, or the aircraft hardly moves through the air.
     """
 
-    def __init__(self, airframe: Airframe, regression: Regression = LATERAL) -> None:
+    def __init__(self, airframe: Airframe, regression: PlaneRegression = LATERAL) -> None:
         self._airframe = airframe
         self._regression = regression
         self._motion = simulation_of(regression, airframe)
@@ -241,7 +241,7 @@ class LiveEstimator:
 class JointEstimator:
     """Estimators of several regressions over the same scans, as one: lateral and longitudinal motion of a six-dof model."""
 
-    def __init__(self, airframe: Airframe, regressions: Sequence[Regression]) -> None:
+    def __init__(self, airframe: Airframe, regressions: Sequence[PlaneRegression]) -> None:
         self.parts = tuple(LiveEstimator(airframe, r) for r in regressions)
 
     def restart(self) -> None:

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 
 from daq.identification.airframe import Sample
-from daq.identification.regression import LATERAL, Regression
+from daq.identification.regression import LATERAL, PlaneRegression
 
 MOVED = 3.0  # rms movement in units of the sensor's noise from which a control counts as moved
 LEAST = math.radians(0.1)  # rad rms; smaller movement identifies nothing on any aircraft
@@ -106,7 +106,7 @@ class ManoeuvreDetector:
     speed: airspeed [m/s] above which the aircraft flies, once it was for `since` [s]. regressions: whose controls count.
     """
 
-    def __init__(self, speed: float, since: float, regressions: Sequence[Regression] = (LATERAL,)) -> None:
+    def __init__(self, speed: float, since: float, regressions: Sequence[PlaneRegression] = (LATERAL,)) -> None:
         self._speed, self._since = speed, since
         self._regressions = tuple(regressions)
         self._signals = tuple(signal for r in regressions for signal in r.controls.values())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from daq.identification.airframe import EQUATIONS, Airframe, Sample
 from daq.identification.estimates import EquationInformation
-from daq.identification.regression import LATERAL, Regression
+from daq.identification.regression import LATERAL, PlaneRegression
 from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def next_manoeuvre(
     information: Mapping[str, EquationInformation],
     wanted: Mapping[str, float],
     sample: Sample,
-    regression: Regression = LATERAL,
+    regression: PlaneRegression = LATERAL,
 ) -> ManoeuvreAdvice | None:
     """The manoeuvre that lowers the largest bound / wanted most; None where all are reached, or nothing is solved yet.
 

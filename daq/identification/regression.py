@@ -45,7 +45,7 @@ class Equation:
 
 
 @dataclass(frozen=True)
-class Regression:
+class PlaneRegression:
     """Columns in their order: the constant, states (with the length that makes a rate of each, empty for an angle), controls, the
     square of CL if wanted.
 
@@ -65,7 +65,7 @@ class Regression:
     lags: int = 12
     shortest_row: float = 0.0
 
-    def __deepcopy__(self, memo: object) -> "Regression":
+    def __deepcopy__(self, memo: object) -> "PlaneRegression":
         return self  # nothing of it changes, and estimators are copied
 
     @cached_property
@@ -136,7 +136,7 @@ def _lateral_gains(a: Airframe, first: Sample, last: Sample) -> tuple[float, ...
     return 0.0, (a.Ixx * dp - a.Ixz * dr) * per_span, (a.Izz * dr - a.Ixz * dp) * per_span
 
 
-LATERAL = Regression(
+LATERAL = PlaneRegression(
     "lateral",
     {"beta": "", "p": "span", "r": "span"},
     {"da": "delta_a", "dr": "delta_r"},
@@ -167,7 +167,7 @@ def _longitudinal_gains(a: Airframe, first: Sample, last: Sample) -> tuple[float
     return 0.0, 0.0, a.Iyy * (last.q - first.q) / (a.area * a.chord)
 
 
-LONGITUDINAL = Regression(
+LONGITUDINAL = PlaneRegression(
     "longitudinal",
     {"alpha": "", "q": "chord"},
     {"de": "delta_e"},
@@ -184,7 +184,7 @@ LONGITUDINAL = Regression(
     shortest_row=0.045,  # so that this is 1.1 s and more at every rate
 )
 
-REGRESSIONS: Mapping[str, tuple[Regression, ...]] = {
+REGRESSIONS: Mapping[str, tuple[PlaneRegression, ...]] = {
     "lateral": (LATERAL,),
     "longitudinal": (LONGITUDINAL,),
     "six-dof": (LATERAL, LONGITUDINAL),
@@ -205,7 +205,7 @@ class LiveAircraft:
     airframe: Airframe
     sources: Mapping[str, str] = field(default_factory=dict)
     modelled: Airframe | None = None
-    regressions: tuple[Regression, ...] = (LATERAL,)
+    regressions: tuple[PlaneRegression, ...] = (LATERAL,)
 
     @property
     def derivatives(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Rows of the regression: what the scans about one interval say of it.
 
 A row is an increment, not a rate: the noise of a gyro's difference is then the same for every length of interval. Its equations
-are those of a `Regression`.
+are those of a `PlaneRegression`.
 
 Measured motion is integrated by the cubic through the four nearest scans. What such a cubic misses of a motion that settles
 within a scan is taken from the simulated motion, of which both the integral and the cubic through the same scans are known.
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe, Sample
-from daq.identification.regression import LATERAL, Regression
+from daq.identification.regression import LATERAL, PlaneRegression
 from daq.identification.simulated_motion import MotionState, PitchState, SimulatedPitch, Simulation
 from daq.identification.surfaces import SurfaceCurves, cubic_weights
 
@@ -47,7 +47,7 @@ class MotionScan(NamedTuple):
 class RowMaker:
     """Takes scans one by one; gives the row of an interval two scans late."""
 
-    def __init__(self, airframe: Airframe, simulated: Simulation, regression: Regression = LATERAL) -> None:
+    def __init__(self, airframe: Airframe, simulated: Simulation, regression: PlaneRegression = LATERAL) -> None:
         self._airframe = airframe
         self._regression = regression
         self._simulated = simulated

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 from daq.identification.airframe import Airframe, Sample
-from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
+from daq.identification.regression import LATERAL, LONGITUDINAL, PlaneRegression
 from daq.identification.surfaces import Between, cubic_weights
 from daq.utilities.constants import GRAVITY
 
@@ -90,7 +90,7 @@ class _Simulation(Generic[State, Inputs]):
 
     nowhere: State
 
-    def __init__(self, airframe: Airframe, regression: Regression) -> None:
+    def __init__(self, airframe: Airframe, regression: PlaneRegression) -> None:
         self._airframe = airframe
         self.values = {n: airframe.believed(n) for n in regression.derivatives}
         self.motion: State = self.nowhere
@@ -282,6 +282,6 @@ def _alpha_rate(s: Sample) -> float:
 Simulation = SimulatedMotion | SimulatedPitch
 
 
-def simulation_of(regression: Regression, airframe: Airframe) -> Simulation:
+def simulation_of(regression: PlaneRegression, airframe: Airframe) -> Simulation:
     """The simulated motion that a regression's instruments come from."""
     return SimulatedPitch(airframe) if "alpha" in regression.states else SimulatedMotion(airframe)

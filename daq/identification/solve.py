@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.regression import LATERAL, Regression
+from daq.identification.regression import LATERAL, PlaneRegression
 from daq.identification.rows import Row
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Sums:
 class Block:
     """Rows of one block as they come."""
 
-    def __init__(self, regression: Regression = LATERAL) -> None:
+    def __init__(self, regression: PlaneRegression = LATERAL) -> None:
         self.sums = Sums.empty(regression.width, regression.total, regression.lags)
         self._measured = np.zeros((regression.lags + 1, regression.total))
         self._instruments = np.zeros((regression.lags + 1, regression.width))
@@ -130,7 +130,7 @@ class RegressionSolution:
         return value, float(self.scatter / level[0] + mean @ self.covariance @ mean)
 
 
-def solve(sums: Sums, regression: Regression, equation: int, names: Sequence[str]) -> RegressionSolution | None:
+def solve(sums: Sums, regression: PlaneRegression, equation: int, names: Sequence[str]) -> RegressionSolution | None:
     """The named derivatives of one equation of a regression; None where these rows cannot tell them.
 
     sums: without their constant.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.identification.regression import LATERAL, LONGITUDINAL, Equation, Regression
+from daq.identification.regression import LATERAL, LONGITUDINAL, Equation, PlaneRegression
 from estimation.errors import EstimationError
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate, names_in
@@ -22,7 +22,7 @@ class LinearTerms:
     """A model's parameters as the recursive estimator has them. regressions: planes with the model's terms; names: parameter of
     the model -> name there, which is coefficient and column (`Cl_p`)."""
 
-    regressions: tuple[Regression, ...]
+    regressions: tuple[PlaneRegression, ...]
     names: Mapping[str, str]
 
     @property
@@ -53,7 +53,7 @@ def linear_terms(model: Model) -> LinearTerms:
     return LinearTerms(tuple(plane for plane in planes if plane is not None), names)
 
 
-def _with_terms(plane: Regression, names: set[str]) -> Regression | None:
+def _with_terms(plane: PlaneRegression, names: set[str]) -> PlaneRegression | None:
     """A plane with those terms that a model has; None where it has none of it."""
     if not any(name.partition("_")[0] in {e.coefficient for e in plane.equations} for name in names):
         return None
@@ -63,7 +63,7 @@ def _with_terms(plane: Regression, names: set[str]) -> Regression | None:
     return plane if equations == plane.equations else replace(plane, equations=equations)
 
 
-def _possible_terms(plane: Regression, equation: Equation) -> dict[str, str]:
+def _possible_terms(plane: PlaneRegression, equation: Equation) -> dict[str, str]:
     """Those that an equation has anyhow first, in their order."""
     further_terms = {f"{equation.coefficient}_{c}": c for c in plane.columns if c not in ("0", "CL2")}
     return {**equation.terms, **further_terms}
@@ -120,7 +120,7 @@ def _line_value(model: Model, name: str, symbols: Mapping[str, float]) -> float:
     return float(evaluate(text, symbol_values, FUNCTIONS))
 
 
-def _column_value(model: Model, plane: Regression, column: str, symbols: Mapping[str, float]) -> float:
+def _column_value(model: Model, plane: PlaneRegression, column: str, symbols: Mapping[str, float]) -> float:
     """Value of a column without the dynamic pressure; NaN where the model does not have its signal."""
     if column == "0":
         return 1.0

@@ -12,7 +12,7 @@ import numpy as np
 from daq.identification.airframe import PITCH_SIGNALS, SIGNALS, Airframe, Belief, Sample
 from daq.identification.estimates import LiveDerivative, LiveEstimates
 from daq.identification.live import GAP, JointEstimator
-from daq.identification.regression import LATERAL, Regression
+from daq.identification.regression import LATERAL, PlaneRegression
 from daq.identification.solve import RegressionSolution
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
@@ -99,7 +99,7 @@ def _stated_std(p: Parameter) -> float | None:
     return p.reference_std if p.reference_std and p.start == p.reference else None
 
 
-def samples_of(flight: Flight, part: slice, regressions: Sequence[Regression] = (LATERAL,)) -> Iterator[Sample]:
+def samples_of(flight: Flight, part: slice, regressions: Sequence[PlaneRegression] = (LATERAL,)) -> Iterator[Sample]:
     """Scans of a stretch of a flight, in order. A column that is missing reads NaN; the pitching plane by itself does without the
     lateral motion, which counts as none."""
     names = [*SIGNALS, *(PITCH_SIGNALS if regressions != (LATERAL,) else ())]

@@ -47,6 +47,9 @@ class Criteria:
     longest_record: float = criterion(75.0, "s",
         "a longer record is cut into stretches with initial states of their own",
         "by hand: twice what the studies fly; what a record costs grows with the square of its length, 2026-11-25")
+    filter_white: float = criterion(0.5, "1",
+        "an attitude of whose steps against the integrated rates less is white noise is a filter's",
+        "half-way between a measurement (1) and a filter (0): three hundred values tell it to a tenth")
     own_motion: float = criterion(0.5, "noise of the control",
         "a control that does less than that besides following the motion says nothing of when it moves",
         "between elevators that only hold an attitude (0.1 to 0.3) and doublets of 0.9 deg beside that (1.1), 2026-11-25")

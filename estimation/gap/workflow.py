@@ -23,6 +23,7 @@ from estimation.gap.fit.channel_noise import (
     sample_interval,
 )
 from estimation.gap.random_streams import Stream
+from estimation.gap.records.attitudes import with_attitudes_between
 from estimation.gap.records.candidate_model import stamped_attitudes, with_dormant, with_nuisance
 from estimation.gap.records.doubts import doubts_of, refuse_twice, sample_notes, stale_channels
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
@@ -60,7 +61,9 @@ def run_gap(
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
-    gridded = ([with_lost_rows(f) for f in group] for group in (training, holdout))
+    gridded = (
+        [with_attitudes_between(with_lost_rows(f), options.criteria) for f in group] for group in (training, holdout)
+    )
     read = (at_own_rates(group, controls, outputs, options.criteria) for group in gridded)
     training_flights, holdout_flights = (
         [without_unseen_moves(f, controls, outputs, options.criteria) for f in group] for group in read
@@ -79,7 +82,7 @@ def run_gap(
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
-    measured = [as_measured(f) for f in training]
+    measured = [as_measured(with_attitudes_between(f, options.criteria)) for f in training]
     check = kinematic_check(measured, candidates, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
@@ -102,8 +105,9 @@ def _setting(
     effects, unasked = without_hardware_of(effects, following)
     control_notes = [f"{prepared.names[k]}: {words_on(n)}" for n in following for k in prepared.training if unasked]
     white = channel_noise(records)
-    scatter = pitch_error(records, base.output_names, bank_error(records, base.output_names, white))
-    filtered = filtered_attitudes(records, base.output_names, white)
+    scatter = bank_error(records, base.output_names, white, options.criteria)
+    scatter = pitch_error(records, base.output_names, scatter, options.criteria)
+    filtered = filtered_attitudes(records, base.output_names, white, options.criteria)
     noise = dict(zip(base.output_names, scatter, strict=True))
     levelled, interval = with_levels(base, wide), sample_interval(records)
     clean = with_nuisance(levelled, noise, interval, options.criteria, filtered, stamped)

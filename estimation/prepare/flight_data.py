@@ -51,7 +51,8 @@ class FlightData:
     """A flight prepared for one model. samples: of the flight; states: (samples, nx) smoothed measured states, NaN columns
     where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs; errors:
     (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, or of the noise
-    that was left in; zero outside the segments), or None where nothing is known of it."""
+    that was left in; zero outside the segments), or None where nothing is known of it; follows: (samples, nu) what of each
+    control follows the motion, where that was looked for."""
 
     name: str
     samples: int
@@ -61,6 +62,7 @@ class FlightData:
     notes: tuple[Finding, ...]
     absent_outputs: tuple[str, ...]
     errors: NDArray[np.float32] | None = None
+    follows: Array | None = None
 
     @property
     def used(self) -> int:
@@ -80,12 +82,13 @@ class Preparation:
     """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
     left of it (all of it where none is taken off), for the corrected bound (0: inputs are taken for truth there too).
     keep_held: take the repeated values of slow and stuck sensors for measurements. feedback: controls of a model that
-    pitches keep what follows the motion, and their measured values by steps."""
+    pitches keep what follows the motion, and their measured values by steps. every_axis: those of any model do."""
 
     denoise: bool = True
     draws: int = DRAWS
     keep_held: bool = False
     feedback: bool = True
+    every_axis: bool = False
 
 
 AS_USUAL = Preparation()

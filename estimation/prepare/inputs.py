@@ -46,6 +46,7 @@ class PreparationState:
     z: Array = field(default_factory=lambda: np.zeros((0, 0)))
     states: Array = field(default_factory=lambda: np.zeros((0, 0)))
     errors: NDArray[np.float32] | None = None
+    follows: Array | None = None
     noise: dict[str, tuple[float, float]] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
 
@@ -179,12 +180,14 @@ def has_pitch_rate(model: Model) -> bool:
 
 
 def feedback_restored(state: PreparationState) -> PreparationState:
-    """Controls with what follows the motion put back and steps as measured, where the model pitches.
+    """Controls with what follows the motion put back and steps as measured, where the model pitches or that is asked of any.
 
     A piece in which a control was not measured at every sample stays as it is.
     """
-    if not (state.preparation.denoise and state.preparation.feedback and has_pitch_rate(state.model)):
+    wanted = has_pitch_rate(state.model) or state.preparation.every_axis
+    if not (state.preparation.denoise and state.preparation.feedback and wanted):
         return state
+    state = replace(state, follows=np.zeros_like(state.u))
     for i, signal in enumerate(state.model.inputs):
         level = state.noise.get(signal.name, (0.0, 0.0))[0]
         if not signal.control or signal.computed or not state.flight.measured(signal.source):
@@ -203,6 +206,7 @@ def _restore_feedback(
 ) -> Array:
     """Change one control, and its errors, in place; what is still taken off it, over all pieces."""
     assert state.errors is not None
+    assert state.follows is not None
     u, states, errors = state.u, state.states, state.errors
     smooth_states = [j for j in range(states.shape[1]) if all(np.isfinite(states[a:b, j]).all() for a, b in pieces)]
     parts = [
@@ -215,7 +219,7 @@ def _restore_feedback(
     for (a, b), part in zip(pieces, parts, strict=True):
         if feedback is not None:
             u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
-            errors[a:b, i] = error_draws.T
+            errors[a:b, i], state.follows[a:b, i] = error_draws.T, part.following(feedback)
         step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
         u[a + step_rows, i] = part.values[step_rows]
         errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))

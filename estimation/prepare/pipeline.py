@@ -187,7 +187,9 @@ def _flight_data(state: PreparationState) -> FlightData:
             " measured"
         )
     notes = without_repeats(state.notes)
-    return FlightData(flight.name, len(flight), segments, state.states, state.noise, notes, state.absent, state.errors)
+    return FlightData(
+        flight.name, len(flight), segments, state.states, state.noise, notes, state.absent, state.errors, state.follows
+    )
 
 
 def _first_state(state: PreparationState, row: int) -> Array:

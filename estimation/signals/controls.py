@@ -94,6 +94,11 @@ class ControlStretch:
         """(N, 2 motions): now and one sample before, for a servo is late."""
         return np.column_stack([self.motion, np.concatenate([self.motion[:1], self.motion[:-1]])])
 
+    def following(self, fitted: Gains) -> Array:
+        """(N,) what of the control follows the motion, about its mean."""
+        x = self.regressors()
+        return np.asarray((x - x.mean(axis=0)) @ fitted.gains)
+
 
 def feedback_gains(pieces: Sequence[ControlStretch], noise: float) -> Gains | None:
     """Gains by which a control follows the motion in all pieces of a record; None where that may be chance. noise: of it."""

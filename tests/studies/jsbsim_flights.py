@@ -35,7 +35,8 @@ Input = Callable[[Array, int], Array]
 @dataclass(frozen=True)
 class Flown:
     """What to fly. file: NAME.xml in a folder NAME. lag: time constants [s] of surfaces behind what is recorded of them. trimmed:
-    another aircraft in whose glide it begins; its flight control then runs, of which only the channel `sideslip` is left."""
+    another aircraft in whose glide it begins; its flight control then runs, of which only the channel `sideslip` is left.
+    integrator: JSBSim's number of the one it uses, 3 for Adams-Bashforth; None as JSBSim sets them."""
 
     file: Path
     seed: int
@@ -45,6 +46,7 @@ class Flown:
     noise: float = 1.0
     size: float = 1.0
     trimmed: Path | None = None
+    integrator: int | None = 3
 
 
 def changed(folder: Path, base: str, change: Callable[[str], str], name: str = "") -> Path:
@@ -73,16 +75,16 @@ def with_own_channel_only(file: Path, folder: Path) -> Path:
     return made / file.name
 
 
-def _executive(file: Path) -> Any:
+def _executive(file: Path, integrator: int | None = 3) -> Any:
     jsbsim.FGJSBBase().debug_lvl = 0
     fdm = jsbsim.FGFDMExec(None)
     fdm.set_dt(1.0 / RATE)
     fdm.set_aircraft_path(str(file.parent.parent))
     if not fdm.load_model(file.stem):
         raise RuntimeError(f"JSBSim cannot load {file}")
-    for kind in ("rate", "position"):
+    for kind in ("rate", "position") if integrator is not None else ():
         for motion in ("rotational", "translational"):
-            fdm[f"simulation/integrator/{kind}/{motion}"] = 3
+            fdm[f"simulation/integrator/{kind}/{motion}"] = integrator
     fdm["simulation/models/FGFCS/enabled"] = 0
     fdm["ic/psi-true-rad"], fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/terrain-elevation-ft"] = (
         1.5,
@@ -148,7 +150,7 @@ def _pilot(flown: Flown, rng: np.random.Generator, steps: int) -> Array:
 def columns_of(flown: Flown) -> dict[str, Array]:
     """One flight without the noise of its sensors, 20 Hz."""
     rng = np.random.default_rng([flown.seed, 20261123])
-    fdm, steps = _executive(flown.file), round(flown.duration * RATE) + 1
+    fdm, steps = _executive(flown.file, flown.integrator), round(flown.duration * RATE) + 1
     if flown.trimmed is None:
         trim = _glide(fdm, flown.speed)
     else:

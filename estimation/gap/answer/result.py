@@ -31,8 +31,10 @@ class Gap:
         """1 - (after^2 - floor^2)/(before^2 - floor^2), in 0..1."""
         excess = self.before**2 - self.floor**2
         remaining = max(self.after**2 - self.floor**2, 0.0)
-        if excess <= 0.0:  # nothing above the floor to close: judged by whether anything is left, if anything was done
-            return 1.0 if remaining == 0.0 and self.after != self.before else 0.0
+        if (
+            excess <= 0.0
+        ):  # nothing above the floor to close: what made it smaller closed it, what did not closed nothing
+            return 1.0 if self.after < self.before else 0.0
         return min(max(1.0 - remaining / excess, 0.0), 1.0)
 
     def to_json(self) -> dict[str, float]:

@@ -195,7 +195,7 @@ def noise_parts(
     between two samples is not known to a hundredth of a degree.
     """
     white = channel_noise(records)
-    wandering = filtered_attitudes(records, outputs, white)
+    wandering = filtered_attitudes(records, outputs, white, criteria)
     step = float(np.median(np.diff(records[0].time)))
     floor = scatter.copy()
     for n in wandering:

@@ -4,7 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
+from estimation.gap.records.attitudes import integral, white_share
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.signals.denoise import noise_level
@@ -27,10 +30,13 @@ def channel_noise(records: Sequence[FlightRecord]) -> Array:
     return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, 1e-9))
 
 
-def filtered_attitudes(records: Sequence[FlightRecord], outputs: Sequence[str], white: Array) -> tuple[str, ...]:
+def filtered_attitudes(
+    records: Sequence[FlightRecord], outputs: Sequence[str], white: Array, criteria: Criteria
+) -> tuple[str, ...]:
     """Those attitudes among the outputs, of white noise `white` (ny,), that come from a filter which integrates the gyro.
 
-    From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be.
+    From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be; or
+    what parts them from the integrated rates is not white from sample to sample, as the noise of a measurement is.
     """
     step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
     attitudes = []
@@ -38,19 +44,31 @@ def filtered_attitudes(records: Sequence[FlightRecord], outputs: Sequence[str], 
         if attitude in outputs:
             input_levels = [record.input_noise.get(rate, 0.0) for record in records]
             noise = white[outputs.index(rate)] if rate in outputs else float(np.median(input_levels))
-            if white[outputs.index(attitude)] <= noise * step:
+            smooth = white[outputs.index(attitude)] <= noise * step
+            if smooth or _white_share(records, outputs, attitude) < criteria.filter_white:
                 attitudes.append(attitude)
     return tuple(attitudes)
 
 
-def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array) -> Array:
+def _white_share(records: Sequence[FlightRecord], outputs: Sequence[str], attitude: str) -> float:
+    """Median over the records of what of an attitude's steps against the gyros is white; 1 where the gyros are not known."""
+    shares = []
+    for record in records:
+        motion = [_measured(record, outputs, n) for n in ("p", "q", "r", "phi", "theta")]
+        if motion["pqr".index(RATE_OF[attitude])].any():
+            rate = np.nan_to_num(attitude_rates(*motion)[attitude])
+            shares.append(white_share(_measured(record, outputs, attitude), integral(record.time, rate)))
+    return float(np.median(shares)) if shares else 1.0
+
+
+def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
     """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
 
     An attitude filter integrates the gyro and corrects slowly: from sample to sample its angle is smoother than one
     step of the gyro's own noise, which no independent measurement can be. What is wrong with it is then not seen in
     that smoothness but in how it parts from the integrated rates (without a constant and a drift) over the record.
     """
-    if not {"p", "r"} <= set(outputs) or "phi" not in filtered_attitudes(records, outputs, scatter):
+    if not {"p", "r"} <= set(outputs) or "phi" not in filtered_attitudes(records, outputs, scatter, criteria):
         return scatter
     p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
     errors = []
@@ -63,10 +81,10 @@ def bank_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter:
     return _widened(scatter, phi, errors)
 
 
-def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array) -> Array:
+def pitch_error(records: Sequence[FlightRecord], outputs: Sequence[str], scatter: Array, criteria: Criteria) -> Array:
     """`scatter` with the noise of the pitch attitude replaced by its slow error where the attitude is a filter's: see
     `bank_error`."""
-    if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter):
+    if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter, criteria):
         return scatter
     q, theta = outputs.index("q"), outputs.index("theta")
     errors = []

@@ -20,8 +20,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
-from estimation.prepare.flight_data import FlightData
-from estimation.prepare.inputs import has_pitch_rate
+from estimation.prepare.flight_data import FlightData, Preparation
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
@@ -74,7 +73,8 @@ class FlightRecord:
     noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
     wrong: input -> (draws, N) of what its preparation may have left wrong. left: control -> (frequencies,) variance per sample of
     what is wrong with it, once that is known. apart: (N, ny) measured outputs that are not compared, as the repeats of a slow
-    sensor; NaN elsewhere. states: (N, nx) measured states without their noise.
+    sensor; NaN elsewhere. states: (N, nx) measured states without their noise. follows: control -> (N,) what of it follows the
+    motion, which taking off its noise leaves.
     """
 
     flight: int
@@ -90,6 +90,7 @@ class FlightRecord:
     left: Mapping[str, Array] = field(default_factory=dict)
     apart: Array | None = None
     states: Array | None = None
+    follows: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -165,7 +166,7 @@ def prepare_flights(
     records: list[FlightRecord] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
-        data = prepare(probe, flight)
+        data = prepare(probe, flight, Preparation(every_axis=True))
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
         parts = [p for part in data.segments for p in _stretches(part, data.states, controls, criteria)]
@@ -178,7 +179,8 @@ def prepare_flights(
             raw, step_noise = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **step_noise}
             input_errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
-            skipped = _not_compared(base, flight, segment)
+            skipped, span = _not_compared(base, flight, segment), slice(segment.first, segment.first + length)
+            follows = data.follows[span].T if data.follows is not None else ()
             records.append(
                 FlightRecord(
                     index,
@@ -191,7 +193,8 @@ def prepare_flights(
                     raw=raw,
                     wrong=input_errors,
                     apart=skipped,
-                    states=data.states[segment.first : segment.first + length],
+                    states=data.states[span],
+                    follows={s.name: f for s, f in zip(probe.inputs, follows, strict=False) if f.any()},
                 )
             )
     return FlightRecords(
@@ -234,10 +237,9 @@ def quick_length(count: int) -> int:
 def _raw_steps(
     base: Model, flight: Flight, first: int, inputs: dict[str, Array], noise: Mapping[str, float], criteria: Criteria
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
-    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
-    the noise that is left there."""
+    """Put the measured values of the controls by their steps into `inputs`; where that was, and the noise that is left there."""
     masks, levels = {}, {}
-    for signal in base.inputs if has_pitch_rate(base) else ():
+    for signal in base.inputs:
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]

@@ -218,6 +218,13 @@ def find_slow_control(flight: Flight, column: str) -> Slow | None:
     return Slow(column, spacing, lines.ends, np.where(np.isfinite(interpolated), interpolated, values))
 
 
+def known_at(flight: Flight, column: str) -> Mask:
+    """(N,) samples at which a column shows a measurement: no repeat of a slow sensor, of lines that an import drew their ends."""
+    fresh, lines = _fresh(flight, column), _lines(flight, flight[column])
+    spacing = _usual(np.flatnonzero(lines.ends), flight)
+    return fresh if spacing is None or spacing <= 1.0 else fresh & lines.ends
+
+
 def _fresh(flight: Flight, column: str) -> Mask:
     """(N,) samples at which a column shows a measurement, and no repeat of a slow sensor."""
     return np.isfinite(flight[column]) & ~repeats(flight, column).held

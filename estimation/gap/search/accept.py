@@ -14,7 +14,7 @@ from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.select import Choice
 from estimation.gap.search.state import AcceptedEffect, Setting
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
-from estimation.gap.significance.measure import predictive_cost
+from estimation.gap.significance.measure import held_out_gaps, predictive_cost
 from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.omnibus import Omnibus
 
@@ -76,6 +76,9 @@ def confirmed(
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
     if not holds_on_holdout(None if holdout_gain is None else holdout_gain / own_inflation(candidate), spare, criteria):
         return None, "does not hold on the held-out flights"
+    held = None if timing or (strong and (holdout_gain or 0.0) > 0.0) else held_out_gaps(round_.baseline, child)
+    if not closes_held_out(held):
+        return None, "closes nothing of the gap on the held-out flights"
     return child, ""
 
 
@@ -144,6 +147,15 @@ def holds_on_holdout(held: float | None, spare: float, criteria: Criteria) -> bo
     that in one of six.
     """
     return held is None or held > -min(spare, criteria.held_slack)
+
+
+def closes_held_out(gaps: tuple[float, float] | None) -> bool:
+    """Whether the plain gap on the held-out flights, before and after an effect, is smaller with it.
+
+    None: not asked, of an effect that the base followed by its surfaces, or a strong one that gains there by the likelihood, or
+    without held-out flights.
+    """
+    return gaps is None or gaps[1] < gaps[0]
 
 
 def to_spare(score: float, threshold: float) -> float:

@@ -159,7 +159,7 @@ def _checked(
     instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
     prepared = prepare_flights(base, instruments, flights, (), criteria)
     scatter = channel_noise(prepared.records)
-    filtered = filtered_attitudes(prepared.records, base.output_names, scatter)
+    filtered = filtered_attitudes(prepared.records, base.output_names, scatter, criteria)
     noise, interval = dict(zip(base.output_names, scatter, strict=True)), sample_interval(prepared.records)
     clean = with_nuisance(base, noise, interval, criteria, filtered)
     working = with_dormant(clean, instruments, prepared.available, force_states(base))

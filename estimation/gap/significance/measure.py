@@ -112,17 +112,23 @@ class Floors:
 
 def gaps(before: Baseline, after: Baseline, floor: Floors) -> tuple[Gap, Gap | None]:
     """Gap of two fitted models on the training flights, and on the held-out ones where there are any."""
-    scatter, held_before, held_after = after.scatter, before.held_out, after.held_out
+    scatter, held = after.scatter, held_out_gaps(before, after)
     training = Gap(
         rms_over_noise(before.problem, before.fit, scatter),
         rms_over_noise(after.problem, after.fit, scatter),
         floor.training_median,
     )
-    if held_before is None or held_after is None or floor.holdout_median is None:
+    if held is None or floor.holdout_median is None:
         return training, None
-    return training, Gap(
-        rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median
-    )
+    return training, Gap(*held, floor.holdout_median)
+
+
+def held_out_gaps(before: Baseline, after: Baseline) -> tuple[float, float] | None:
+    """Gap of two fitted models on the held-out flights; None where there are none."""
+    held_before, held_after = before.held_out, after.held_out
+    if held_before is None or held_after is None:
+        return None
+    return rms_over_noise(*held_before, after.scatter), rms_over_noise(*held_after, after.scatter)
 
 
 def floors(

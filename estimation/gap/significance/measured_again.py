@@ -125,13 +125,16 @@ def course(record: FlightRecord, name: str, prepared: Array, noise: float, rng: 
     error = 0.0 if draws is None or not len(draws) else np.asarray(draws[rng.integers(len(draws))], float)
     if raw is None or not raw.any():
         return np.asarray(prepared + error)
-    smooth = denoise_many([prepared], noise=noise)[0].values
+    follows = record.follows.get(name, 0.0)
+    smooth = denoise_many([prepared - follows], noise=noise)[0].values + follows
     return np.where(raw, smooth, prepared + error)
 
 
 def prepared_anew(record: FlightRecord, name: str, measured: Array, noise: float, baseline: Baseline) -> Array:
-    """(N,) a measured control without its noise, by its steps as measured where the record's own is."""
-    smooth = denoise_many([measured], noise=noise)[0].values
+    """(N,) a measured control without its noise, but for what follows the motion, and by its steps as measured where the record's
+    own is."""
+    follows = record.follows.get(name, 0.0)
+    smooth = denoise_many([measured - follows], noise=noise)[0].values + follows
     raw = record.raw.get(name)
     if raw is None or not raw.any():
         return smooth

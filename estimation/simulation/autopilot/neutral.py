@@ -1,4 +1,4 @@
-"""An aircraft's whole build-up, nonlinear as it is, as plain JSON for a simulator of one's own (docs/neutral.md has every key).
+"""An aircraft's whole build-up, nonlinear as it is, as plain JSON for a simulator of one's own (docs/export.md has every key).
 
 Expressions are trees, `["+", "CL_0", ["*", "CL_alpha", "alpha"]]`: twenty lines read them in any language, and none has to be run
 as code.

@@ -12,6 +12,7 @@ import numpy as np
 from daq.utilities.constants import FOOT, GRAVITY, SLUG
 from daq.utilities.input_files import read_xml
 from daq.utilities.packages import optional
+from daq.utilities.plain_words import one_line
 from estimation.simulation.oracle import SimulationError
 
 SLUG_FOOT2 = SLUG * FOOT**2
@@ -101,7 +102,7 @@ def loaded(
         try:
             load_succeeded = fdm.load_model(path.stem)
         except (jsbsim.BaseError, RuntimeError, ValueError) as error:
-            raise SimulationError(f"{path}: JSBSim cannot load it ({error})") from error
+            raise SimulationError(f"{path}: JSBSim cannot load it ({one_line(str(error)).strip()})") from error
     if not load_succeeded:
         raise SimulationError(f"{path}: JSBSim cannot load it; try it with JSBSim itself, which says why")
     return fdm

@@ -17,7 +17,7 @@ from daq.identification.next_manoeuvre import (
     next_manoeuvre,
     predicted_pitch_columns,
 )
-from daq.identification.regression import LATERAL, LONGITUDINAL, Regression
+from daq.identification.regression import LATERAL, LONGITUDINAL, PlaneRegression
 from daq.identification.rows import RowMaker
 from daq.identification.simulated_motion import PitchInputs, PitchState, SimulatedPitch, SteadiedVane
 from estimation.aircraft.library import load_aircraft
@@ -63,7 +63,7 @@ def samples(columns: Mapping[str, Array], every: int = 5) -> list[Sample]:
     return [Sample(*row) for row in table.tolist()]
 
 
-def estimated(airframe: Airframe, scans: Sequence[Sample], regression: Regression = LONGITUDINAL) -> LiveEstimates:
+def estimated(airframe: Airframe, scans: Sequence[Sample], regression: PlaneRegression = LONGITUDINAL) -> LiveEstimates:
     estimator = LiveEstimator(airframe, regression)
     for sample in scans:
         estimator.add(sample)

@@ -174,13 +174,13 @@ def filtered(theta_error: float, gain: float = 1.0) -> list[FlightRecord]:
 def test_what_is_wrong_with_a_filtered_pitch_attitude_is_seen_against_the_integrated_rate() -> None:
     names = PITCHING.output_names
     scatter = np.array([0.1, 0.005, 1e-5, 0.007, 0.05, 0.05])
-    wider = pitch_error(filtered(0.01), names, scatter)
+    wider = pitch_error(filtered(0.01), names, scatter, AS_SET)
     assert wider[2] == pytest.approx(0.01 / np.sqrt(2.0), rel=0.25)
     np.testing.assert_array_equal(np.delete(wider, 2), np.delete(scatter, 2))
     independent = scatter.copy()
     independent[2] = 0.005  # noisier from sample to sample than one step of the gyro: no filter
-    assert pitch_error(filtered(0.01), names, independent) is independent
-    assert pitch_error(filtered(0.01), LATERAL.output_names, scatter) is scatter
+    assert pitch_error(filtered(0.01), names, independent, AS_SET) is independent
+    assert pitch_error(filtered(0.01), LATERAL.output_names, scatter, AS_SET) is scatter
 
 
 def test_a_filtered_pitch_attitude_may_take_speeding_up_for_gravity() -> None:

@@ -41,13 +41,13 @@ def record(filtered: bool, seed: int = 1, count: int = 600) -> FlightRecord:
 @pytest.mark.parametrize("filtered", [True, False])
 def test_filter_is_told_from_a_measurement(filtered: bool) -> None:
     white = np.array([0.004, 0.007, 0.004, 1e-4 if filtered else 0.002, 0.05])
-    assert filtered_attitudes([record(filtered)], OUTPUTS, white) == (("phi",) if filtered else ())
+    assert filtered_attitudes([record(filtered)], OUTPUTS, white, AS_SET) == (("phi",) if filtered else ())
 
 
 def test_rate_may_be_an_input() -> None:
     one = replace(record(True), input_noise={"p": 0.007})
-    assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 1e-4])) == ("phi",)
-    assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 2e-3])) == ()
+    assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 1e-4]), AS_SET) == ("phi",)
+    assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 2e-3]), AS_SET) == ()
 
 
 def wandering(across: bool, lost: float = 0.0) -> tuple[FlightRecord, tuple[str, ...], Array]:
@@ -75,8 +75,8 @@ def wandering(across: bool, lost: float = 0.0) -> tuple[FlightRecord, tuple[str,
 @pytest.mark.parametrize("lost", [0.0, 0.1, 0.3])
 def test_how_far_a_filter_wanders_is_known_in_every_model_and_with_rows_lost(across: bool, lost: float) -> None:
     one, outputs, white = wandering(across, lost)
-    assert "phi" in filtered_attitudes([one], outputs, white)
-    wider = bank_error([one], outputs, white)
+    assert "phi" in filtered_attitudes([one], outputs, white, AS_SET)
+    wider = bank_error([one], outputs, white, AS_SET)
     at = outputs.index("phi")
     assert wider[at] == pytest.approx(0.004 / np.sqrt(2.0), rel=0.35)  # a sine, and what gyro noise adds up to
     assert np.array_equal(np.delete(wider, at), np.delete(white, at))
@@ -88,7 +88,9 @@ def test_a_slow_error_that_hardly_any_step_shows_is_not_known() -> None:
     assert slow_error(time, every_third, np.zeros(600)) is None
     assert slow_error(time, np.zeros(600), np.zeros(600)) == pytest.approx(0.0, abs=1e-12)
     one, outputs, white = wandering(False)
-    assert np.array_equal(bank_error([replace(one, inputs={})], outputs, white), white)  # nothing is known of its pitch
+    assert np.array_equal(
+        bank_error([replace(one, inputs={})], outputs, white, AS_SET), white
+    )  # nothing is known of its pitch
 
 
 def linear() -> Linear:

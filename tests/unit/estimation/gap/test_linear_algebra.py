@@ -146,7 +146,8 @@ def test_gap_closed_by_hand() -> None:
     assert Gap(5.1, 1.1, 1.0).closed == pytest.approx(1 - 0.21 / 25.01)
     assert Gap(2.0, 0.9, 1.0).closed == 1.0
     assert Gap(2.0, 2.5, 1.0).closed == 0.0
-    assert Gap(0.9, 0.95, 1.0).closed == 1.0
+    assert Gap(0.95, 0.9, 1.0).closed == 1.0
+    assert Gap(0.9, 0.95, 1.0).closed == 0.0
     assert Gap(0.9, 1.2, 1.0).closed == 0.0
 
 

@@ -44,10 +44,12 @@ def asked(
     timing: bool = False,
     linear: float | None = None,
     bounds: float = 5.0,
+    gaps: tuple[float, float] | None = (2.0, 1.9),
 ) -> tuple[Any, str]:
     """A linear candidate beside a nameless term that gains 100, threshold 4; its estimate so many bounds from none at 1, which
     the nulls scatter four times as far."""
     patch.setattr(accepting, "held_gain", lambda *given: held)
+    patch.setattr(accepting, "held_out_gaps", lambda *given: gaps)
     patch.setattr(accepting, "by_timing", lambda *given: timing)
     patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
     parameter = EffectParameter("x", "s", 2.0, -10.0, 10.0, none=1.0)
@@ -80,7 +82,11 @@ def asked(
         ({"held": -1.0, "timing": True}, ""),
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
         ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
-        ({"held": None}, ""),
+        ({"held": None, "gaps": None}, ""),
+        ({"gaps": (1.455, 1.478)}, "closes nothing of the gap on the held-out flights"),
+        ({"gaps": (1.455, 1.478), "score": 7.0}, ""),  # strong, and gains there by the likelihood
+        ({"gaps": (1.455, 1.478), "score": 7.0, "held": -1.0}, "closes nothing"),
+        ({"gaps": (1.455, 1.478), "timing": True}, ""),
         ({"bounds": 3.05}, ""),
         ({"bounds": 2.95}, "x = -1.95 +- 1 cannot be told from no effect"),  # the states it begins anew gained the rest
     ],

@@ -24,6 +24,8 @@ from estimation.gap.fit.spectra import (
     spectral_matrix,
 )
 from estimation.gap.fit.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
+from estimation.gap.records import attitudes
+from estimation.gap.records.attitudes import with_attitudes_between
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.doubts import sample_notes
 from estimation.gap.records.flight_records import FlightRecord, prepare_flights, stretches, with_own_noise
@@ -373,3 +375,14 @@ def test_the_freedom_that_flights_tell_stays_within_its_limits(told: float, free
     one = replace(nowhere(10), name=("delta_a", "ay"), jumping=frozenset({"ay"}))
     found = freedom_of([one], [(np.full(2, told), np.zeros(2))])
     assert (found["delta_a"], found["ay"]) == pytest.approx(free)
+
+
+@pytest.mark.parametrize(("white", "is_filled"), [(0.4, True), (0.6, False)])
+def test_an_attitude_of_which_half_is_white_is_measured_not_filtered(
+    monkeypatch: pytest.MonkeyPatch, white: float, is_filled: bool
+) -> None:
+    monkeypatch.setattr(attitudes, "white_share", lambda *given: white)
+    time, slow = 0.05 * np.arange(400), np.repeat(np.random.default_rng(5).standard_normal(200), 2)
+    flight = Flight.build("f", time, {"p": np.sin(time), "q": time, "r": time, "phi": slow, "theta": slow})
+    filled = with_attitudes_between(flight, AS_SET)
+    assert any("filter" in str(n) for n in filled.notes) is is_filled
