@@ -11,8 +11,9 @@ import numpy as np
 from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
-from estimation.gap.records.sampling import known_at
+from estimation.gap.records.sampling import Mask, known_at
 from groundstation.flight import Flight
+from groundstation.flight.arrays import integral
 
 MOTION = ("p", "q", "r", "phi", "theta")
 FEWEST = 40  # values, for what is white in them to be told to a sixth
@@ -61,12 +62,7 @@ def white_share(known: Array, summed: Array) -> float:
     return float(np.clip(-2.0 * np.mean(pairs[:, 0] * pairs[:, 1]) / power, 0.0, 1.0)) if power > 0.0 else 0.0
 
 
-def integral(time: Array, rate: Array) -> Array:
-    """(N,) of a rate (N,), zero at first, by straight lines between samples."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[1:] + rate[:-1]))])
-
-
-def _filled(flight: Flight, values: Array, known: Array, rate: Array, criteria: Criteria) -> Array | None:
+def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: Criteria) -> Array | None:
     filled, shares = np.where(known, values, np.nan), []
     for segment in flight.segments:
         time, knots = flight.time[segment], np.flatnonzero(known[segment])
@@ -82,6 +78,6 @@ def _filled(flight: Flight, values: Array, known: Array, rate: Array, criteria: 
     return filled if shares and max(shares) < criteria.filter_white else None
 
 
-def _joined(flight: Flight, values: Array, known: Array) -> Array:
+def _joined(flight: Flight, values: Array, known: Mask) -> Array:
     """(N,) straight lines through what is known of a column."""
     return np.interp(flight.time, flight.time[known], values[known]) if known.any() else np.zeros(values.size)
