@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Hundreds of processes are started by the tests; without bytecode each would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all lint bench bench-gap rig torture study format clean setup
+.PHONY: demo docs test test-all lowest lint bench bench-gap rig torture study format clean setup
 
 demo: $(STAMP)
 	$(BIN)/sideslip demo --out $(OUT)

@@ -138,10 +138,10 @@ def check_sequencer(sequencer: SequencerConfig, sensors: SensorsConfig, rate_hz:
     if missing:
         raise ValueError(f"sequencer watches {', '.join(missing)}, not fitted; fit it or set its limit aside")
     if sequencer.through != "pca9685":
-        capture = sensors.capture
-        if capture is not None and capture.driver == "mavlink_servo" and capture.device in sequencer.autopilot.port:
+        port = sensors.autopilot_port
+        if port is not None and port[0] in sequencer.autopilot.port:
             raise ValueError(
-                f"sequencer.autopilot and sensors.capture both read {capture.device}; give the sequencer a port of its own"
+                f"sequencer.autopilot and the sensors both read {port[0]}; give the sequencer a port of its own"
             )
         return
     addresses = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}

@@ -7,6 +7,12 @@ class EstimationError(UserError):
     """Something a person can put right: a model file, an aircraft file, a flight or an option."""
 
 
+class UnknownNameError(EstimationError, KeyError):
+    """A name that an answer does not have."""
+
+    __str__ = Exception.__str__  # KeyError would put the sentence in quotes
+
+
 class AircraftError(EstimationError):
     """An aircraft file that cannot be used."""
 

@@ -52,7 +52,16 @@ def __getattr__(name: str) -> Any:
     if name in __all__:
         import importlib
 
-        return getattr(importlib.import_module(_HOMES.get(name, "sideslip.api")), _RENAMED.get(name, name))
+        try:
+            from daq.utilities.packages import missing
+        except ModuleNotFoundError as error:
+            raise ImportError(
+                "a file or folder daq hides Sideslip's own package; rename it, or start elsewhere"
+            ) from error
+        try:
+            return getattr(importlib.import_module(_HOMES.get(name, "sideslip.api")), _RENAMED.get(name, name))
+        except ModuleNotFoundError as error:
+            raise missing(error, f"sideslip.{name}") from error
     raise AttributeError(f"module 'sideslip' has no attribute {name!r}")
 
 

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
+from daq.utilities.packages import missing
 from estimation.answers import (
     checks,
     designs,
@@ -55,6 +56,20 @@ FLIGHTS = ("flight", "flights", "holdout")
 """Arguments that are flights or files of them."""
 
 
+def _asking(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which asks for a package of an extra by a sentence where it is missing."""
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except ModuleNotFoundError as error:
+            raise missing(error, f"sideslip.{function.__name__}") from error
+
+    return called
+
+
+@_asking
 def open(path: str | Path) -> "Flight":
     """A flight file (.mcap, .csv, .parquet), or a raw recording, calibrated with the set it carries."""
     from groundstation.calibration.recording import open_flight
@@ -66,6 +81,7 @@ def _opening(function: Callable[P, R]) -> Callable[P, R]:
     """The function with every file of a flight opened as `open` does: raw recordings are calibrated."""
     signature = inspect.signature(function)
 
+    @_asking
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         bound = signature.bind(*args, **kwargs)
@@ -88,10 +104,11 @@ watch = _opening(watching.watch)
 frequency = _opening(responses.frequency)
 performance = _opening(performances.performance)
 reconstruct = _opening(reconstruction.reconstruct)
-design = designs.design
-analyse = analysis.analyse
+design = _asking(designs.design)
+analyse = _asking(analysis.analyse)
 
 
+@_asking
 def import_log(
     path: str | Path,
     mapping: str | Path | None = None,
@@ -110,6 +127,7 @@ def import_log(
     return flight if aircraft is None else with_aircraft(flight, str(aircraft))
 
 
+@_asking
 def simulate(model: "AnyModel", flight: "Flight | str | Path", *, aircraft: "AnyAircraft" = None) -> "Flight":
     """The flight with what the model shows on its measured inputs, as columns `<output>_model`."""
     from estimation.engine.simulate import simulate as simulated

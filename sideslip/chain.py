@@ -33,18 +33,21 @@ def fly_scenario(
     seed: int | None = None,
     speed: float | None = None,
     backfill: bool = True,
+    config_file: Path | None = None,
+    calibration: Path | None = None,
     live: "Callable[[int], LiveView] | None" = None,
     tell: Callable[[float], None] = lambda share: None,
 ) -> ChainFlight:
     """Fly one scenario through the real logger, a simulated radio and the real ground station.
 
+    config_file: of the logger, calibration: set it carries; those of the CDFP by default.
     tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
     """
-    from firmware_sim.runs.flight import prepare_flight
+    from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
-    from groundstation.live.config import GroundConfig
+    from groundstation.live.config import CalibrationConfig, GroundConfig
     from groundstation.live.handover import hand_over
     from groundstation.live.station import Station
     from groundstation.receiver.ports import LinkConfig
@@ -52,8 +55,15 @@ def fly_scenario(
     from sideslip.live_aircraft import live_aircraft
 
     config = GroundConfig(link=LinkConfig(ports=(), backfill="lost" if backfill else "off"))
-    calibration = NOMINAL_DIRECTORY / config.calibration.directory
-    with prepare_flight(scenario, folder, seed=seed, speed=speed, calibration=calibration) as flight:
+    if calibration is not None:
+        config = config.model_copy(update={"calibration": CalibrationConfig(directory=str(calibration))})
+    config_file, calibration = (
+        config_file or CONFIG_FILE,
+        calibration or NOMINAL_DIRECTORY / config.calibration.directory,
+    )
+    with prepare_flight(
+        scenario, folder, seed=seed, speed=speed, config_file=config_file, calibration=calibration
+    ) as flight:
         ground_folder = folder / "ground"
         ground_folder.mkdir(parents=True, exist_ok=True)
         receiver = Receiver(config.link, {"radio": flight.radio.ground}, flight.clock, folder=ground_folder)

@@ -21,8 +21,10 @@ import click
 
 from daq.utilities.durable import DISK_ERRNOS
 from daq.utilities.errors import UserError
+from daq.utilities.packages import missing
 from daq.utilities.plain_words import VisibleStream, one_line
 from daq.utilities.standard_streams import SafeStream
+from sideslip.first_hour import GREETING, next_line, quiet_first
 from sideslip.services import SERVICES
 
 if TYPE_CHECKING:
@@ -72,6 +74,9 @@ VERBS: dict[str, Verb] = {
     "campaign": Verb("sideslip.verbs.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
     "watch": Verb("sideslip.verbs.watch", "watch", "When a model stopped describing the aircraft in flight."),
     "gap": Verb("sideslip.verbs.gap", "gap", "Find, name and close the gap between model and flight."),
+    "doctor": Verb("sideslip.verbs.doctor", "doctor", "What is installed here, and what is missing for what."),
+    "help": Verb("sideslip.verbs.doctor", "help_", "What a verb does, with its options and an example."),
+    "completion": Verb("sideslip.verbs.doctor", "completion", "What makes a shell complete verbs and options."),
 }
 
 
@@ -81,6 +86,8 @@ ALIKE = (
 )
 BEGINNING = 2  # letters from which a beginning names a verb
 
+QUIET = "sideslip.quiet"
+"""Key of the context: whether progress and what to do next stay unsaid."""
 INTERRUPTED = "sideslip: interrupted; files are closed"
 TRACEBACK = "SIDESLIP_TRACEBACK"
 """Environment variable with which a mistake of this program ends in Python's own traceback: for developers, and all tests."""
@@ -100,7 +107,7 @@ class VerbTable(click.Group):
         try:
             command: click.Command = getattr(importlib.import_module(verb.module), verb.attribute)
         except ModuleNotFoundError as error:
-            raise MissingPackageError(cmd_name, error.name or str(error)) from error
+            raise missing(error, f"sideslip {cmd_name}") from error
         return command
 
     def resolve_command(
@@ -149,15 +156,6 @@ def _package_verb(name: str) -> click.Command | None:
     return None
 
 
-class MissingPackageError(UserError):
-    """A package of an extra that was not installed."""
-
-    def __init__(self, verb: str, package: str) -> None:
-        super().__init__(
-            f"sideslip {verb}: package {package!r} is not installed; pip install 'sideslip[ground,estimation]'"
-        )
-
-
 def software_version() -> str:
     """Version of the installed package, or 'unknown' when run from a bare tree."""
     try:
@@ -166,10 +164,19 @@ def software_version() -> str:
         return "unknown"
 
 
-@click.command(cls=VerbTable, context_settings={"help_option_names": ["-h", "--help"], "obj": SERVICES})
+@click.command(
+    cls=VerbTable,
+    context_settings={"help_option_names": ["-h", "--help"], "obj": SERVICES},
+    invoke_without_command=True,
+)
+@click.option("--quiet", is_flag=True, help="No progress, and no word on what to do next.")
+@click.pass_context
 @click.version_option(software_version(), prog_name="sideslip")
-def cli() -> None:
+def cli(context: click.Context, quiet: bool) -> None:
     """Airborne data acquisition and aircraft identification."""
+    context.meta[QUIET] = quiet
+    if context.invoked_subcommand is None:
+        click.echo(GREETING.rstrip())
 
 
 def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
@@ -208,8 +215,9 @@ def _with_streams(status: int, out: SafeStream, err: SafeStream) -> int:
 
 def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> int:
     # One process edge: everything below raises, only here is it turned into an exit status.
+    words, quiet = quiet_first(sys.argv[1:] if argv is None else argv)
     try:
-        status = cli.main(args=argv, prog_name="sideslip", standalone_mode=False)
+        status = cli.main(args=["--quiet", *words] if quiet else words, prog_name="sideslip", standalone_mode=False)
     except click.ClickException as error:
         context = error.ctx if isinstance(error, click.UsageError) else None
         text = error.format_message().rstrip(".")
@@ -218,7 +226,7 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
     except UserError as error:
         return _error_line(str(error))
     except ModuleNotFoundError as error:
-        return _error_line(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
+        return _error_line(str(missing(error, f"sideslip {(argv or sys.argv[1:] or [''])[0]}".rstrip())))
     except (KeyboardInterrupt, click.Abort):
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status
@@ -233,7 +241,10 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         return _error_line(f"{place}: cannot be read or written ({error.strerror}); choose another place")
     except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
         return _unforeseen(error)
-    return status if isinstance(status, int) else 0
+    status = status if isinstance(status, int) else 0
+    if not quiet and status in (0, 1) and (line := next_line(words, failed=status == 1)):
+        click.echo(f"next: {line}", err=True)
+    return status
 
 
 def _unforeseen(error: Exception) -> int:

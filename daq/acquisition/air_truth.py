@@ -186,7 +186,7 @@ class AirTruth:
             return None
         scans = list(self._scans)
         rest = pitot_at_rest(scans, self._scales)
-        if rest is None or pitot_unrest(counts(scans, "pitot_pressure"), level_tells=False):
+        if rest is None or pitot_unrest(counts(scans, "pitot_pressure"), level_tells=False, pascal=self._scales.pascal):
             return None
         if not OFFSET_PA < abs(rest.offset_pa) < BROKEN_PA or not rest.steady:
             return None

@@ -68,7 +68,7 @@ class Sampler:
     """Reads all fitted sensors once per `take`; `finish` wants what was taken, each once and in order.
 
     bus, serial: the I2C bus and the GPS receiver's port, real or simulated; None where nothing fitted needs them.
-    autopilot: serial port of the `mavlink_servo` driver. pulse: returns the monotonic time of the newest
+    autopilot: serial port to one, where groups come from it. pulse: returns the monotonic time of the newest
     pulse-per-second edge [ns], or None. on_event: told about every edge of the event switch; on_taken: about every scan as
     soon as it is read, in the sampler's thread.
     Raises DriverConfigError when the configuration asks for a driver or port that is not there.
@@ -96,7 +96,7 @@ class Sampler:
         self._budget_ns = round(BUDGET * self._period_ns)
         latency = config.gnss.arrival_s if config.gnss else 0.0
         self.timebase = TimeBase(round(latency * 1e9), self._period_ns)
-        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase, config.section)
+        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase, config.section, rate_hz)
         now_ns = clock.monotonic_ns()
         self._supervisors = {
             group: Supervisor(driver, config.section(group), config.health, self._every(group, driver, rate_hz), now_ns)
@@ -107,7 +107,9 @@ class Sampler:
         self._on_serial = [s for s in ranked if not s.driver.uses_i2c]
         self._all = (*self._on_serial, *self._on_bus)
         self._off = {g: GroupStatus(SensorState.OFF) for g in GROUP_NAMES if g not in config.fitted}
-        self._attitude = AttitudeSource(config, rate_hz / self._imu_every(), now_ns) if config.attitude else None
+        self._attitude = (
+            AttitudeSource(config, rate_hz / self._imu_every(), now_ns) if "attitude" in config.derived else None
+        )
         self._bus_held = ""
         self._bus_retry_ns = 0
         self._bus_pause_ns = BUS_RETRY_NS
@@ -321,6 +323,10 @@ class Sampler:
         not_fitted = {g: GroupHealth(g, SensorState.OFF, since_ns=now_ns, required=False) for g in self._off}
         groups = tuple(replace(records.get(g) or not_fitted[g]) for g in GROUP_NAMES)
         return HealthSummary(now_ns, groups, self._bus_held)
+
+    def refusals(self) -> dict[str, str]:
+        """What devices would not do as they were asked, by group, in words."""
+        return {g: s.driver.refusal for g, s in self._supervisors.items() if s.driver.refusal}
 
     def metadata(self) -> dict[str, str]:
         """What the ground needs to use the counts, `group.key` -> text; goes into every recording."""

@@ -25,6 +25,8 @@ BUILT_IN_GROUPS: tuple[ChannelGroup, ...] = (
     ChannelGroup("thrust", "thrust load cell", "NAU7802"),
     ChannelGroup("capture", "digital inputs and PWM widths", "capture co-processor"),
     ChannelGroup("gnss", "GPS", "u-blox NAV-PVT"),
+    ChannelGroup("vane_alpha", "angle-of-attack vane, magnetic", "AS5600"),
+    ChannelGroup("vane_beta", "sideslip vane, magnetic", "AS5600"),
 )
 
 
@@ -57,6 +59,16 @@ def _gnss(
 def _pwm(output: int, columns: tuple[str, ...]) -> Channel:
     meaning = f"servo pulse width, output {output}"
     return Channel(f"pwm_{output}", "capture", "u16", "s", meaning, 1e-7, columns=columns)
+
+
+def _encoder(angle: str, words: str) -> Channel:
+    """Of an AS5600: 4096 counts a turn."""
+    meaning = f"{words} vane, magnetic encoder, from its centre"
+    group, scale = (
+        f"vane_{angle}",
+        math.tau / 4096,
+    )  # not in each frame: a signed one would no longer fit a radio packet
+    return Channel(f"{angle}_encoder", group, "i16", "rad", meaning, scale, downlink="slow", columns=(angle,))
 
 
 def _attitude(axis: str, part: str) -> Channel:
@@ -117,6 +129,8 @@ BUILT_IN_CHANNELS: tuple[Channel, ...] = (
     _gnss("horizontal_accuracy_mm", "u32", "m", "horizontal accuracy estimate", 1e-3),
     _gnss("vertical_accuracy_mm", "u32", "m", "vertical accuracy estimate", 1e-3),
     _gnss("speed_accuracy_mm", "u32", "m/s", "speed accuracy estimate", 1e-3),
+    _encoder("alpha", "angle of attack"),
+    _encoder("beta", "sideslip"),
 )
 
 _FORCE = "specific force at the CG, {} axis"

@@ -8,7 +8,7 @@ pass and raises `SensorError` when the chip answers but is not what it should be
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -100,7 +100,8 @@ class DriverConfigError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What drivers are connected to. `autopilot` is the serial port of `mavlink_servo`; section: of a group, or None."""
+    """What drivers are connected to. autopilot: the serial port to one. section: of a group, or None. rate_hz: of the scan.
+    shared: what drivers of one device have in common."""
 
     bus: I2cBus | None
     gnss: SerialPortCalls | None
@@ -108,6 +109,8 @@ class Surroundings:
     now_ns: Callable[[], int]
     timebase: TimeBase
     section: Callable[[str], Any]
+    rate_hz: float = 20.0
+    shared: dict[str, Any] = field(default_factory=dict)
 
     def need_bus(self, group: str) -> I2cBus:
         """The bus. Raises DriverConfigError when there is none."""
@@ -154,6 +157,9 @@ class Driver(ABC):
     uses_i2c: bool = True
     repeated: int = 0
     """Transfers that the driver repeated by itself since the supervisor last looked; it sets this to 0 again."""
+
+    refusal: str = ""
+    """What the device would not do as it was asked, in words; empty where nothing."""
 
     needs: str = ""
     """Group that has to be set up before this one can be."""

@@ -12,6 +12,8 @@ from pydantic import Field, field_validator, model_validator
 from daq.contract.channels import CHANNEL_BY_NAME, GROUP_NAMES, channels_of
 from daq.sensors.ads1115 import Ads1115, AnalogConfig
 from daq.sensors.ak09916 import Ak09916, MagConfig
+from daq.sensors.as5600 import As5600, EncoderConfig
+from daq.sensors.autopilot import SENDERS, AutopilotGroup, AutopilotSection, MavlinkServo
 from daq.sensors.base import (
     Address,
     Driver,
@@ -25,7 +27,6 @@ from daq.sensors.base import (
 from daq.sensors.bmp390 import Bmp390, StaticConfig
 from daq.sensors.capture import Capture, CaptureConfig
 from daq.sensors.icm20948 import Icm20948, ImuConfig
-from daq.sensors.mavlink_servo import MavlinkServo
 from daq.sensors.ms4525do import Ms4525do, PitotConfig
 from daq.sensors.nau7802 import Nau7802, ThrustConfig
 from daq.sensors.ublox import GnssConfig, Ublox
@@ -36,16 +37,18 @@ CHIPS: tuple[type[Driver], ...] = (
     Ads1115,
     Ms4525do,
     Bmp390,
+    As5600,
     Nau7802,
     Capture,
     MavlinkServo,
+    AutopilotGroup,
     Ublox,
 )
 """What can be fitted. Names, groups, order on the bus and limits of health stand in each class, keys in the section beside it;
 `SensorsConfig` says which section a group has."""
 
 DERIVED_GROUPS = frozenset({"attitude"})
-"""Groups computed from others, without a chip."""
+"""Groups computed from others, without a chip, unless an autopilot sends them."""
 
 
 class BusConfig(SensorConfigSection):
@@ -134,6 +137,9 @@ class SensorsConfig(SensorConfigSection):
     thrust: ThrustConfig | None = None
     capture: CaptureConfig | None = None
     gnss: GnssConfig | None = None
+    vane_alpha: EncoderConfig | None = None
+    vane_beta: EncoderConfig | None = None
+    autopilot: AutopilotSection | None = None
     health: HealthConfig = HealthConfig()
     extra: dict[str, ExtraConfig] = Field(default_factory=dict)
 
@@ -146,6 +152,26 @@ class SensorsConfig(SensorConfigSection):
         """Groups that are fitted, in table order."""
         return tuple(g for g in GROUP_NAMES if self.section(g) is not None)
 
+    @property
+    def from_sender(self) -> tuple[str, ...]:
+        """Groups that come from an autopilot, dated by its clock."""
+        return tuple(g for g in self.fitted if self.section(g).driver in SENDERS)
+
+    @property
+    def derived(self) -> tuple[str, ...]:
+        """Groups that are computed from others on board."""
+        return tuple(g for g in self.fitted if g in DERIVED_GROUPS and g not in self.from_sender)
+
+    @property
+    def autopilot_port(self) -> tuple[str, int] | None:
+        """Device and baud rate of the line to an autopilot; None where no group comes from one."""
+        if not self.from_sender:
+            return None
+        capture = self.capture
+        if capture is not None and capture.driver == MavlinkServo.name:
+            return capture.device, capture.baud
+        return None if self.autopilot is None else (self.autopilot.device, self.autopilot.baud)
+
     @model_validator(mode="after")
     def _consistent(self) -> "SensorsConfig":
         for group in self.extra:
@@ -153,19 +179,28 @@ class SensorsConfig(SensorConfigSection):
                 raise ValueError(f"extra.{group}: the channel table has no such group with channels")
             if getattr(self, group, None) is not None:
                 raise ValueError(f"extra.{group} and {group} both claim the group; keep one")
-        if self.mag is not None and self.mag.driver == "ak09916" and self.imu is None:
+        if self.mag is not None and self.mag.driver == "ak09916" and (self.imu is None or "imu" in self.from_sender):
             raise ValueError("mag sits behind the imu; add [sensors.imu] or remove [sensors.mag]")
-        if self.attitude is not None and self.imu is None:
+        self._check_autopilot()
+        if "attitude" in self.derived and self.imu is None:
             raise ValueError("attitude needs the imu; add [sensors.imu] or remove [sensors.attitude]")
         self._check_addresses()
         return self
+
+    def _check_autopilot(self) -> None:
+        servo = self.capture is not None and self.capture.driver == MavlinkServo.name
+        others = [g for g in self.from_sender if g != "capture" or not servo]
+        if others and self.autopilot is None:
+            raise ValueError(f"{others[0]} comes from the autopilot; add [sensors.autopilot] with its device and baud")
+        if others and servo:
+            raise ValueError("capture listens on a port of its own; write driver = 'autopilot' in [sensors.capture]")
 
     def _check_addresses(self) -> None:
         group_at: dict[int, str] = {}
         for group in self.fitted:
             section = self.section(group)
             address = getattr(section, "address", None)
-            if address is None or section.driver == "mavlink_servo":
+            if address is None or group in self.from_sender:
                 continue
             if address in group_at:
                 raise ValueError(f"{group_at[address]} and {group} share the I2C address 0x{address:02x}")
@@ -174,7 +209,7 @@ class SensorsConfig(SensorConfigSection):
 
 def build_drivers(config: SensorsConfig, around: Surroundings) -> dict[str, Driver]:
     """Drivers of all fitted groups with a chip, in table order. Raises DriverConfigError naming the key where there is none."""
-    return {g: _driver(g, config, around) for g in GROUP_NAMES if g in config.fitted and g not in DERIVED_GROUPS}
+    return {g: _driver(g, config, around) for g in config.fitted if g not in config.derived}
 
 
 def _driver(group: str, config: SensorsConfig, around: Surroundings) -> Driver:

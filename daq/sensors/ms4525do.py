@@ -44,10 +44,12 @@ class PitotConfig(SensorSection):
 
 
 def nominal_transfer(config: object) -> tuple[float, float]:
-    """Pascal for each count, and pascal at count zero, by the data sheet; NaN for another kind of sensor."""
+    """Pascal for each count, and pascal at count zero, as data sheet or driver have it; NaN for a sensor of one's own."""
     if not isinstance(config, PitotConfig):
         return math.nan, math.nan
     (low, high), (start, span) = config.range_pa, SPAN[config.output]
+    if config.driver != "ms4525do":  # 16 bits over the range, end to end
+        return (high - low) / 0xFFFF, low
     per_count = (high - low) / (span * FULL)
     return per_count, low - start * FULL * per_count
 

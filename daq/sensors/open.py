@@ -49,14 +49,15 @@ class Hardware:
 
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
-    capture_serial = config.capture is not None and config.capture.driver == "mavlink_servo"
-    chips = [g for g in config.fitted if g not in ("attitude", "gnss") and not (g == "capture" and capture_serial)]
-    bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock) if chips else None
+    of_port = {"gnss", *config.derived, *config.from_sender}
+    bus = None
+    if set(config.fitted) - of_port:
+        bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock)
     gnss = autopilot = None
-    if config.gnss is not None:
+    if config.gnss is not None and "gnss" not in config.from_sender:
         gnss = ReopeningPort(config.gnss.device, config.gnss.baud, clock)
-    if capture_serial and config.capture is not None:
-        autopilot = ReopeningPort(config.capture.device, config.capture.baud, clock)
+    if config.autopilot_port is not None:
+        autopilot = ReopeningPort(*config.autopilot_port, clock)
     pps = config.gnss.pps if config.gnss else None
     return Hardware(bus, gnss, autopilot, SysfsPulse(Path(pps), clock) if pps else None)
 

@@ -24,8 +24,10 @@ THROTTLE_LIMIT = 1.2e-3
 PITOT_CENTRE = 8192
 PITOT_LIMIT = 60
 """Where no IMU can be asked, a mean pitot reading this far from the centre of its range (63 Pa) is taken as airspeed [counts]."""
-PITOT_UNREST = 12.0
-"""Standard deviation of a pitot at rest stays below this [counts]; wind on the ground shakes it more."""
+PITOT_PASCAL = 1.052
+"""A count of an MS4525DO at +-1 psi [Pa]: of any pitot that does not say otherwise."""
+PITOT_UNREST_PA = 12.6
+"""Standard deviation of a pitot at rest stays below this; wind on the ground shakes it more."""
 LEAST_SCANS = 20
 _FIXES = (3, 4)
 _RATES, _FORCES = ("gyro_x", "gyro_y", "gyro_z"), ("accel_x", "accel_y", "accel_z")
@@ -57,13 +59,13 @@ def unrest(scans: Sequence[Scan]) -> str | None:
     return None
 
 
-def pitot_unrest(pitot: Sequence[float], *, level_tells: bool) -> str | None:
-    """What the pitot's counts say of motion, in words; level_tells: where nothing else can be asked."""
+def pitot_unrest(pitot: Sequence[float], *, level_tells: bool, pascal: float = PITOT_PASCAL) -> str | None:
+    """What the pitot's counts say of motion, in words; level_tells: where nothing else can be asked; pascal: a count [Pa]."""
     if len(pitot) < LEAST_SCANS:
         return f"only {len(pitot)} pitot readings so far"
     if level_tells and abs(fmean(pitot) - PITOT_CENTRE) > PITOT_LIMIT:
         return f"pitot reads {fmean(pitot) - PITOT_CENTRE:+.0f} counts from the centre of its range"
-    if pstdev(pitot) > PITOT_UNREST:
+    if pstdev(pitot) * pascal > PITOT_UNREST_PA:
         return f"pitot unsteady by {pstdev(pitot):.0f} counts"
     return None
 

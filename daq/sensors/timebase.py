@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from daq.clock import NS
 
 MS = 1_000_000
+EARLIEST_UTC_NS = 1_704_067_200 * NS
+"""2024-01-01, before this was written: an earlier UTC is a receiver that has no time yet, or whose week number rolled over."""
+ROLLOVER_NS = 1024 * 7 * 86_400 * NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,12 @@ class TimeBase:
     def observe_fix(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:
         """A fix valid at `utc_ns` (one sigma `accuracy_ns`) was received at `monotonic_ns`."""
         self._fixes.add_offset(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
+        self._time_accuracy_ns = accuracy_ns
+        self._by_fixes = self._by_pulses = None
+
+    def observe_instant(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:
+        """It was `utc_ns` (one sigma `accuracy_ns`) at `monotonic_ns`: by a sender whose own clock is related to ours."""
+        self._fixes.add_offset(monotonic_ns, utc_ns - monotonic_ns)
         self._time_accuracy_ns = accuracy_ns
         self._by_fixes = self._by_pulses = None
 

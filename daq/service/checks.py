@@ -4,15 +4,16 @@ Each line: measured, limit, what to do. A SiK radio reports its signal once it h
 RSSI / 1.9 - 127 (SiK firmware, Si4463 scale).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 from daq.acquisition.air_truth import BROKEN_PA, OFFSET_PA, Scales, level, pitot_at_rest
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
-from daq.contract.scan import Scan
+from daq.contract.scan import Scan, SensorState
 from daq.sensors.standstill import LEAST_SCANS, counts, unrest
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, FrameDecoder, FrameEncoder, MavlinkFrame
 from daq.transport.ports import BytePort
@@ -79,6 +80,37 @@ def _pitot(config: LoggerConfig, scans: Sequence[Scan], scales: Scales) -> Itera
         )
     else:
         yield PreflightCheck("pitot zero", PreflightVerdict.NO_GO, f"{reads}: zero it (`zero` at the ground station)")
+
+
+OLDEST_S = 0.15
+"""Samples of a sender may be so old: three scans at 20 Hz; a sequencer that goes by older ones acts on another attitude."""
+_LEAST_SHARE = 0.9
+"""Of the scans must have a sample of their own: a sender at three quarters of the scan rate leaves every fourth without."""
+
+
+def sender_checks(config: LoggerConfig, scans: Sequence[Scan], refusals: Mapping[str, str]) -> Iterator[PreflightCheck]:
+    """How often samples come that an autopilot dates, and how old they are. refusals: what it would not do, by group."""
+    span_s = scans[-1].time - scans[0].time
+    for group in config.sensors.from_sender:
+        dated = [
+            s
+            for s in scans
+            if group in s.groups and s.groups[group].state in (SensorState.OK, SensorState.OUT_OF_RANGE)
+        ]
+        stamps = sorted(round(s.time * 1e3 + s.groups[group].offset_us * 1e-3) for s in dated)
+        if group == "gnss" or len(stamps) < 2:
+            continue
+        rate = sum(b - a > 1 for a, b in pairwise(stamps)) / span_s
+        ages = sorted(-s.groups[group].offset_us * 1e-3 for s in dated)
+        age = ages[int(0.95 * (len(ages) - 1))]
+        least = _LEAST_SHARE * config.scan.rate_hz
+        text = f"{rate:.1f} samples a second (at least {least:.0f}), 95 % no older than {age:.0f} ms (limit {OLDEST_S * 1e3:.0f})"
+        well = rate >= least and age <= OLDEST_S * 1e3
+        if not well:
+            cure = "raise the autopilot's stream and baud rate, or lower scan.rate_hz"
+            text += f"; {refusals.get(group) or cure}"
+        failure = PreflightVerdict.NO_GO if config.sensors.section(group).required else PreflightVerdict.CAUTION
+        yield graded(f"{group} time", well, text, failure)
 
 
 _STEP_NS = NS // 20

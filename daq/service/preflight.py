@@ -18,7 +18,7 @@ from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.storage import Storage, in_memory
-from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks
+from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks, sender_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
 _PROBE_BYTES = 64 * 1024
@@ -74,6 +74,7 @@ def run_preflight(
     checks = [
         *_sensor_checks(summary, scans),
         *rest_checks(config, scans),
+        *sender_checks(config, scans, sampler.refusals()),
         _timing_check(config, lateness_us),
         _clock_check(config, clock, scans[-1]),
         *(_card_checks(config, clock, storage)),

@@ -29,6 +29,7 @@ from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
 from daq.transport.reconnecting_port import ReconnectingPort
 from daq.utilities.errors import UserError
+from daq.utilities.record_log import logged
 
 _LOG = logging.getLogger("sideslip.service")
 _STATUS_EVERY = 10  # watchdog messages
@@ -89,10 +90,9 @@ def preflight_on_hardware(path: Path) -> Preflight:
 
 def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool) -> RecordingOutcome:
     """Record until SIGTERM or SIGINT. Raises PreflightRefusal on a no-go without an override."""
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     config, text = load_config(path)
     clock = RealClock()
-    with _opened(config, clock) as (hardware, radio, devices):
+    with logged(config.recorder.directories[0]), _opened(config, clock) as (hardware, radio, devices):
         table = None if skip_preflight else _preflight(config, clock, hardware, radio, devices)
         opening = _opening(table, override)
         opening += [
@@ -114,7 +114,9 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
             heartbeat=devices.heartbeat,
             override=devices.autopilot,
         )
-        return run_until_signal(config, text, edge, opening)
+        outcome = run_until_signal(config, text, edge, opening)
+        _LOG.info("%s", outcome.text)
+        return outcome
 
 
 def run_until_signal(config: LoggerConfig, text: str, edge: HardwareEdge, opening: list[Opening]) -> RecordingOutcome:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from daq.contract.bmp390 import Bmp390Trimming
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import Scan, SensorState
+from daq.sensors.standstill import PITOT_PASCAL
 from daq.telemetry.config import DisplayConfig
 from daq.utilities.constants import (
     GAS_CONSTANT,
@@ -87,21 +88,30 @@ class Display:
         self._facts = facts
         self._nvm = ""
         self._chip: Bmp390Trimming | None = None
+        self._linear = (math.nan, math.nan)  # Pa and K a count, of a chip or sender that compensates by itself
+        self.pitot_pascal = PITOT_PASCAL
+        """Pascal a count of the pitot."""
         self.pitot_zero_count = config.pitot_zero_count
         """Count of the pitot at rest; a pitot zeroed by command replaces the configured one."""
 
     def look_up_facts(self) -> None:
         """Ask for the pressure chip's coefficients, which are known once the chip has been found."""
-        nvm = self._facts().get("static.nvm", "")
+        facts = self._facts()
+        nvm = facts.get("static.nvm", "")
+        self._linear = float(facts.get("static.scale_pa", "nan")), float(facts.get("static.scale_k", "nan"))
+        self.pitot_pascal = float(facts.get("pitot.scale_pa", PITOT_PASCAL))
         if nvm != self._nvm:
             self._nvm, self._chip = nvm, _chip(nvm)
 
     def static(self, scan: Scan) -> tuple[float, float] | None:
         """Static pressure [Pa] and the chip's temperature [K]."""
         raw, warmth = measured(scan, "static_pressure"), measured(scan, "static_temperature")
-        if self._chip is None or raw is None or warmth is None:
+        if raw is None or warmth is None:
             return None
-        pressure, temperature = self._chip.compensate(float(raw), float(warmth))
+        if self._chip is not None:
+            pressure, temperature = self._chip.compensate(float(raw), float(warmth))
+        else:
+            pressure, temperature = raw * self._linear[0], warmth * self._linear[1]
         if PRESSURES[0] < pressure < PRESSURES[1] and TEMPERATURES[0] < temperature < TEMPERATURES[1]:
             return pressure, temperature
         return None

@@ -248,7 +248,7 @@ class Downlink:
             lateness_p99_us=min(65535, _percentile(books.edges_us, books.lateness, 0.99)),
             write_errors=min(65535, books.write_errors),
             recording=int(self.logger.recording),
-            in_flight=int(flight_evidence(self.recent) is not None),
+            in_flight=int(flight_evidence(self.recent, self.messages.display.pitot_pascal) is not None),
         )
 
     def text(self, severity: int, words: str) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from daq.clock import NS
 from daq.contract.scan import Scan
-from daq.sensors.standstill import pitot_unrest, unrest
+from daq.sensors.standstill import PITOT_PASCAL, pitot_unrest, unrest
 from daq.telemetry.config import LinkLimits
 
 _LOG = logging.getLogger("sideslip.uplink")
@@ -130,11 +130,11 @@ class Refusals:
         self._reported_ns, self._unreported = now_ns, {}
 
 
-def flight_evidence(scans: Sequence[Scan]) -> str | None:
+def flight_evidence(scans: Sequence[Scan], pitot_pascal: float = PITOT_PASCAL) -> str | None:
     """Why the aircraft may not be standing still, in words; None when nothing speaks for motion.
 
     Too little data speaks for motion: a command that must not act in flight then does nothing.
     """
     pitot = [s.values["pitot_pressure"] for s in scans if "pitot_pressure" in s.values]
     without_imu = not any("gyro_x" in s.values for s in scans)
-    return (unrest(scans) if scans else None) or pitot_unrest(pitot, level_tells=without_imu)
+    return (unrest(scans) if scans else None) or pitot_unrest(pitot, level_tells=without_imu, pascal=pitot_pascal)

@@ -381,13 +381,14 @@ class Uplink:
         if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(unused_parameters):
             return c.UNSUPPORTED
         scans = list(self._downlink.recent)
-        evidence = flight_evidence(scans) or self._budget.against_mark(now_ns)
+        display = self._downlink.messages.display
+        evidence = flight_evidence(scans, display.pitot_pascal) or self._budget.against_mark(now_ns)
         if evidence:
             self._refusals.note(f"pitot not zeroed: {evidence}")
             return c.TEMPORARILY_REJECTED
         counts = [s.values["pitot_pressure"] for s in scans if "pitot_pressure" in s.values]
         control.mark_event(c.pitot_zero_text(fmean(counts), len(counts)), "ground")
-        self._downlink.messages.display.pitot_zero_count = fmean(counts)
+        display.pitot_zero_count = fmean(counts)
         self._downlink.text(_NOTICE, f"pitot zeroed at {fmean(counts):.1f} counts")
         return c.ACCEPTED
 

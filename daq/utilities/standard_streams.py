@@ -10,6 +10,7 @@ import os
 import queue
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any, TextIO
 
 _LINES = 1000  # that wait for a slow reader; the oldest go first, and all are in the log
@@ -75,11 +76,11 @@ class SafeStream:
 
 
 class Speaker:
-    """Says lines on a descriptor, without ever waiting and without ever failing."""
+    """Says lines through a function (`os.write` on a descriptor), without ever waiting and without ever failing."""
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, write: Callable[[bytes], object]) -> None:
         self._lines: queue.Queue[bytes | None] = queue.Queue(_LINES)
-        self._descriptor: int | None = descriptor
+        self._write: Callable[[bytes], object] | None = write
         self._thread = threading.Thread(target=self._speak, name="speaker", daemon=True)
         self._thread.start()
 
@@ -98,13 +99,13 @@ class Speaker:
 
     def _speak(self) -> None:
         while (data := self._lines.get()) is not None:
-            if self._descriptor is None:
+            if self._write is None:
                 continue
             try:
                 for offset in range(0, len(data), _LARGEST_LINE):
-                    os.write(self._descriptor, data[offset : offset + _LARGEST_LINE])
+                    self._write(data[offset : offset + _LARGEST_LINE])
             except OSError:
-                self._descriptor = None  # closed, full, or its terminal is gone: the log has it all
+                self._write = None  # closed, full, or its terminal is gone: the log has it all
 
     def close(self) -> None:
         """Say what waits, as long as somebody listens, and end"""

@@ -66,6 +66,10 @@ class SimulatedFlight:
     derivatives: Mapping[str, float] = field(default_factory=dict)
 
 
+LARGEST_NUMBER = 1e9
+"""Of what an aircraft's size, mass or inertia can be in SI units: a hundred times the largest that have flown."""
+
+
 @dataclass(frozen=True)
 class Aircraft:
     """Geometry [m, m2], mass [kg, kg m2], sensor positions [m from the CG, body axes] and prior derivatives [1/rad].
@@ -119,6 +123,17 @@ class Aircraft:
                 f"aircraft {self.name}: {', '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing, and {what}"
                 " cannot do without; add to its file (docs/aircraft.md)"
             )
+
+    @property
+    def impossible(self) -> str:
+        """The first of geometry, mass and inertia that no aircraft has, in words; empty where all may be, or are not known."""
+        for name, (key, _) in _KEYS.items():
+            value = float(getattr(self, key))
+            if abs(value) > LARGEST_NUMBER or (name != "Ixz" and value <= 0.0):
+                return f"{key} {value:g}"
+        if self.Ixz**2 >= self.Ixx * self.Izz:
+            return f"Ixz {self.Ixz:g} beside Ixx {self.Ixx:g} and Izz {self.Izz:g}"
+        return ""
 
     def with_values(self, **changes: float) -> "Aircraft":
         """A copy with other geometry or mass, e.g. `with_values(Ixx=0.26)`."""

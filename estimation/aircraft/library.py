@@ -51,6 +51,8 @@ def aircraft_of(flights: "Sequence[Flight]", given: str | Path | Aircraft | None
         return load_aircraft(given)
     for flight in flights:
         _check_named(flight)
+    if not flights:
+        raise AircraftError("no flight is given; name a flight file, or several")
     names = list(dict.fromkeys(f.provenance.aircraft for f in flights))
     if len(names) != 1:
         raise AircraftError(

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from estimation.compatibility.reconstruction import ReconstructedFlight
-    from estimation.estimators.result import Result
     from estimation.gap.answer.result import GapResult
     from estimation.report.drawing.figures import Picture
     from estimation.session.proof_of_match import ProofOfMatch
@@ -65,19 +64,6 @@ class Figures(Mapping[str, "Picture"]):
 
     def _repr_html_(self) -> str:
         return "".join(p._repr_html_() for p in self.values())
-
-
-def plot_estimates(result: "Result", ax: Any) -> Any:
-    """Every derivative that could be told relative to its size, with the corrected bound."""
-    (ax,) = panels(ax, 1, (7.0, 3.2))
-    identifiable = {n: e for n, e in result.parameters.items() if e.identifiable and not n.endswith("_0")}
-    size = {n: abs(e.reference) if e.reference else abs(e.estimate) for n, e in identifiable.items()}
-    places = range(len(identifiable))
-    values = [e.estimate / size[n] for n, e in identifiable.items()]
-    ax.errorbar(places, values, [e.std_coloured / size[n] for n, e in identifiable.items()], fmt="o", capsize=3)
-    ax.set_xticks(list(places), list(identifiable), rotation=60)
-    ax.set_ylabel("estimate / belief")
-    return ax
 
 
 def plot_reconstructed(flight: "ReconstructedFlight", ax: Any) -> Any:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.utilities.packages import optional
 from estimation.answers.answer import (
     Answer,
     Figures,
@@ -160,7 +161,7 @@ class Check(Answer):
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each flight and instrument factor."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         rows = [
             {"flight": flight, "factor": n, "estimate": f.estimate, "std": f.std, "std_coloured": f.std_coloured,

@@ -225,7 +225,12 @@ def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
         )
         methods = content["joint"] or content["flights"][0]["methods"]
         result = next(m for m in methods.values() if m["parameters"])
-        values = {n: float(p["estimate"]) for n, p in result["parameters"].items() if p["estimate"] is not None}
+        # what the flights could not tell stays as it was believed, where anything was
+        values = {
+            n: float(p["estimate"])
+            for n, p in result["parameters"].items()
+            if p["estimate"] is not None and (p["identifiable"] or p.get("reference") is None)
+        }
         noise = {n: math.sqrt(v) for n, v in result["R"].items() if v}
         return {"model": content["model"], "aircraft": content["aircraft"], "values": values, "noise": noise}
     except OSError as error:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.utilities.input_files import read_text
-from daq.utilities.plain_words import comma_separated
-from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_estimates, rounded_texts
-from estimation.errors import EstimationError
+from daq.utilities.packages import optional
+from daq.utilities.plain_words import comma_separated, meant
+from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, rounded_texts
+from estimation.errors import EstimationError, UnknownNameError
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -23,11 +24,15 @@ if TYPE_CHECKING:
 
 
 def session_lines(session: "EstimationSession", *, brief: bool = False) -> Iterator[str]:
-    """The printed answer: a table for each flight and method, mean and scatter, joint."""
+    """The printed answer: verdict, derivatives and what to do next; then a table for each flight and method, mean and scatter,
+    joint, and conventions. brief: a line for each flight, without the first."""
+    from estimation.report.answer import answer_lines
     from estimation.report.conventions import conventions_lines
 
-    yield f"aircraft {session.aircraft.name}, model {session.model.name}"
-    yield from () if brief else conventions_lines(session)
+    if brief:
+        yield f"aircraft {session.aircraft.name}, model {session.model.name}"
+    else:
+        yield from answer_lines(session)
     for f in session.flights:
         for method, result in f.results.items():
             if brief:
@@ -51,6 +56,10 @@ def session_lines(session: "EstimationSession", *, brief: bool = False) -> Itera
     for method, reason in session.joint_failures.items():
         yield f"joint over {len(session.flights)} flights, {method}: {reason}"
     yield from _verdict_lines(session.verdict, brief=False)
+    if not brief:
+        yield ""
+        yield f"aircraft {session.aircraft.name}, model {session.model.name}"
+        yield from conventions_lines(session)
 
 
 def _verdict_lines(verdict: "Verdict | None", *, brief: bool) -> Iterator[str]:
@@ -224,15 +233,19 @@ class Estimates(Answer):
         return self.session.converged
 
     def __getitem__(self, parameter: str) -> Any:
-        """Estimate, bounds and verdict of one parameter of `best`."""
-        return self.best.parameters[parameter]
+        """Estimate, bounds and verdict of one parameter of `best`. Raises UnknownNameError, a KeyError, with the name meant."""
+        parameters = self.best.parameters
+        if parameter not in parameters:
+            near = meant(parameter, parameters) or f"; it has {', '.join(parameters)}"
+            raise UnknownNameError(f"no parameter {parameter!r} in these estimates{near}")
+        return parameters[parameter]
 
     def to_json(self) -> dict[str, Any]:
         return self.session.to_json()
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each flight (and "joint"), method and parameter; estimates are per rad, angles in rad."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         per_flight = [(f.flight.name, f.results) for f in self.session.flights]
         joint = [("joint", self.session.joint)] if self.session.joint else []
@@ -261,8 +274,13 @@ class Estimates(Answer):
         yield from session_lines(self.session, brief=brief)
 
     def plot(self, ax: Any = None) -> Any:
-        """Every derivative of `best` relative to its size, with the corrected bound; gives the axes."""
-        return plot_estimates(self.best, ax)
+        """Every derivative with its 95 % interval, and how far from it what was believed lies [% of it]; gives the axes."""
+        from estimation.report.answer import leading_answer
+        from estimation.report.drawing.forest import ROW, draw_forest
+
+        rows = leading_answer(self.session).rows
+        (ax,) = panels(ax, 1, (7.0, ROW * len(rows) + 1.2))
+        return draw_forest(ax, rows)
 
     def figures(self) -> Figures:
         """The figures of the report: derivatives over flights, histories, residuals, proof of match, ellipses."""

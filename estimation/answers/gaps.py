@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.utilities.packages import optional
 from estimation.answers.answer import Answer, Figures, Rows, plot_scores, table_writers
 from estimation.threads import single_threaded
 
@@ -90,7 +91,7 @@ class GapAnswer(Answer):
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each hypothesis of the catalogue, the highest score first; `named`: added to the model."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         steps = {s.effect: s for s in self.result.steps}
         rows = [

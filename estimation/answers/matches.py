@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.utilities.packages import optional
 from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Figures, Rows, picture_writers, plot_proof, table_writers
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
@@ -31,7 +32,7 @@ def match(
 ) -> "Match":
     """Predict flights with the model's parameters frozen, but those named in `free`. Arguments are the options of the verb.
 
-    limit: Theil's coefficient above which a channel does not match.
+    limit: of Theil's coefficient beyond what the noise of a channel alone leaves; above it the channel does not match.
     """
     from estimation.resolve import resolve
     from estimation.session.proof_of_match import predict_flight
@@ -56,14 +57,14 @@ class Match(Answer):
     @property
     def passed(self) -> bool:
         """Whether every channel of every flight matches."""
-        return all(p.converged and all(f.theil <= self.limit for f in p.fit.values()) for p in self.proofs)
+        return all(p.converged and all(f.matches(self.limit) for f in p.fit.values()) for p in self.proofs)
 
     def to_json(self) -> dict[str, Any]:
         return {"model": self.model, "limit": self.limit, "flights": [p.to_json() for p in self.proofs]}
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each flight and channel: coefficient of determination, Theil's coefficient, rms."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         rows = [
             {"flight": p.name, "channel": n, "r2": f.r2, "theil": f.theil, "rms": f.rms, "whiteness": f.whiteness}
@@ -74,7 +75,7 @@ class Match(Answer):
 
     def lines(self) -> Iterator[str]:
         yield from (f"simulation: {note}" for note in self.notes)
-        yield f"limit: Theil's coefficient {self.limit:g} in every channel"
+        yield f"limit: Theil's coefficient {self.limit:g} in every channel, beyond what its noise alone leaves"
         for proof in self.proofs:
             yield from _proof_lines(proof, self.limit)
 
@@ -117,13 +118,13 @@ class Match(Answer):
 
 def _proof_lines(proof: "ProofOfMatch", limit: float) -> list[str]:
     """What a person reads on the terminal of one flight predicted."""
-    head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}  match"
+    head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}{'limit':>7}  match"
     lines = [f"{proof.name}: {proof.text}", head]
     for name, f in proof.fit.items():
-        judged = "pass" if f.theil <= limit else f"FAIL, above {limit:g}"
+        judged = "pass" if f.matches(limit) else "FAIL"
         lines.append(
             f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
-            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}  {judged}"
+            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}{f.limit(limit):7.2f}  {judged}"
         )
     lines += [f"  beyond what the model was estimated from: {b.text}" for b in proof.beyond]
     return [*lines, *(f"  note: {note}" for note in proof.result.flights[0].notes)]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.utilities.constants import RADIAN
+from daq.utilities.packages import optional
 from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, table_writers
 from estimation.threads import single_threaded
 
@@ -105,7 +106,7 @@ class Performance(Answer):
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each speed of the curve: V [m/s], CL, drag [N], sink [m/s], power [W], each with std."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         return pd.DataFrame([
             {"V": p.V, "CL": p.CL, "drag": p.drag.estimate, "drag_std": p.drag.std, "sink": p.sink.estimate,

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.utilities.packages import optional
 from daq.utilities.plain_words import comma_separated
 from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
 from estimation.threads import single_threaded
@@ -98,7 +99,7 @@ class Response(Answer):
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each frequency [rad/s]; phase in rad."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         r = self.answer.response
         return pd.DataFrame(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.utilities.packages import optional
 from estimation.answers.answer import Answer, Figures, Rows, plot_watched
 from estimation.threads import single_threaded
 
@@ -72,7 +73,7 @@ class Watching(Answer):
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each half second of manoeuvring: time [s], and the score in units of its threshold."""
-        import pandas as pd
+        pd = optional("pandas", "a table of pandas")
 
         history = self.result.history
         return pd.DataFrame({"time": [w.time for w in history], "score": [w.score for w in history]})

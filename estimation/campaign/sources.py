@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from daq.utilities import limits
 from daq.utilities.errors import UserError
 from daq.utilities.input_files import matching, read_bytes
+from daq.utilities.packages import optional
 from daq.utilities.plain_words import visible
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import (
@@ -148,10 +149,7 @@ def _urls(text: str) -> list[str]:
 
 
 def _filesystem(url: str) -> tuple[Any, str]:
-    try:
-        from fsspec.core import url_to_fs
-    except ModuleNotFoundError as error:
-        raise CampaignError("flights by URL need fsspec; pip install 'sideslip[campaign]'") from error
+    url_to_fs = optional("fsspec.core", "a flight by URL").url_to_fs
     protocol = url.partition("://")[0].lower()
     if "::" in url or protocol not in limits.PROTOCOLS:
         protocols = ", ".join(sorted(limits.PROTOCOLS))

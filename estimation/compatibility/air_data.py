@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.utilities.constants import RADIAN, SEA_LEVEL_DENSITY
 from estimation.compatibility.air_filter import (
+    AGE,
     ATTITUDE,
     GUST,
     INTERVAL,
@@ -33,6 +34,8 @@ from groundstation.flight import RECONSTRUCTED, Array, Flight
 from groundstation.flight.findings import Finding, FindingKind
 
 AIR = ("alpha", "beta", "V")
+
+MOST_AGE = 1.0  # [s]: what comes later than that is of another flight condition
 
 GUSTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6)
 """Levels [m/s] among which the likelihood chooses, steps of the root of 2: what a calm morning has near the ground, to moderate
@@ -89,6 +92,12 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
     noise = _noise(flight, airspeed, assumed)
     nodes = [s.nodes for s in stretches]
     wind = _first_wind(stretches)
+    gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
+    smoothed = smooth_states(nodes, noise, gust, assumed, wind)
+    # a fix of before has the motion of before, which a linear state does not know in a roll of 2 rad/s
+    age = float(np.clip(smoothed.states[-1, AGE], -MOST_AGE, MOST_AGE))
+    stretches, _ = stretches_of(flight, airspeed, age)
+    nodes = [s.nodes for s in stretches]
     gust = _expected_gust(gust_likelihoods(nodes, noise, GUSTS, assumed, wind))
     smoothed = smooth_states(nodes, noise, gust, assumed, wind)
     values, std = _air(flight, stretches, smoothed, noise)
@@ -248,7 +257,7 @@ def _air(
 
 
 def _flow(velocity: Array, axes: Array) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]:
-    """alpha, beta, V (n,) of an air velocity (n, 3) NED, and their slopes by the states (n, 18)."""
+    """alpha, beta, V (n,) of an air velocity (n, 3) NED, and their slopes by the states (n, 19)."""
     u, v, w = np.einsum("ni,nij->jn", velocity, axes)
     speed = np.linalg.norm(velocity, axis=1)
     plane = u**2 + w**2

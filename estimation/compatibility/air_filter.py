@@ -3,8 +3,8 @@
 The motion itself comes from integrating specific forces (nominal velocity); the filter estimates its slow errors, and the
 wind. States, NED unless said otherwise: error of the nominal velocity (3) [m/s], error of the attitude (3, rotation
 vector) [rad], accelerometer biases (3, body axes) [m/s2], wind (3) [m/s], gust (3) [m/s], scale error of the airspeed [1],
-sideslip in trim [rad], age of the satellite velocity [s]. Airspeed is not linear in them: filter and smoother are run
-again about what the smoother found.
+sideslip in trim [rad], age of the satellite velocity [s], age of the airspeed [s]. Airspeed is not linear in them: filter and
+smoother are run again about what the smoother found.
 
 Source: Jategaonkar, Flight Vehicle System Identification (2015), ch. 10 (flight-path reconstruction with wind states);
 Rauch, Tung, Striebel (1965) for the smoother.
@@ -21,8 +21,8 @@ from estimation.errors import DataError
 Array = NDArray[np.float64]
 
 VELOCITY, ATTITUDE, BIAS, WIND, GUST = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15)
-SCALE, TRIM, AGE = 15, 16, 17
-STATES = 18
+SCALE, TRIM, AGE, AIRSPEED_AGE = 15, 16, 17, 18
+STATES = 19
 
 INTERVAL = 0.2
 """Time between nodes [s]: several to a gust of 50 m, and to the time in which an attitude error changes."""
@@ -41,6 +41,8 @@ class Assumptions:
     the first guess. wind_drift [m/s per root second]: 1 m/s in 20 minutes. airspeed_scale: position error and calibration
     factor of the pitot (PX4 and ArduPilot start from 1 and find a few per cent). bias [m/s2]: accelerometer of an autopilot
     after its own calibration. fix [m/s]: horizontal, vertical noise of a GNSS velocity. fix_age [s]: of it when logged.
+    airspeed_age [s]: of an airspeed (tubes, and the mean of a few samples that autopilots log); not looked for, it shows as a
+    vertical wind of g times the age, because an aircraft that descends gains speed.
     attitude [rad]: least slow error of an attitude (mounting, alignment); attitude_s: how long it lasts. gust_length [m]: at
     heights at which small aircraft fly (MIL-F-8785C).
     """
@@ -55,6 +57,7 @@ class Assumptions:
     bias: float = 0.1
     fix: tuple[float, float] = (0.2, 0.35)
     fix_age: float = 0.15
+    airspeed_age: float = 0.15
     attitude: float = 0.003
     attitude_s: float = 60.0
     gust_length: float = 50.0
@@ -66,8 +69,9 @@ class Nodes:
 
     time (K,) [s]; velocity (K, 3): nominal, at the node; mean_velocity (K, 3): over the node's samples; axes (K, 3, 3): body
     axes as columns, NED; force, turn: integrals from the node before of the specific force (K, 3) and of `axes` (K, 3, 3);
-    acceleration (K, 3): over the ground; fix (K, 3): GNSS velocity less the nominal one, NaN where there is none, and fixes
-    (K,) how many are in it; airspeed (K,): mean, NaN where not measured.
+    acceleration, speed_acceleration (K, 3): over the ground, at the fixes and at the airspeeds, NaN where there is none;
+    fix (K, 3): GNSS velocity less the nominal one, NaN where there is none, and fixes (K,) how many are in it;
+    airspeed (K,): mean, NaN where not measured.
     """
 
     time: Array
@@ -77,6 +81,7 @@ class Nodes:
     force: Array
     turn: Array
     acceleration: Array
+    speed_acceleration: Array
     fix: Array
     fixes: Array
     airspeed: Array
@@ -94,7 +99,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """States (K, 18) and their covariances (K, 18, 18) given the whole flight; log-likelihood of the innovations, their
+    """States (K, 19) and their covariances (K, 19, 19) given the whole flight; log-likelihood of the innovations, their
     root-mean-square in sigmas per kind of measurement."""
 
     states: Array
@@ -155,6 +160,7 @@ class _Chain:
         self._mean_velocity = np.concatenate([s.mean_velocity for s in stretches])
         self._axes = np.concatenate([s.axes for s in stretches])
         self._acceleration = np.concatenate([s.acceleration for s in stretches])
+        self._speed_acceleration = np.concatenate([s.speed_acceleration for s in stretches])
         self._fix = np.concatenate([s.fix for s in stretches])
         self._fixes = np.concatenate([s.fixes for s in stretches])
         self._airspeed = np.concatenate([s.airspeed for s in stretches])
@@ -209,7 +215,7 @@ class _Chain:
         sigma[BIAS] = a.bias
         sigma[WIND] = a.wind, a.wind, a.vertical_wind
         sigma[GUST] = self._gust
-        sigma[[SCALE, TRIM, AGE]] = a.airspeed_scale, a.trim_sideslip, a.fix_age
+        sigma[[SCALE, TRIM, AGE, AIRSPEED_AGE]] = a.airspeed_scale, a.trim_sideslip, a.fix_age, a.airspeed_age
         x = np.zeros(STATES)
         x[WIND] = self._first_wind[0], self._first_wind[1], 0.0
         return x, np.diag(sigma**2)
@@ -263,6 +269,7 @@ class _Chain:
         if np.isfinite(self._airspeed[k]):
             row = np.zeros(STATES)
             row[VELOCITY], row[WIND], row[GUST], row[SCALE] = direction, -direction, -direction, speed
+            row[AIRSPEED_AGE] = -float(direction @ self._speed_acceleration[k])
             # |v| about `about`: along . v; the part of the nominal velocity does not depend on the state
             nominal = float(direction @ self._mean_velocity[k])
             measurements.append(("airspeed", float(self._airspeed[k]) - nominal, row, self._noise.airspeed**2))

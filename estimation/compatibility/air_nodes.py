@@ -33,8 +33,10 @@ class AirStretch:
     nodes: Nodes
 
 
-def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], list[str]]:
+def stretches_of(flight: Flight, airspeed: Array, fix_age: float = 0.0) -> tuple[list[AirStretch], list[str]]:
     """Stretches in which the inertial motion is measured and the aircraft flies, and notes. airspeed: (N,) [m/s], true.
+
+    fix_age: how much older than its stamp a velocity fix is [s], as far as it is known.
 
     Raises DataError when no stretch is long enough or none has a fix and an airspeed.
     """
@@ -51,7 +53,7 @@ def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[AirStretch], lis
                 "velocity fix or airspeed in it"
             )
             continue
-        stretches.append(_stretch(flight, rows, airspeed, fixes, speeds))
+        stretches.append(_stretch(flight, rows, airspeed, fixes, speeds, fix_age))
     if not stretches:
         raise DataError(
             f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(INERTIAL)} all measured and "
@@ -102,7 +104,7 @@ def fresh_values(flight: Flight, column: str, values: Array) -> NDArray[np.bool_
 
 
 def _stretch(
-    flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_]
+    flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_], fix_age: float
 ) -> AirStretch:
     time = flight.time[rows]
     phi, theta, psi = _attitude(flight, rows)
@@ -121,8 +123,9 @@ def _stretch(
         axes=_at_middle(axes.reshape(-1, 9), time, node).reshape(-1, 3, 3),
         force=_between(_integral(time, force), time, node),
         turn=_between(_integral(time, axes.reshape(-1, 9)), time, node).reshape(-1, 3, 3),
-        acceleration=_mean(acceleration, node, fixes[rows]),
-        fix=_mean(fix - velocity, node, fixes[rows]),
+        acceleration=_mean(_earlier(acceleration, time, fix_age), node, fixes[rows]),
+        speed_acceleration=_mean(acceleration, node, speeds[rows]),
+        fix=_mean(fix - _earlier(velocity, time, fix_age), node, fixes[rows]),
         fixes=np.bincount(node, fixes[rows].astype(float)).astype(float),
         airspeed=_mean(airspeed[rows], node, speeds[rows]),
     )
@@ -147,6 +150,11 @@ def _mean(values: Array, node: NDArray[np.int64], use: NDArray[np.bool_] | None 
     with np.errstate(invalid="ignore"):
         means = sums / np.where(count > 0, count, np.nan)[:, None]
     return means[:, 0] if values.ndim == 1 else means
+
+
+def _earlier(values: Array, time: Array, age: float) -> Array:
+    """(n, m) values of that long before; at the beginning the first."""
+    return values if age == 0.0 else np.column_stack([np.interp(time - age, time, column) for column in values.T])
 
 
 def _at_middle(values: Array, time: Array, node: NDArray[np.int64]) -> Array:

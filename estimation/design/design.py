@@ -213,7 +213,10 @@ def _bench(model: Model, condition: Condition, task: DesignTask) -> DesignSettin
 
 def _sizes(model: Model, task: DesignTask) -> dict[str, float]:
     """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
-    sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in estimated_names(model.parameters)}
+    believed = {
+        n: (model.parameter(n).reference or model.parameter(n).start) for n in estimated_names(model.parameters)
+    }
+    sizes = {n: task.values.get(n) or size for n, size in believed.items()}
     sizes |= {n: s for n, s in task.sizes.items() if n in model.parameter_names}
     requested_names = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
     unknown = [n for n in requested_names if n not in sizes]

@@ -147,6 +147,9 @@ class EstimateHistory:
 class Result:
     """A whole fit, of one flight or of many together. Matrices are in the order of `names` (the shared parameters)."""
 
+    def __repr__(self) -> str:
+        return f"<Result of {self.model.name} by {self.method}: {len(self.parameters)} parameters; {self.text:.120}>"
+
     model: Model
     method: str
     status: Status

@@ -37,6 +37,12 @@ class Model(ModelParts):
     def __post_init__(self) -> None:
         check_model(self)
 
+    def __repr__(self) -> str:
+        outputs = ", ".join(s.name for s in self.outputs)
+        return (
+            f"<Model {self.name}: {len(self.free_names)} free parameters, outputs {outputs}; .equations has its text>"
+        )
+
     def output_expression(self, name: str) -> str:
         """What output `name` shows: `<name>_measured` where the text defines it, else the quantity itself."""
         measured = f"{name}_measured"

@@ -112,13 +112,20 @@ DERIVED: Mapping[str, tuple[Way, ...]] = {
 autopilot makes V from p_dynamic with a ratio of its own, and the two then say nothing of the air."""
 
 
+EITHER, EITHER_IN = ("beta", "ay"), ("lateral", "lateral-simple")
+"""Columns of which a flight needs one, the other following from the motion (`estimation.session.without_sensor`), and models."""
+
+
 def require_columns(model: Model, flight: Flight) -> None:
     """Raise one MissingColumnError naming every column that the model needs and the flight has not and cannot make of others,
     with the built-in models that would do without."""
     missing_columns = unmet_columns(model, flight)
     if missing_columns:
         fit = () if flight_without_motion(missing_columns, model) else models_for(flight)
-        raise MissingColumnError(flight.name, missing_columns, f"model {model.name}", fit, flight.unknown_columns)
+        both = model.name in EITHER_IN and set(EITHER) <= set(missing_columns)
+        raise MissingColumnError(
+            flight.name, missing_columns, f"model {model.name}", fit, flight.unknown_columns, EITHER if both else ()
+        )
 
 
 def flight_without_motion(missing: Iterable[str], model: Model) -> bool:

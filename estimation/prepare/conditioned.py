@@ -19,6 +19,8 @@ Mask = NDArray[np.bool_]
 KEEP = "--keep-held keeps them"
 INTEGRATED = ("ax", "ay", "az", "p", "q", "r")
 """What a reconstruction integrates between fixes."""
+WHOLE_TURNS = ("phi", "psi")
+"""Angles that go round: an aircraft that rolls on through inverted flight has no jump from half a turn to minus half a turn."""
 NOT_SLOWER = 0.9
 """Of the flight's rate: a column logged at more than this is as fast as the samples."""
 
@@ -101,11 +103,22 @@ def condition_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool
         if wild.any():
             changed[name] = np.where(wild, np.nan, flight[name])
             notes.append(_wild_note(flight, name, np.flatnonzero(wild)))
+    changed |= {n: v for n in names if n in WHOLE_TURNS and (v := _unwrapped(changed.get(n, flight[n]))) is not None}
     if changed:
         flight = flight.with_columns(**changed)
     if keep_held:
         return ConditionedFlight(flight, {}, tuple(notes))
     return ConditionedFlight(flight, {n: repeats(flight, n) for n in names}, tuple(notes), drawn_between(flight, names))
+
+
+def _unwrapped(angle: Array) -> Array | None:
+    """The angle (N,) [rad] without jumps of a turn; None where it has none."""
+    finite = np.isfinite(angle)
+    if not (np.abs(np.diff(angle[finite])) > np.pi).any():
+        return None
+    unwrapped = angle.copy()
+    unwrapped[finite] = np.unwrap(angle[finite])
+    return unwrapped
 
 
 def repair_columns(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> ConditionedFlight:

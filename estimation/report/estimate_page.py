@@ -12,6 +12,7 @@ from markupsafe import Markup
 from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.advice import grouped, untold_parameters
+from estimation.report.answer import answer_table, leading_answer, next_steps
 from estimation.report.conventions import conventions_table
 from estimation.report.drawing.estimate_figures import (
     correlation_figure,
@@ -22,6 +23,7 @@ from estimation.report.drawing.estimate_figures import (
     scatter_figure,
 )
 from estimation.report.drawing.figures import Picture
+from estimation.report.drawing.forest import forest_figure, strips_figure
 from estimation.report.drawing.histories import write_flights
 from estimation.report.drawing.residual_figures import against_figure, moved_quantities, residual_figure
 from estimation.report.estimate_tables import (
@@ -35,7 +37,7 @@ from estimation.report.estimate_tables import (
 from estimation.report.flight_tables import flight_card, notes_table, provenance_table, simulated
 from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
-from estimation.report.page import Page, Section, box, free_table, paragraph, sentence
+from estimation.report.page import Page, Section, box, bullets, free_table, paragraph, sentence
 from estimation.report.tables import ReportTable
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
@@ -45,7 +47,6 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import ProofOfMatch
     from estimation.session.session import EstimationSession, FlightEstimates
     from estimation.session.verdict import Verdict
-    from groundstation.flight import Flight
 
 SHOWN = 8  # flights with figures of their own; tables hold all
 SEED = 1
@@ -71,30 +72,31 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
     mapped_result, _ = _shown_as_map(session)
     comparison = paragraph(published.COMPARISON, "note") if is_published(session) else None
     notes = notes_table((f.flight.name, note) for f in estimated_flights for note in f.notes)
+    detail, unprinted = partial(Section, folded=True), partial(Section, folded=True, printed=False)
     sections = [
-        Section("", "", [_status_box(session, flights)]),
-        Section("verdict", "Whom to believe", [_verdict_table(session)], "Whom to believe"),
-        Section("card", "Flight card", [flight_card(flights, named_aircraft)], "Flight card"),
-        Section("scatter", "Each derivative over flights and methods", [*figures["scatter"], comparison])
+        *_first_screen(session),
+        detail("verdict", "Whom to believe", [_verdict_table(session)], "Whom to believe"),
+        detail("card", "Flight card", [flight_card(flights, named_aircraft)], "Flight card"),
+        detail("scatter", "Each derivative over flights and methods", [*figures["scatter"], comparison])
         if estimated_flights
         else None,
-        Section("joint", "All flights together", [joint], "Joint") if joint else None,
-        Section("mean", "Mean and scatter", [mean], "Means") if mean else None,
-        Section("flights", "Flight by flight", flight_tables, "Flights"),
-        Section("untold", "What could not be told, and what would tell it", _untold_parts(session), "Not told"),
-        Section(
+        detail("joint", "All flights together", [joint], "Joint") if joint else None,
+        detail("mean", "Mean and scatter", [mean], "Means") if mean else None,
+        unprinted("flights", "Flight by flight", flight_tables, "Flights"),
+        detail("untold", "What could not be told, and what would tell it", _untold_parts(session), "Not told"),
+        unprinted(
             "histories",
             "Measured and estimated motion",
             [_rerun_note(rerun), *figures["histories"], _left_out(len(estimated_flights) - SHOWN), fit_table(session)],
             "Histories",
         ),
-        Section("residuals", "Residuals", figures["residuals"], "Residuals"),
-        Section("proof", "Proof of match", [*figures["proof"], proof], "Proof of match") if proof else None,
-        Section("modes", "Modes", [modes], "Modes"),
-        Section("correlation", "Correlations", [*figures["correlation"], _collinear(mapped_result)], "Correlations"),
-        Section("runs", "How each fit ended", [_runs(session), notes]),
-        Section("conventions", "Conventions", [conventions_table(session)], "Conventions"),
-        Section("provenance", "Provenance", [provenance_table(flights), _equations(session.model)], "Provenance"),
+        unprinted("residuals", "Residuals", figures["residuals"], "Residuals"),
+        detail("proof", "Proof of match", [*figures["proof"], proof], "Proof of match") if proof else None,
+        unprinted("modes", "Modes", [modes], "Modes"),
+        unprinted("correlation", "Correlations", [*figures["correlation"], _collinear(mapped_result)], "Correlations"),
+        unprinted("runs", "How each fit ended", [_runs(session), notes]),
+        detail("conventions", "Conventions", [conventions_table(session)], "Conventions"),
+        detail("provenance", "Provenance", [provenance_table(flights), _equations(session.model)], "Provenance"),
     ]
     title = "Derivatives" if named_aircraft is None else f"Aerodynamic derivatives of {named_aircraft.name}"
     page = Page(title, _lead(session), sections, beside=[_untold_table(session)])
@@ -112,12 +114,16 @@ def _figures(
 ) -> dict[str, dict[str, Callable[[], Picture | None]]]:
     """Section of the page -> name of a figure -> what draws it: a figure more is a line here and what draws it."""
     sections: dict[str, dict[str, Callable[[], Picture | None]]]
-    sections = {n: {} for n in ("scatter", "histories", "residuals", "proof", "correlation")}
+    sections = {n: {} for n in ("answer", "scatter", "histories", "residuals", "proof", "correlation")}
     estimated_flights = [f for f in session.flights if f.results][:SHOWN]
     mapped_result, mapped_label = _shown_as_map(session)
     if mapped_result is None:
         return sections
     published_too = is_published(session)
+    sections["answer"] = {
+        "forest": lambda: forest_figure(leading_answer(session).rows),
+        "strips": partial(strips_figure, mapped_result),
+    }
     sections["scatter"]["figure8"] = partial(scatter_figure, session)
     for f in estimated_flights:
         first, name = next(iter(f.results.values())), f.flight.name
@@ -140,14 +146,27 @@ def _can_be_proved(session: "EstimationSession") -> bool:
     return any(sum(converged) > 1 for converged in fits)
 
 
-def _status_box(session: "EstimationSession", flights: Sequence["Flight"]) -> Markup:
-    """How it went, whether the flights are simulated, and which means are doubtful."""
-    lines = [paragraph(sentence(session.text))]
-    if simulated(flights):
-        lines.append(paragraph("These flights come from a simulator."))
+def _first_screen(session: "EstimationSession") -> list[Section]:
+    """The answer on one page: sentence, derivatives as a table and as a picture, the fit in strips, what to do next."""
+    answer = leading_answer(session)
+    verdict = paragraph(sentence(answer.verdict), "verdict-line")
+    pictures = estimate_figures(session)
+    drawn = {name: pictures[name]() for name in ("forest", "strips") if name in pictures}
+    steps = [Markup("<p><b>Next</b></p>"), bullets(next_steps(session, answer))]
+    table = answer_table(session, answer) if answer.rows else None
+    return [
+        Section("", "", [verdict, _status_box(session)]),
+        Section("answer", "", [table, drawn.get("forest")], kind="answer"),
+        Section("", "", [drawn.get("strips"), *steps]),
+    ]
+
+
+def _status_box(session: "EstimationSession") -> Markup | None:
+    """What did not converge, and which means are doubtful; None where there is nothing to say."""
+    lines = [] if session.converged else [paragraph(sentence(session.text))]
     doubts = [(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text]
     lines += [Markup("<p>{}, {}: {}.</p>").format(*doubt) for doubt in doubts]
-    return box(lines, warn=not session.converged)
+    return box(lines, warn=not session.converged) if lines else None
 
 
 def _rerun_note(paths: Sequence[str]) -> Markup:
@@ -223,6 +242,7 @@ def _lead(session: "EstimationSession") -> str:
     return (
         f"Model {session.model.name}{title}; {len(names)} flight{'s' if len(names) > 1 else ''}: {', '.join(names)}; "
         f"methods: {', '.join(session.methods)}."
+        + (" These flights come from a simulator." if simulated([f.flight for f in session.flights]) else "")
     )
 
 
@@ -317,7 +337,10 @@ def _proof_table(session: "EstimationSession", proofs: list[tuple[str, "ProofOfM
         return None
     outputs = session.model.output_names
     fits = [[p.fit.get(output) for output in outputs] for _, p in proofs]
-    pairs = [[(None, None) if fit is None else (fit.r2, fit.theil) for fit in flight] for flight in fits]
+    pairs = [
+        [(None, None, 0.0) if fit is None else (fit.r2, fit.theil, fit.limit(THEIL_LIMIT)) for fit in flight]
+        for flight in fits
+    ]
     return match_table(
         "figure10_match",
         "Proof of match over flights",

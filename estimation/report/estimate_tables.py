@@ -130,22 +130,22 @@ def match_table(
     caption: str,
     head: tuple[str, ...],
     outputs: Sequence[str],
-    proofs: Iterable[tuple[tuple[str, ...], Sequence[tuple[float | None, float | None]]]],
+    proofs: Iterable[tuple[tuple[str, ...], Sequence[tuple[float | None, float | None, float]]]],
     limit: float,
     more: str = "",
 ) -> ReportTable:
-    """Proofs of match. head: of the first columns; proofs: (first cells, (r2, Theil) of each output, None where there is none);
-    limit: of Theil's coefficient; more: of the note."""
+    """Proofs of match. head: of the first columns; proofs: (first cells, (r2, Theil, limit of it) of each output, None
+    where there is none); limit: of Theil's coefficient beyond noise; more: of the note."""
     rows: list[tuple[str, ...]] = []
     failed: set[tuple[int, int]] = set()
     for first, fits in proofs:
-        failed_outputs = [k for k, (_, theil) in enumerate(fits) if theil is not None and not theil <= limit]
+        failed_outputs = [k for k, (_, theil, highest) in enumerate(fits) if theil is not None and not theil <= highest]
         columns = [
             *(len(head) + 1 + 2 * k for k in failed_outputs),
             *([len(head) + 2 * len(outputs)] if failed_outputs else []),
         ]
         failed |= {(len(rows), column) for column in columns}
-        cells = [number(value, 3) for fit in fits for value in fit]
+        cells = [number(value, 3) for fit in fits for value in fit[:2]]
         rows.append((*first, *cells, "FAIL" if failed_outputs else "pass"))
     return ReportTable(
         name,
@@ -155,7 +155,8 @@ def match_table(
         (("", len(head)), *((o, 2) for o in outputs), ("", 1)),
         symbols=False,
         failed=frozenset(failed),
-        note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.{more}",
+        note=f"Limit: Theil's coefficient at most {limit:g} in every channel beyond what its noise alone leaves; in red "
+        f"what is above it.{more}",
     )
 
 
@@ -168,7 +169,9 @@ def fit_table(session: "EstimationSession") -> ReportTable:
         for method, result in f.results.items():
             fits = [result.flights[0].fit.get(o) for o in outputs]
             failed |= {
-                (len(rows), 3 + 3 * k) for k, fit in enumerate(fits) if fit is not None and fit.theil > THEIL_LIMIT
+                (len(rows), 3 + 3 * k)
+                for k, fit in enumerate(fits)
+                if fit is not None and fit.theil > fit.limit(THEIL_LIMIT)
             }
             rows.append((f.flight.name, method, *(c for fit in fits for c in _fit_cells(fit))))
     return ReportTable(
@@ -178,7 +181,7 @@ def fit_table(session: "EstimationSession") -> ReportTable:
         tuple(rows),
         (("", 2), *((o, 3) for o in outputs)),
         symbols=False,
-        note=f"Theil's inequality coefficient: 0 perfect; in red above the limit of {THEIL_LIMIT:g}. white: share of "
+        note=f"Theil's inequality coefficient: 0 perfect; in red above {THEIL_LIMIT:g} beyond noise. white: share of "
         "residual autocorrelations inside the 95 % band of white noise.",
         failed=frozenset(failed),
     )

@@ -1,6 +1,7 @@
 """The front page of a folder of reports: key numbers and figures, what was hidden where that is known, links to each page."""
 
 import json
+import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -120,6 +121,11 @@ def _limit(match: dict[str, Any]) -> float:
     return float(match.get("limit", THEIL_LIMIT))
 
 
+def _highest(match: dict[str, Any], channel: dict[str, Any]) -> float:
+    """What Theil's coefficient of a channel may be: the limit beyond what its noise alone leaves."""
+    return math.hypot(_limit(match), channel.get("noise") or 0.0)
+
+
 def _keys(contents: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
     """(value, what it is, whether it is beyond its limit)."""
     keys = []
@@ -134,15 +140,14 @@ def _keys(contents: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bo
             )
         )
     if (match := contents["match"]) is not None:
-        theil = [c["theil"] for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
-        if theil:
-            keys.append(
-                (
-                    f"{max(theil):.2f}",
-                    f"worst Theil coefficient of the proof of match (limit {_limit(match):g})",
-                    max(theil) > _limit(match),
-                )
+        channels = [c for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
+        if channels:
+            worst = max(channels, key=lambda c: c["theil"] / _highest(match, c))
+            highest = _highest(match, worst)
+            words = (
+                f"Theil's coefficient of the worst channel in the proof of match (limit {highest:.2g} with its noise)"
             )
+            keys.append((f"{worst['theil']:.2f}", words, worst["theil"] > highest))
     if (gap := contents["gap"]) is not None:
         keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow", False))
         for step in gap["steps"][:2]:
@@ -207,7 +212,7 @@ def _match(data: dict[str, Any] | None) -> ReportTable | None:
         return None
     channels = list(data["flights"][0]["fit"])
     fits = [[flight["fit"].get(channel, {}) for channel in channels] for flight in data["flights"]]
-    pairs = [[(fit.get("r2"), fit.get("theil")) for fit in flight] for flight in fits]
+    pairs = [[(fit.get("r2"), fit.get("theil"), _highest(data, fit)) for fit in flight] for flight in fits]
     proofs = zip([(flight["name"],) for flight in data["flights"]], pairs, strict=True)
     caption = "Proof of match: flights predicted with parameters frozen"
     return match_table("match", caption, ("flight",), channels, proofs, _limit(data))

@@ -31,12 +31,16 @@ Part = ReportTable | Picture | Markup | None
 @dataclass(frozen=True)
 class Section:
     """A heading and what stands under it. anchor: of the heading; link: its word in the navigation, empty for none. Without a
-    title it has no heading; a part that is None is left out."""
+    title it has no heading; a part that is None is left out. folded: closed until somebody opens it; printed: whether paper
+    has it all the same; kind: class of the HTML around it."""
 
     anchor: str
     title: str
     parts: Sequence[Part] = ()
     link: str = ""
+    folded: bool = False
+    printed: bool = True
+    kind: str = ""
 
     def shown(self) -> list[Part]:
         return [part for part in self.parts if part is not None]
@@ -61,8 +65,7 @@ class Page:
 
     def tables(self) -> list[ReportTable]:
         """Every table of the page, in order, and those beside it."""
-        shown_tables = [part for section in self.shown() for part in section.parts if isinstance(part, ReportTable)]
-        return [*shown_tables, *self.beside]
+        return [*_tables(self.shown()), *self.beside]
 
     def html(self, back: str = "") -> str:
         """The whole file. back: HTML of the way to another page."""
@@ -81,7 +84,7 @@ class Page:
         return environment.get_template("page.html.j2").render(
             page=self,
             links=[*((f"#{s.anchor}", s.link) for s in self.shown() if s.link), *self.links],
-            landscape=needs_width(self.tables()),
+            landscape=needs_width(_tables(s for s in self.shown() if s.printed)),
             style=(HERE / "style.css").read_text(encoding="utf-8"),
             back=back,
             software=software(),
@@ -101,6 +104,10 @@ class Page:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text)
         return path
+
+
+def _tables(sections: Iterable[Section]) -> list[ReportTable]:
+    return [part for section in sections for part in section.parts if isinstance(part, ReportTable)]
 
 
 def breakable(text: str) -> Markup:

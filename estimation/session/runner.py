@@ -14,6 +14,7 @@ from estimation.models.base import Model, joint_model
 from estimation.prepare.stretches import unique_names
 from estimation.session.aircraft_review import aircraft_objections
 from estimation.session.evidence import parameter_scatter, with_airspeed_error
+from estimation.session.fast_modes import fast_modes, with_fast_modes
 from estimation.session.session import EstimationSession, FlightEstimates
 from estimation.session.structured import StructureWish, with_structure_tests
 from estimation.session.verdict import verdict
@@ -69,7 +70,11 @@ def estimate(
             session,
             task,
             structure,
-            lambda more: _fitted(replace(task, model=more, plain=base_model), estimators, joint),
+            lambda more, names: _fitted(
+                replace(task, model=more, plain=base_model),
+                [e for e in estimators if names is None or e.name in names],
+                joint,
+            ),
         )
     return _judged(session)
 
@@ -77,7 +82,7 @@ def estimate(
 def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
-    outcomes_by_method = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in estimators}
+    outcomes_by_method = {e.name: _with_limits_of_records(_each(e, task), [[f] for f in flights]) for e in estimators}
     for flight, outcomes in zip(flights, zip(*outcomes_by_method.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     joint_outcomes: dict[str, Outcome] = {}
@@ -85,7 +90,7 @@ def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> Estimat
         task.tell(f"joint over {len(flights)} flights: {e.title}")
         base_model = None if task.plain is None else joint_model(task.plain)
         joined = _tried(e, replace(task, number=len(flights), model=joint_model(task.model), plain=base_model))
-        joint_outcomes[e.name] = _with_airspeed_errors([joined], [flights])[0]
+        joint_outcomes[e.name] = _with_limits_of_records([joined], [flights])[0]
     estimates = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in outcomes_by_method.items()})
@@ -101,10 +106,14 @@ def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> Estimat
     )
 
 
-def _with_airspeed_errors(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
-    """Outcomes with what the airspeeds of their flights may be off in the bounds."""
+def _with_limits_of_records(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
+    """Outcomes with what the airspeeds of their flights may be off in the bounds, and without what their records are too slow
+    for."""
     pairs = zip(outcomes, flights, strict=True)
-    return [with_airspeed_error(o, members) if isinstance(o, Result) else o for o, members in pairs]
+    return [
+        with_fast_modes(with_airspeed_error(o, members), members) if isinstance(o, Result) else o
+        for o, members in pairs
+    ]
 
 
 def _judged(session: EstimationSession) -> EstimationSession:
@@ -122,6 +131,7 @@ def _judged(session: EstimationSession) -> EstimationSession:
                 odd=odd[f.flight.name],
                 craft=craft,
                 structure=f.structure,
+                fast=_fast(f.results, [f.flight]),
             ),
         )
         for f in session.flights
@@ -140,8 +150,15 @@ def _judged(session: EstimationSession) -> EstimationSession:
         craft=craft,
         structure=session.structure,
         odd_flights=session.odd,
+        fast=_fast(session.joint, [f.flight for f in session.flights]),
     )
     return replace(session, flights=flights, verdict=joint_verdict)
+
+
+def _fast(results: Mapping[str, Result], flights: Sequence[Flight]) -> tuple[str, ...]:
+    """What the records of the controls are too slow for, as the most trusted method has it."""
+    first = next(iter(results.values()), None)
+    return tuple(m.text for m in fast_modes(first, flights)) if first is not None else ()
 
 
 def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:

@@ -132,6 +132,7 @@ class DoubtKind(Enum):
     AIRCRAFT = "aircraft file"
     STATED = "stated term not used"
     IMPLAUSIBLE = "no aeroplane's value"
+    FAST = "too fast for the record"
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,6 +55,9 @@ class EstimationSession:
     what their
     model lacks; odd: flights that differ from the others."""
 
+    def __repr__(self) -> str:
+        return f"<EstimationSession of {self.model.name} by {', '.join(self.methods)}: {self.text:.200}>"
+
     aircraft: Aircraft
     model: Model
     methods: tuple[str, ...]

@@ -4,6 +4,7 @@ Each flight's fit is tested, and the joint one. The whole linear model is the bu
 tell are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
@@ -26,7 +27,11 @@ from groundstation.flight import Flight
 
 ROUNDS = 4  # of adding: a model that lacks more is another model
 MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test
+UNTOLD = 0.5
+"""Part of an estimate by which a rival's differs from it, from which neither is the value."""
 FILTERS = ("fem-noise", "fem")
+ADDED_ANYWAY = (CandidateKind.LINEAR, CandidateKind.LATE_SENSOR)
+"""What is added whatever is wished: the built-in models are the whole linear model, and instruments have lags of their own."""
 
 
 class StructureWish(Enum):
@@ -45,15 +50,20 @@ class StructureWish(Enum):
 
 
 def with_structure_tests(
-    session: EstimationSession, task: Task, wish: StructureWish, fitted: Callable[[Model], EstimationSession]
+    session: EstimationSession,
+    task: Task,
+    wish: StructureWish,
+    fitted: Callable[[Model, Collection[str] | None], EstimationSession],
 ) -> EstimationSession:
     """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
 
-    fitted: the session of another model.
+    fitted: the session of another model by some methods, None being all. Until nothing more is to be added, only those that
+    the test looks at are fitted again.
     """
     added_names: list[str] = []
     ambiguous: list[Lack] = []
     tested = _tested(session, task)
+    looked_at = _looked_at(session)
     for _ in range(ROUNDS):
         lacks = _lacks(tested)
         new = [lack for lack in lacks if _wanted(lack, tested.model, wish) and lack.names[0] not in added_names]
@@ -63,8 +73,21 @@ def with_structure_tests(
         terms = [by_name[lack.names[0]] for lack in new if lack.names[0] in by_name]
         added_names += [t.name for t in terms]
         ambiguous += [lack for lack in new if lack.rivals]
-        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms))), task)
+        tested = _tested(fitted(with_candidates(tested.model, _fresh(terms)), looked_at), task)
+    if added_names and looked_at is not None:
+        tested = _tested(fitted(tested.model, None), task)
     return _with_added(tested, added_names, ambiguous)
+
+
+def _looked_at(session: EstimationSession) -> tuple[str, ...] | None:
+    """The methods whose fits decide what a model lacks; None where that takes all: output error alone unless a filter is
+    believed."""
+    from estimation.session.verdict import verdict
+
+    groups = [session.joint] if session.joint else [f.results for f in session.flights]
+    believed = {verdict(results).recommended.method for results in groups}
+    others = set(session.methods) - {"ml"}
+    return None if not others or "ml" not in session.methods or believed & {*FILTERS} else ("ml",)
 
 
 def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
@@ -84,16 +107,62 @@ def _wanted(lack: Lack, model: Model, wish: StructureWish) -> bool:
         return False
     if wish is StructureWish.AUTO:
         return True
-    return model.name in WHOLE and lack.leading.candidate.kind is CandidateKind.LINEAR
+    return model.name in WHOLE and lack.leading.candidate.kind in ADDED_ANYWAY
 
 
 def _with_added(session: EstimationSession, added_names: Sequence[str], ambiguous: Sequence[Lack]) -> EstimationSession:
+    """The session with what was added, and with the bounds that what cannot be told leaves open."""
+
+    def settled(structure: StructureTest | None) -> StructureTest | None:
+        return None if structure is None else structure.with_added(added_names, ambiguous)
+
     flights = tuple(
-        replace(f, structure=None if f.structure is None else f.structure.with_added(added_names, ambiguous))
+        replace(f, structure=settled(f.structure), results=_spanning(f.results, settled(f.structure)))
         for f in session.flights
     )
-    joint = None if session.structure is None else session.structure.with_added(added_names, ambiguous)
-    return replace(session, flights=flights, structure=joint)
+    joint = settled(session.structure)
+    return replace(session, flights=flights, structure=joint, joint=_spanning(session.joint, joint))
+
+
+def _spanning(results: Mapping[str, Result], structure: StructureTest | None) -> Mapping[str, Result]:
+    """Results whose bounds span what rivals would make of them, and what is left out without being refused for it."""
+    if structure is None:
+        return results
+    spans: list[Mapping[str, float]] = [lack.differs for lack in structure.ambiguous]
+    why = {
+        n: lack.rivals[0].candidate.phrase
+        for lack in structure.ambiguous
+        for n in (lack.leading.candidate.name, *lack.differs)
+    }
+    borne = [t.moves for lack in structure.lacks if not lack.matters for t in (lack.leading, *lack.rivals)]
+    alternatives = {lack.leading.candidate.name: lack.leading.candidate.null for lack in structure.ambiguous}
+    return {m: _spanned(r, spans, borne, alternatives, why) for m, r in results.items()}
+
+
+def _spanned(
+    result: Result,
+    spans: Sequence[Mapping[str, float]],
+    borne: Sequence[Mapping[str, float]],
+    alternatives: Mapping[str, float],
+    why: Mapping[str, str],
+) -> Result:
+    """A result with wider bounds; what they leave nothing of is not told.
+
+    spans: in parameters' own units; borne: in bounds; alternatives: parameter -> its value where a rival takes its place.
+    """
+    parameters = dict(result.parameters)
+    for name, e in result.parameters.items():
+        rival = [s.get(name, 0.0) for s in spans]
+        rival += [e.estimate - alternatives[name]] if name in alternatives else []
+        wide = math.hypot(e.std_coloured, *rival, *(e.std_coloured * m.get(name, 0.0) for m in borne))
+        parameters[name] = replace(e, std_coloured=wide)
+        if e.identifiable and math.hypot(*rival, 0.0) > UNTOLD * abs(e.estimate):
+            parameters[name] = replace(
+                parameters[name],
+                identifiable=False,
+                why=f"these flights cannot tell it from {why.get(name, 'a rival')}",
+            )
+    return replace(result, parameters=parameters)
 
 
 def _tested(session: EstimationSession, task: Task) -> EstimationSession:

@@ -101,6 +101,7 @@ def verdict(
     craft: AircraftObjections = NOTHING,
     structure: StructureTest | None = None,
     odd_flights: Sequence[OddFlight] = (),
+    fast: Sequence[str] = (),
 ) -> Verdict:
     """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
 
@@ -108,6 +109,7 @@ def verdict(
     the gusts: methods that take them for the angles flown miss by bounds (docs/compatibility.md), output error hardly does.
     odd: what the records themselves show to be of another unit or sign, which no result is any better than. craft: what the
     aircraft's own review says. structure: what the model lacks; odd_flights: flights that differ from the others of a joint fit.
+    fast: what is over before the records of the controls can show it.
     """
     case = _Case(results, reconstructed=" and ".join(reconstructed))
     for text in craft.impossible:
@@ -131,6 +133,7 @@ def verdict(
     for method, results_of_flights in (members or {}).items():
         if method in results and len(results_of_flights) > 1:
             _members(case, method, results[method], results_of_flights)
+    case.doubts += [Doubt(DoubtKind.FAST, text) for text in fast]
     if members:
         case.doubts += _stretched(next(iter(results.values()), None))
     recommendation = of_structure(_choice(case, tested=structure is not None), case.doubts, structure, odd_flights)
@@ -177,7 +180,6 @@ def of_structure(
     for lack in ambiguous:
         text = ambiguous_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))
-        against += [text] if lack.apart > NOTABLE else []
     names = tuple(dict.fromkeys(n for lack in (*lacks, *ambiguous) for n in lack.names))
     if not against:
         return replace(recommendation, lacks=names) if lacks else recommendation
@@ -208,8 +210,9 @@ def ambiguous_text(lack: Lack) -> str:
     rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
     return (
         f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
-        f" and moves estimates by up to {lack.apart:.1f} of their bounds: state {leading.name} in the aircraft file, measure the"
-        " other (a swing test for inertia), or fly a symmetric pull-up with aileron 3-2-1-1"
+        f" and moves estimates by up to {lack.apart:.1f} of their bounds, which the bounds now span: to tell them, state"
+        f" {leading.name} in the aircraft file, measure the other (a swing test for inertia), or fly a symmetric pull-up with"
+        " aileron 3-2-1-1"
     )
 
 

@@ -15,12 +15,12 @@ from estimation.engine.kernel import Array
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.equation_error import equation_error
 from estimation.models.base import Model
+from estimation.prepare.columns import EITHER_IN
 from groundstation.flight import Flight
 from groundstation.flight.arrays import integral
 from groundstation.flight.findings import Finding, FindingKind
 
 KINEMATIC = "beta_kinematic"
-MODELS = ("lateral", "lateral-simple")
 
 LACKING: Mapping[str, str] = {
     "beta": (
@@ -40,7 +40,7 @@ def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequ
     says what can no longer be told. Both as they are where nothing, or more than one, is lacking, and for other models."""
     absent = [[n for n in LACKING if not f.measured(n)] for f in flights]
     columns = {n for names in absent for n in names}
-    if model.name not in MODELS or not columns or any(len(names) > 1 for names in absent):
+    if model.name not in EITHER_IN or not columns or any(len(names) > 1 for names in absent):
         return model, flights
     outputs = tuple(replace(s, optional=True) if s.source in columns else s for s in model.outputs)
     states = tuple(

@@ -13,15 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.signals.denoise import noise_level
+
 Array = NDArray[np.float64]
 
 THEIL_LIMIT = 0.3
-"""Theil's coefficient above which a channel does not match: the upper end of what the literature calls good, 0.25 to 0.3."""
+"""Theil's coefficient above which a channel without noise does not match: the upper end of what the literature calls good,
+0.25 to 0.3."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelFit:
-    """Match of one channel; see the module head. samples: finite pairs counted."""
+    """Match of one channel; see the module head. samples: finite pairs counted. noise: Theil's coefficient that the noise of the
+    measurement alone leaves a perfect model, told by the measurement and not by the model."""
 
     r2: float
     theil: float
@@ -31,6 +35,15 @@ class ChannelFit:
     rms: float
     whiteness: float
     samples: int
+    noise: float = 0.0
+
+    def limit(self, limit: float) -> float:
+        """What Theil's coefficient may be where `limit` is what the misfit beyond the noise may be: squares of both add."""
+        return float(np.hypot(limit, self.noise))
+
+    def matches(self, limit: float) -> bool:
+        """Whether the misfit beyond the noise is within a limit of Theil's coefficient; False where nothing was compared."""
+        return self.theil <= self.limit(limit)
 
     def to_json(self) -> dict[str, float | int | None]:
         return {name: _plain(getattr(self, name)) for name in self.__dataclass_fields__}
@@ -63,6 +76,7 @@ def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
         rms=float(np.sqrt(mse)),
         whiteness=whiteness(e),
         samples=int(z.size),
+        noise=noise_level(measured) / scale if scale > 0 else 0.0,
     )
 
 

@@ -13,7 +13,7 @@ from enum import Enum
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 from estimation.models.expressions import names_in, products_in
 
-LATE_OUTPUTS = ("alpha", "beta", "phi", "theta")
+LATE_OUTPUTS = ("alpha", "beta", "phi", "theta", "ax", "ay", "az")
 """Columns that instruments with a lag of their own show: vanes swing, attitudes come out of a filter."""
 SMALL_FLOW = ("alpha", "beta")
 

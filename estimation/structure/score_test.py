@@ -38,6 +38,9 @@ FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 """Scales that a vane in the upwash of an airframe can have (Gracey, NASA RP-1046: 1.1 to 1.8 ahead of a fuselage)."""
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
 NOTABLE = 1.0  # bounds by which a printed value has to move
+BORNE = 3.0
+"""Bounds up to which what leaving something out moves is counted in the bounds instead: its size is known to a fifth there (a
+score of 5), so the wider bound holds the truth; beyond, the model is another one and its estimates are not to be believed."""
 
 LIKELIEST_FIRST = (
     CandidateKind.LINEAR, CandidateKind.LATE_CONTROL, CandidateKind.SCALE, CandidateKind.LATE_SENSOR, CandidateKind.INERTIA,
@@ -81,12 +84,13 @@ class Tested:
 
 @dataclass(frozen=True)
 class Lack:
-    """Something the model lacks, and what would serve as well. apart: bounds by which estimates differ with a rival in its
-    place. holdout: twice the log likelihood that it gains on each flight when fitted to all the others, summed; None with one
-    flight."""
+    """Something the model lacks, and what would serve as well. differs: parameter -> by how much its estimate
+    differs with a rival in its place; apart: the most of that in bounds. holdout: twice the log likelihood that it gains on each
+    flight when fitted to all the others, summed; None with one flight."""
 
     leading: Tested
     rivals: tuple[Tested, ...] = ()
+    differs: Mapping[str, float] = field(default_factory=dict)
     apart: float = 0.0
     holdout: float | None = None
 
@@ -102,8 +106,8 @@ class Lack:
 
     @property
     def matters(self) -> bool:
-        """Whether leaving it out moves a printed value by more than its bound."""
-        return any(t.worst[1] > NOTABLE for t in (self.leading, *self.rivals))
+        """Whether leaving it out moves a printed value by more than its bound can bear."""
+        return any(t.worst[1] > BORNE for t in (self.leading, *self.rivals))
 
 
 @dataclass(frozen=True)
@@ -153,9 +157,12 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             and abs(next_scores[k].score) < THRESHOLD
             and _possible(t, result)
         ]
-        difference = max((_apart(linear, strongest, k, scores, result) for k in rivals), default=0.0)
+        differs = _differences(linear, strongest, rivals, scores)
+        apart = max(
+            (d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0
+        )
         holdout = held_out(linear, taken_up, strongest)
-        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), difference, holdout))
+        lacks.append(Lack(scores[strongest], tuple(scores[k] for k in rivals), differs, apart, holdout))
         taken_up.append(strongest)
         scores = next_scores
     return StructureTest(tuple(first), tuple(lacks))
@@ -241,13 +248,17 @@ def _printed(moves: Mapping[str, float], result: Result) -> dict[str, float]:
     return {n: float(m) for n, m in moves.items() if result.parameters[n].identifiable}
 
 
-def _apart(linear: LinearisedFit, leading: int, rival: int, scores: Sequence[Tested], result: Result) -> float:
-    """By how many bounds the estimates with `leading` in the model differ, at most, from those with `rival` in its place."""
+def _differences(
+    linear: LinearisedFit, leading: int, rivals: Sequence[int], scores: Sequence[Tested]
+) -> dict[str, float]:
+    """By how much the estimates with `leading` in the model differ, at most, from those with a rival in its place."""
     n, weigh = linear.n, linear.plain()
     inverse = pseudo_inverse(weigh[:n, :n])[0]
-    change = [inverse @ weigh[:n, n + k] * (scores[k].value - scores[k].candidate.null) for k in (leading, rival)]
-    difference = np.abs(change[0] - change[1]) / _bounds(linear, result)
-    identifiable = [
-        o for o, name in zip(difference.tolist(), linear.shared, strict=True) if result.parameters[name].identifiable
-    ]
-    return max(identifiable, default=0.0)
+    change = {k: inverse @ weigh[:n, n + k] * (scores[k].value - scores[k].candidate.null) for k in (leading, *rivals)}
+    differences = np.array([np.abs(change[leading] - change[k]) for k in rivals]).reshape(-1, n)
+    return dict(zip(linear.shared, differences.max(axis=0, initial=0.0).tolist(), strict=True))
+
+
+def _has_bound(result: Result, name: str) -> bool:
+    estimate = result.parameters[name]
+    return estimate.identifiable and 0.0 < estimate.std_coloured < np.inf

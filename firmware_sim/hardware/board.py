@@ -18,6 +18,7 @@ from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
 from firmware_sim.hardware.registers.ak09916 import Ak09916Chip
+from firmware_sim.hardware.registers.as5600 import As5600Chip
 from firmware_sim.hardware.registers.bmp390 import Bmp390Chip
 from firmware_sim.hardware.registers.capture import CaptureChip
 from firmware_sim.hardware.registers.chip import Inputs, PoweredChip
@@ -176,6 +177,20 @@ def _volts(wiring: BoardWiring, name: str) -> Callable[[int], float]:
     return volts if bent is inputs else lambda time_ns: float(bent(time_ns)[0])
 
 
+def _encoder(wiring: BoardWiring, device: str) -> PoweredChip:
+    angle = device.removeprefix("vane_")
+    models, rng = wiring.instruments.models, wiring.instruments.generator(device)
+    sigma = (models.alpha_vane if angle == "alpha" else models.beta_vane).noise_rad
+    raw = wiring.instruments.inputs(f"{angle}_encoder")
+
+    def inputs(time_ns: int) -> tuple[float]:
+        return (raw(time_ns)[0] + sigma * rng.standard_normal(),)
+
+    encoder = As5600Chip(wiring.bend(device, inputs))
+    encoder.frozen = lambda now_ns: wiring.stuck(device, now_ns)
+    return encoder
+
+
 CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
     "imu": (0x68, _imu),
     "pitot": (0x28, _pitot),
@@ -188,6 +203,8 @@ CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
     "analog_c": (0x4A, _converter),
     "servo_driver": (0x41, _servo_driver),
     "pilot_inputs": (0x42, _pilot_inputs),
+    "vane_alpha": (0x36, _encoder),
+    "vane_beta": (0x37, _encoder),
 }
 """Every chip of the simulated aircraft: its address on the bus and how it is wired. Value faults draw in this order."""
 

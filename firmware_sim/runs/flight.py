@@ -52,6 +52,8 @@ SEQUENCER_FILE = CONFIG_FILE.with_name("cdfp_sequencer.toml")
 """What a configuration with a sequencer has besides; merged in for scenarios with a table [sequencer]."""
 ARDUPILOT_FILE = CONFIG_FILE.with_name("cdfp_sequencer_ardupilot.toml")
 """The same for a sequencer that goes through an ArduPlane."""
+LOOP_HZ = 100.0
+"""SCHED_LOOP_RATE of an autopilot that is the source of samples."""
 BEFORE_NS = 10_000_000_000
 """An autopilot is on so long before the recording begins, and before the simulated flight settles."""
 MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "lateral_3211.toml"
@@ -99,6 +101,7 @@ def build_aircraft(
     bus = SimulatedBus(clock, {**chips, **laboratory}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
+    autopilot.start_utc_ns = clock.utc_ns()
     events = FaultEvents(faults, {**board, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
     events.at(origin)
     if events.any_left:
@@ -241,16 +244,17 @@ def prepare_flight(
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")
     aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
+    if config.sensors.autopilot is not None:  # set up as docs/build.md asks for it
+        aircraft.autopilot.connect(config.sensors.autopilot.baud, LOOP_HZ)
     radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
-    capture = config.sensors.capture
     edge = HardwareEdge(
         clock,
         aircraft.bus,
         gnss,
         "simulated",
         autopilot=SimulatedSerial(aircraft.autopilot, clock.monotonic_ns)
-        if capture is not None and capture.driver == "mavlink_servo"
+        if config.sensors.autopilot_port is not None
         else None,
         pulse=aircraft.newest_pulse if models.gnss.pulse else None,
         radio=radio.air if config.downlink is not None else None,

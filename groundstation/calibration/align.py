@@ -94,6 +94,58 @@ def _too_sparse(finite: Mask, time: Array, number: NDArray[np.int64], furthest: 
     return float(np.median(np.diff(number[finite]))) > SLOWEST or float(np.median(np.diff(time[finite]))) > furthest
 
 
+REPEATED = 1e-3
+"""Stamps no further apart [s] are those of one sample: scans have them in whole microseconds, senders send none so close."""
+
+
+FRAME = 0.022
+"""Period of a servo's frames [s], 50 Hz, with jitter: a pulse reported as often stands until the next report; between reports
+further apart it may have changed at any time, and a straight line is late and early alike."""
+
+
+def by_stamp(
+    values: Array, stamped_at: Array, target_times: Array, *, smooth: bool, lag: float = 0.0, pulse: bool = False
+) -> Array:
+    """`values` (N,) dated by their sender at `stamped_at` (N,) [s], brought to `target_times` (N,) [s].
+
+    A sample stands in each scan until a newer one comes, and came when it came: it counts once, at its own time. Samples up to
+    BRIDGED seconds apart are neighbours. lag: of a first-order low pass, taken out [s], or where it is negative put in: what
+    follows a pulse is not there yet. smooth: cubic instead of linear. pulse: a width, which holds where it is reported with
+    each frame of the servo.
+    """
+    rows = np.flatnonzero(np.isfinite(values) & np.isfinite(stamped_at))
+    rows = rows[np.argsort(stamped_at[rows], kind="stable")]
+    rows = rows[np.diff(stamped_at[rows], prepend=-np.inf) > REPEATED]
+    t, y = stamped_at[rows], values[rows]
+    aligned = np.full_like(values, np.nan)
+    number = np.cumsum(np.where(np.diff(t, prepend=-np.inf) <= BRIDGED, 1, 2)).astype(np.int64)
+    if lag > 0:
+        y = undo_lag(y, t, number, lag)
+    for run in np.split(np.arange(t.size), np.flatnonzero(np.diff(number) > 1) + 1):
+        if run.size >= 2:
+            held = pulse and float(np.median(np.diff(t[run]))) <= FRAME
+            followed = follow(t[run], y[run], -lag, held=held) if lag < 0 else y[run]
+            in_run = _in_run(t[run], followed, target_times, smooth and run.size >= 4)
+            if held and not lag:
+                newest = np.clip(np.searchsorted(t[run], target_times, side="right") - 1, 0, None)
+                in_run = np.where(np.isnan(in_run), in_run, y[run][newest])
+            aligned = np.where(np.isnan(in_run), aligned, in_run)
+    return aligned
+
+
+def follow(t: Array, y: Array, lag: float, *, held: bool) -> Array:
+    """How a first-order lag [s] follows `y` (N,), held or straight between its samples at `t` (N,) [s]; it begins settled."""
+    followed = np.array(y, float)
+    for i in range(1, t.size):
+        span = t[i] - t[i - 1]
+        if held:
+            followed[i] = y[i - 1] + (followed[i - 1] - y[i - 1]) * math.exp(-span / lag)
+            continue
+        behind = lag * (y[i] - y[i - 1]) / span
+        followed[i] = y[i] - behind + (followed[i - 1] - y[i - 1] + behind) * math.exp(-span / lag)
+    return followed
+
+
 def hold(values: Array, number: NDArray[np.int64]) -> Array:
     """A quantity that holds from one sample to the next (a pulse width): the last value in each scan of its runs."""
     row_runs, spacing = runs(number, np.isfinite(values))

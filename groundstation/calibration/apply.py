@@ -18,7 +18,16 @@ from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration import conversions, curves
 from groundstation.calibration.account import account
-from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
+from groundstation.calibration.align import (
+    BRIDGED,
+    COMPLETE,
+    by_stamp,
+    completeness,
+    connectedness,
+    hold,
+    to_scan_time,
+    undo_lag,
+)
 from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.columns import GNSS, CombinedColumns, direct_columns
 from groundstation.calibration.facts import RecordedFacts
@@ -109,7 +118,8 @@ class Calibrator:
     def _read_curve(
         self, item: Instrument, curve: CalibrationCurve, channel: str, table: ScanTable, readings: Readings
     ) -> None:
-        reading = self.physical(table, channel)
+        scale, offset = self._pressure_transfer(item, curve, channel)
+        reading = self.physical(table, channel) * scale + offset
         if item.ratiometric is not None:
             reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
         value = curves.evaluate(curve, reading)
@@ -118,7 +128,7 @@ class Calibrator:
             value = value - shift.per_volt * (self.sensor_supply(table) - shift.reference)
         zero = self.facts.zero_count(item.instrument)
         if zero is not None:
-            value = value - curves.evaluate(curve, zero)
+            value = value - curves.evaluate(curve, zero * scale + offset)
         outside = int(np.sum(curves.extrapolated(curve, reading)))
         if outside:
             readings.extrapolated[item.instrument] = outside
@@ -126,6 +136,20 @@ class Calibrator:
         # a channel read later within its group shows a later instant: less delay
         delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
         _put_reading(readings, item.instrument, value, group, delay)
+        if item.servo_lag:
+            readings.lag[item.instrument] = -item.servo_lag
+
+    def _pressure_transfer(self, item: Instrument, curve: CalibrationCurve, channel: str) -> tuple[float, float]:
+        """What turns a reading into the curve's input: nothing, but for counts of any pitot that the curve takes in pascal."""
+        if curve.input_unit != "Pa" or CHANNEL_BY_NAME[channel].scale is not None:
+            return 1.0, 0.0
+        transfer = self.facts.transfer(CHANNEL_BY_NAME[channel].group, "pa")
+        if transfer is None:
+            raise CalibrationError(
+                f"{self.calibration.name}: {item.instrument} takes {channel} in Pa, and neither recording nor logger.toml has the"
+                " chip's scale (pitot.scale_pa); write input_unit = 'count' and a curve over counts"
+            )
+        return transfer
 
     def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, readings: Readings) -> None:
         x, y, z = (self.physical(table, c) for c in item.channels)
@@ -149,11 +173,16 @@ class Calibrator:
 
     def _read_static(self, table: ScanTable, readings: Readings) -> None:
         item = self.calibration.get("static")
-        if item is None or item.static is None or self._static_chip is None:
+        pascal, kelvin = self.facts.transfer("static", "pa"), self.facts.transfer("static", "k")
+        if item is None or item.static is None:
             return
-        pressure, temperature = self._static_chip.compensate(
-            table.raw["static_pressure"], table.raw["static_temperature"]
-        )
+        pressure, temperature = table.raw["static_pressure"], table.raw["static_temperature"]
+        if pascal is not None and kelvin is not None:
+            pressure, temperature = pressure * pascal[0] + pascal[1], temperature * kelvin[0] + kelvin[1]
+        elif self._static_chip is not None:
+            pressure, temperature = self._static_chip.compensate(pressure, temperature)
+        else:
+            return
         delay = item.delay + self.facts.delay("static", "static")
         _put_reading(readings, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
         _put_reading(readings, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
@@ -185,13 +214,17 @@ class Calibrator:
         values.update(conversions.continuous_quaternion(values))
         furthest = BRIDGED if table.bridged else math.inf
         for name, reading in values.items():
-            if name in _HELD:
+            group, smooth = readings.group[name], name not in self._linear and name not in _HELD
+            sampled_at = table.time + table.known_offset(group) - readings.delay[name]
+            if self.facts.stamped(group):
+                lag = readings.lag.get(name, 0.0)
+                pulse = name in _HELD or lag < 0.0
+                values[name] = by_stamp(reading, sampled_at, table.time, smooth=smooth, lag=lag, pulse=pulse)
+            elif name in _HELD:
                 values[name] = hold(reading, table.number)
             else:
-                if name in readings.lag:
+                if readings.lag.get(name, 0.0) > 0.0:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
-                sampled_at = table.time + table.known_offset(readings.group[name]) - readings.delay[name]
-                smooth = name not in self._linear
                 values[name] = to_scan_time(
                     reading, sampled_at, table.time, table.number, smooth=smooth, furthest=furthest
                 )

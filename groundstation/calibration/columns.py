@@ -190,7 +190,9 @@ def _direct(column: FlightColumn, calibration: CalibrationSet, channels: Sequenc
             " of exactly one channel, and that channel of no other column; correct `columns` in the table"
         )
     channel = sources[0]
-    curves = [i for i in calibration.instruments.values() if i.curve is not None and i.channel == channel.name]
+    all_curves = [i for i in calibration.instruments.values() if i.curve is not None]
+    curves = [i for i in all_curves if i.column == column.name]
+    curves = curves or [i for i in all_curves if i.column is None and i.channel == channel.name]
     if not curves:
         return DirectColumn(column, channel, None, _why_not(column, channel))
     curve = curves[0].curve

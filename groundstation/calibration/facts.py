@@ -22,6 +22,7 @@ _SCALE_KEYS = {
 _LAG_KEYS = {"accelerometer": "imu.accel_delay_s", **dict.fromkeys(("gyro", "attitude"), "imu.gyro_delay_s")}
 _LONGEST_DELAY = 1.0  # s
 _LARGEST_SCALE = 1e3  # of any unit a count; all of them are far below one
+_LARGEST_OFFSET = 1e6  # Pa, K: ten atmospheres
 
 _LARGEST_COUNT = 65535.0
 
@@ -49,6 +50,15 @@ class RecordedFacts:
         """Count at which an instrument was told, before flight, that it sees nothing; None when it was not."""
         return self._number(f"{instrument}.zero_count")
 
+    def transfer(self, group: str, unit: str) -> tuple[float, float] | None:
+        """Units (`pa`, `k`) a count of a group's chip, and units at count zero, by its data sheet; None where not known."""
+        scale = self._number(f"{group}.scale_{unit}")
+        return None if scale is None else (scale, self._number(f"{group}.offset_{unit}") or 0.0)
+
+    def stamped(self, group: str) -> bool:
+        """Whether a group's samples carry their sender's time, and stand in each scan until the next."""
+        return self.values.get(f"{group}.stamped") == "sender"
+
     def delay(self, instrument: str, group: str) -> float:
         """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
         if instrument in _LAG_KEYS:
@@ -57,6 +67,8 @@ class RecordedFacts:
 
     def lag(self, instrument: str) -> float:
         """Time constant of an instrument's first-order low pass [s]; 0 when it has none or it is not known."""
+        if instrument == "attitude" and self.stamped("attitude"):
+            return 0.0  # an autopilot's filter takes the gyro before its low pass
         key = _LAG_KEYS.get(instrument)
         return (self._number(key) or 0.0) if key else 0.0
 
@@ -138,12 +150,14 @@ def _bounds(key: str) -> tuple[float, float] | None:
     """What the number of a fact lies between; None for a fact that is no number, or that nothing here uses."""
     if (
         key in _SCALE_KEYS.values()
-        or key == "capture.scale_s"
+        or key in ("capture.scale_s", "pitot.scale_pa", "static.scale_pa", "static.scale_k")
         or (key.startswith("analog") and key.endswith(".scale_v"))
     ):
         return 0.0, _LARGEST_SCALE
     if key in _LAG_KEYS.values():
         return 0.0, _LONGEST_DELAY
+    if key in ("pitot.offset_pa", "static.offset_pa", "static.offset_k"):
+        return -_LARGEST_OFFSET, _LARGEST_OFFSET
     if key.endswith(".zero_count"):
         return 0.0, _LARGEST_COUNT
     if key.endswith((".filter_delay_s", "_after_s")):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.channels import CHANNEL_BY_NAME, COLUMN_BY_NAME
 from daq.utilities.constants import SEA_LEVEL_PRESSURE
 from daq.utilities.errors import UserError
 
@@ -169,7 +169,8 @@ class Instrument(_CalibrationTable):
     """One calibration file.
 
     delay: how far the instrument itself lags the physical quantity [s]: vane dynamics, tubing. The delay of a chip's
-    filter is a fact of the recording and comes on top.
+    filter is a fact of the recording and comes on top. column: the flight column that a curve makes, where it is not the one of
+    its channel: a surface by the pulse that moves it; servo_lag: with which it then follows [s].
     """
 
     format: Literal[1]
@@ -181,6 +182,8 @@ class Instrument(_CalibrationTable):
     channels: tuple[str, ...] = ()
     delay: Annotated[float, Field(ge=-0.05, le=1.0)] = 0.0
     note: str = ""
+    servo_lag: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    column: str | None = None
     curve: CalibrationCurve | None = None
     triad: Triad | None = None
     static: Static | None = None
@@ -202,6 +205,8 @@ class Instrument(_CalibrationTable):
         unknown = [c for c in (self.channel, *self.channels) if c is not None and c not in CHANNEL_BY_NAME]
         if unknown:
             raise ValueError(f"channel: {unknown[0]} is not in the channel table")
+        if self.column is not None and self.column not in COLUMN_BY_NAME:
+            raise ValueError(f"column: {self.column} is not a flight column")
         if self.kind == "curve" and self.channel is None:
             raise ValueError("channel: a file of kind curve names the raw channel it reads")
         if self.kind == "triad" and len(self.channels) != 3:

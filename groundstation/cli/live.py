@@ -174,6 +174,8 @@ def _conclude(station: "Station", handovers: list["Handover"], json_path: Path |
         f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost_count} lost, "
         f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused, {summary['scans_on_disk']} on disk"
     )
+    if handovers:
+        say(f"next: sideslip check {handovers[0].path}")
     missing = summary["scans_not_on_disk"]
     if missing:
         say(f"{missing} scans came down and are not on the disk; fetch them from the aircraft, which recorded them")

@@ -15,14 +15,24 @@ class MissingColumnError(FlightError):
     """A column that the work at hand needs is not in the flight.
 
     models: those that would do without. unknown: columns of the flight that go by no known name, among which it may be.
+    either: columns of which one would do.
+    near: the name meant, to end the sentence with.
     """
 
     def __init__(
-        self, flight: str, missing: Sequence[str], purpose: str, models: Sequence[str] = (), unknown: Sequence[str] = ()
+        self,
+        flight: str,
+        missing: Sequence[str],
+        purpose: str,
+        models: Sequence[str] = (),
+        unknown: Sequence[str] = (),
+        either: Sequence[str] = (),
+        near: str = "",
     ) -> None:
         self.missing = tuple(missing)
         names = ", ".join(missing)
         plural = "s" if len(missing) > 1 else ""
+        one_of = f" (of {' and '.join(either)} one would do)" if either else ""
         alternatives = f", or choose a model that does without: {', '.join(models)}" if models else ""
         if unknown:
             examples = ", ".join(unknown[:UNKNOWN_SHOWN]) + (", ..." if len(unknown) > UNKNOWN_SHOWN else "")
@@ -30,5 +40,5 @@ class MissingColumnError(FlightError):
                 f"; if it is there by another name ({examples}), 'sideslip import' with --map gives it its own"
             )
         super().__init__(
-            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{alternatives}"
+            f"{flight}: column{plural} {names} missing{one_of}, needed for {purpose}; add the column{plural}{alternatives}{near}"
         )

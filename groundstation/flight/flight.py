@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.utilities.plain_words import plain_name
+from daq.utilities.plain_words import meant, plain_name
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, FindingKind, as_finding, without_repeats
@@ -155,7 +155,7 @@ class Flight:
         try:
             return self.columns[column]
         except KeyError:
-            raise MissingColumnError(self.name, [column], "this step") from None
+            raise MissingColumnError(self.name, [column], "this step", near=meant(column, self.columns)) from None
 
     def __contains__(self, column: object) -> bool:
         return column in self.columns

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.utilities.constants import RADIAN
+from daq.utilities.packages import optional
 from groundstation.flight.arrays import Array
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.findings import Finding, finding_texts
@@ -98,8 +99,7 @@ def arrow_table(table: ColumnTable) -> "pa.Table":
 
 def pandas_frame(flight: FlightView) -> "pd.DataFrame":
     """A frame indexed by time [s]: every column, and `segment`; `attrs["units"]` holds the units."""
-    import pandas as pd
-
+    pd = optional("pandas", "a frame of a flight")
     table = flight_table(flight)
     index = pd.Index(flight.time, name="time")
     frame = pd.DataFrame({c.name: c.values for c in table.columns[1:]}, index=index)
@@ -110,8 +110,7 @@ def pandas_frame(flight: FlightView) -> "pd.DataFrame":
 
 def xarray_dataset(flight: FlightView) -> "xr.Dataset":
     """A data set over time [s] with `units` and `long_name` for each variable."""
-    import xarray as xr
-
+    xr = optional("xarray", "a data set of a flight")
     table = flight_table(flight)
     described = {c.name: {"units": c.unit, "long_name": c.meaning} for c in table.columns}
     variables: dict[str, Any] = {c.name: ("time", c.values, described[c.name]) for c in table.columns[1:-1]}

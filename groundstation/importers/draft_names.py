@@ -16,9 +16,9 @@ from groundstation.flight.arrays import Array
 from groundstation.importers.units import UNITS, find_unit
 
 _MEANT: tuple[tuple[str, str], ...] = (
-    ("ax", r"(acc?(el(eration)?)?|specific_force|nx|imu_acc?)_?(x|lon\w*)|a_?x"),
-    ("ay", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(y|lat\w*)|a_?y|ny"),
-    ("az", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(z|nor\w*|vert\w*)|a_?z|nz"),
+    ("ax", r"(acc?(el(eration)?)?|specific_force|nx|imu_acc?)_?(x|lon\w*)|a_?x|(longitudinal|axial)_acc\w*"),
+    ("ay", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(y|lat\w*)|a_?y|ny|lateral_acc\w*"),
+    ("az", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(z|nor\w*|vert\w*)|a_?z|nz|(normal|vertical)_acc\w*"),
     ("p", r"p|roll_?rate(_p)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?x|rollspeed"),
     ("q", r"q|pitch_?rate(_q)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?y|pitchspeed"),
     ("r", r"r|yaw_?rate(_r)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?z|yawspeed"),
@@ -54,6 +54,14 @@ _SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s",
           "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
+MOST_PREFIXES = 2  # words of a system before the name of a quantity: EGI_, FCC_A_
+SHORTEST_WITHOUT = 3  # letters of a name that says what it is without them
+NOT_THE_MOTION = frozenset(
+    "cmd command commanded target desired demand demanded ref reference set setpoint sp error err bias std sigma var "
+    "variance status valid flag fail mode trim limit max min stick pedal lever".split()
+)
+"""Words of a name that is something else than the quantity that it names beside them: asked for, a fault, a pilot's lever."""
+
 _GRAVITY = {"m/s2": GRAVITY, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
 _CLOSE = 0.25  # of gravity, by which the median specific force of a flight may differ from it: turns, and a filter
 _RATE_AGREES = 0.15  # of the ratio of an angle's slope and its rate to what two units make it
@@ -88,14 +96,35 @@ def unit_fits(unit: str, column: str) -> bool:
     return si_unit is not None and si_unit.si == COLUMN_BY_NAME[column].unit
 
 
+def meant_column(name: str) -> str | None:
+    """The flight column that a name means: as it stands, else without the system that it begins with (EGI_PITCH_ANGLE) or the
+    number that it ends with. A single letter behind a system says nothing (`x_p`), nor does what was asked for or made of it."""
+    words = normalised_name(name).split("_")
+    if set(words) & NOT_THE_MOTION:
+        return None
+    end = len(words) - 1 if len(words) > 1 and words[-1].isdigit() else len(words)
+    for begin in range(min(MOST_PREFIXES, len(words) - 1) + 1):
+        for stop in dict.fromkeys((len(words), end)):
+            text = "_".join(words[begin:stop])
+            column = next((c for c, pattern in _MEANT if re.fullmatch(pattern, text)), None)
+            if column is not None and ((begin == 0 and stop == len(words)) or len(text) >= SHORTEST_WITHOUT):
+                return column
+    return None
+
+
 def candidate_columns(names: Sequence[str]) -> dict[str, list[str]]:
     """Flight column -> names that may mean it, an exact one first."""
     candidates: dict[str, list[str]] = {}
     for name in names:
-        column = next((c for c, pattern in _MEANT if re.fullmatch(pattern, normalised_name(name))), None)
+        column = meant_column(name)
         if column is not None:
             candidates.setdefault(column, []).append(name)
-    return {c: sorted(labels, key=lambda label: normalised_name(label) != c) for c, labels in candidates.items()}
+    return {c: sorted(labels, key=lambda label: _distance(label, c)) for c, labels in candidates.items()}
+
+
+def _distance(name: str, column: str) -> tuple[bool, int]:
+    """How far a name is from that of its column: another name, and words too many."""
+    return normalised_name(name) != column, len(normalised_name(name).split("_"))
 
 
 def time_column(names: Sequence[str]) -> str | None:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from math import pi, sqrt
 
 import numpy as np
 
@@ -16,6 +17,16 @@ BY_SENSOR = (1, 4)
 PX4_SENSORS = (1, 2, 3)
 """PX4's airspeed_source (and selected_airspeed_index before it): a sensor; 0 ground speed less wind, 4 synthetic, -1 none."""
 PITOT_BIT = 16  # MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, in SYS_STATUS.onboard_control_sensors_*
+_LOW_PASSED = (
+    (re.compile(r"IMU(\[\d+\])?\.Gyr[XYZ]"), "INS_GYRO_FILTER"),
+    (re.compile(r"IMU(\[\d+\])?\.Acc[XYZ]"), "INS_ACCEL_FILTER"),
+    (re.compile(r"vehicle_angular_velocity(\[\d+\])?\.xyz\[\d\]"), "IMU_GYRO_CUTOFF"),
+    (re.compile(r"vehicle_acceleration(\[\d+\])?\.xyz\[\d\]"), "IMU_ACCEL_CUTOFF"),
+)
+"""Series that the autopilot has low-passed before it logs them, and its parameter with the frequency of that filter [Hz], of
+second order, Butterworth (ArduPilot and PX4: LowPassFilter2p); attitude, GYR, ACC and sensor_combined are not."""
+SLOWEST_FILTER = 2.0
+"""[Hz] below which the parameter is none of such a filter, or the filter no mere delay of the motion."""
 _DIFFERENTIAL = ("SCALED_PRESSURE.press_diff", "HIGHRES_IMU.diff_pressure", "RAW_PRESSURE.press_diff1")
 
 
@@ -31,7 +42,25 @@ def of_ardupilot(log: Log) -> Log:
     kind, note = _airspeed_of_ardupilot(log.parameters, series)
     contradictions = (*log.contradictions, *primaries.contradictions)
     log = replace(log, series=series, kinds={**log.kinds, "CTUN.As": kind}, contradictions=contradictions)
-    return log.with_notes(*notes, *note)
+    return _dated_back(log.with_notes(*notes, *note))
+
+
+def _dated_back(log: Log) -> Log:
+    """The log with the times at which what a filter delayed happened: the motion is slow beside the filter, which then delays by
+    sqrt(2)/(2 pi f) and changes nothing else. Gyros and accelerometers have filters of their own, and an attitude has none."""
+    series, notes = dict(log.series), []
+    for pattern, parameter in _LOW_PASSED:
+        frequency = log.parameters.get(parameter, 0.0)
+        names = [n for n in series if pattern.fullmatch(n)]
+        if not names or frequency < SLOWEST_FILTER:
+            continue
+        delay = sqrt(2.0) / (2.0 * pi * frequency)
+        series |= {n: replace(series[n], time=series[n].time - delay) for n in names}
+        topic, fields = names[0].split(".")[0], ", ".join(sorted({n.rpartition(".")[2] for n in names}))
+        notes.append(
+            f"{topic}: {fields} are low-passed at {frequency:g} Hz ({parameter}), so dated {delay * 1e3:.1f} ms back"
+        )
+    return replace(log, series=series).with_notes(*notes)
 
 
 def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, TimeSeries]) -> tuple[str, list[str]]:
@@ -86,7 +115,7 @@ def of_px4(log: Log) -> Log:
         elif not by_sensor.all():
             series |= {n: _only(series[n], by_sensor) for n in names}
             notes.append(f"{prefix}: {int((~by_sensor).sum())} samples that no pitot made (airspeed_source) left out")
-    return replace(log, series=series, kinds=kinds).with_notes(*notes)
+    return _dated_back(replace(log, series=series, kinds=kinds).with_notes(*notes))
 
 
 def of_mavlink(log: Log) -> Log:

@@ -57,7 +57,14 @@ def import_data(
     user_map = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
     for file in paths:
         check_file(file, error=ImportDataError)
-    return joined_flights([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
+    flight = joined_flights([_record(*record, rate_hz, accept_implausible) for record in _records(paths, user_map)])
+    unknown = flight.unknown_columns
+    if unknown and not any(flight.measured(c) for c in flight.known_columns):
+        raise ImportDataError(
+            f"{paths[0]}: Sideslip knows none of its columns ({listed(unknown)}); name them in a mapping (--map), which"
+            f" 'sideslip import {paths[0]} --draft-map -o map.toml' drafts"
+        )
+    return flight
 
 
 def _over(user_map: Map | None, base: Map) -> Map:

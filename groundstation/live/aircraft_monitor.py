@@ -4,6 +4,7 @@ A monitor is told what happened, in order; it never waits, and the view it feeds
 """
 
 import math
+import time as clock
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
@@ -14,7 +15,7 @@ from groundstation.calibration.calibration_set import CalibrationSet
 from groundstation.calibration.schema import CalibrationError
 from groundstation.identification.session import LiveState
 from groundstation.live.config import GroundConfig
-from groundstation.live.readouts import FreshValues, banner, readout_line
+from groundstation.live.readouts import FRESH_S, FreshValues, banner, readout_line
 from groundstation.live.watches import AlarmChange, Alarms, AlarmState, FreeSpace, LandingWatch, Phase
 from groundstation.receiver import events as ev
 from groundstation.receiver.findings import legible
@@ -38,7 +39,9 @@ class MonitorView(Protocol):
 
 
 class AircraftMonitor:
-    """State of one aircraft, of MAVLink system id `system`. `say` gets every line for the log: (time [s], level, text)."""
+    """State of one aircraft, of MAVLink system id `system`. `say` gets every line for the log: (time [s], level, text).
+
+    utc_ns: the time of day."""
 
     def __init__(
         self,
@@ -47,8 +50,10 @@ class AircraftMonitor:
         view: MonitorView | None,
         say: Callable[[float, str, str], None],
         system: int = 1,
+        utc_ns: Callable[[], int] = clock.time_ns,
     ) -> None:
         self.system = system
+        self._utc_ns = utc_ns
         self._station_calibration = self._calibration = calibration
         self.calibrator = Calibrator(calibration)  # of scans, at present
         self._view = view
@@ -93,12 +98,16 @@ class AircraftMonitor:
         self.time, self.values = scan.time, {**self.values, **values}
         self.samples += 1
         states = {group: status.state.words for group, status in scan.groups.items()}
-        unusable = sum(not (s.state.usable or s.state.words in ("off", "stale")) for s in scan.groups.values())
+        unusable = [
+            f"{group} ({status.state.words})"
+            for group, status in scan.groups.items()
+            if not (status.state.usable or status.state.words in ("off", "stale"))
+        ]
         landed = self._landing.update(scan.time, values)
         watched = {k: v for k, v in values.items() if k not in IN_FLIGHT_ONLY or self.phase is Phase.FLYING}
         if scan.groups:
-            watched["sensors.unusable"] = float(unusable)
-        self._announce(self._alarms.update(scan.time, watched))
+            watched["sensors.unusable"] = float(len(unusable))
+        self._announce(self._alarms.update(scan.time, watched, {"sensors.unusable": ", ".join(unusable)}))
         if self._view is not None:
             self._view.sample(scan.time, values)
             self._view.states(scan.time, states)
@@ -112,11 +121,14 @@ class AircraftMonitor:
             self.note("INFO", "landed: the flight has ended")
         return landed
 
-    def _show_readouts(self, view: MonitorView, time: float) -> None:
-        """The numbers of this moment, and what is in alarm."""
+    def _show_readouts(self, view: MonitorView, time: float, quiet: float = 0.0) -> None:
+        """The numbers of this moment, and what is in alarm. The time of day stands beside them: in a browser that lags behind, a
+        clock on the wall tells. quiet: since when nothing came [s]."""
         self._next_readout = time + READOUT_PERIOD_S
         level, alarms = banner(self._alarms.in_force())
-        link = "" if self._link is None else f"link {self._link.scan_rate_hz:.0f} Hz"
+        link = "" if self._link is None else f"link {self._link.scan_rate_hz:.0f} Hz, "
+        link = f"no data for {quiet:.0f} s, " if quiet > FRESH_S else link
+        link += clock.strftime("%H:%M:%S", clock.localtime(self._utc_ns() / 1e9))
         view.readouts(time, readout_line(self._fresh.at(time), link), alarms, level)
 
     def _calibrated(self, scan: Scan) -> dict[str, float]:
@@ -132,12 +144,13 @@ class AircraftMonitor:
 
     def silence(self, now_ns: int) -> None:
         """Called often: watches for telemetry that has stopped."""
-        if self._last_heard_ns is not None and self.phase is Phase.FLYING:
-            quiet = (now_ns - self._last_heard_ns) * 1e-9
-            came = self._alarms.update(self.time + quiet, {"link.silence_s": quiet})
-            self._announce(came)
-            if came and self._view is not None:  # no scan comes that would show it
-                self._show_readouts(self._view, self.time + quiet)
+        if self._last_heard_ns is None:
+            return
+        quiet = (now_ns - self._last_heard_ns) * 1e-9
+        if self.phase is Phase.FLYING:
+            self._announce(self._alarms.update(self.time + quiet, {"link.silence_s": quiet}))
+        if self._view is not None and quiet > FRESH_S and self.time + quiet >= self._next_readout:
+            self._show_readouts(self._view, self.time + quiet, quiet)  # no scan comes that would show it
 
     def disk(self, space: FreeSpace) -> None:
         """What is free on this computer's disk."""

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
@@ -224,7 +225,7 @@ def spoken(folder: Path) -> Iterator[Callable[[str], None]]:
 
             yield both
             return
-        speaker = Speaker(descriptor)
+        speaker = Speaker(partial(os.write, descriptor))
 
         def say(line: str) -> None:
             speaker.say(visible(line))

@@ -63,7 +63,9 @@ class Station:
                 self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
 
             view = None if self._make_view is None else self._make_view(system)
-            self.monitors[system] = AircraftMonitor(self.config, self.calibration, view, say, system)
+            self.monitors[system] = AircraftMonitor(
+                self.config, self.calibration, view, say, system, self._clock.utc_ns
+            )
             self._echo(f"aircraft {system} heard")
         return self.monitors[system]
 

@@ -17,6 +17,9 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, PositiveFloat, model_validator
 
+from daq.contract.channels import COLUMN_BY_NAME
+from daq.utilities.constants import RADIAN
+
 Level = Literal["WARN", "ERROR", "CRITICAL"]
 
 
@@ -66,6 +69,11 @@ class _Watch:
     limit: Limit
     state: AlarmState = AlarmState.CLEAR
     beyond_since: float | None = None
+    cause: str = ""  # which limit is passed, or what it is about
+
+    @property
+    def name(self) -> str:
+        return " ".join(filter(None, (self.limit.text or self.limit.channel, self.cause)))
 
 
 class Alarms:
@@ -74,12 +82,17 @@ class Alarms:
     def __init__(self, limits: Sequence[Limit]) -> None:
         self._watches = [_Watch(limit) for limit in limits]
 
-    def update(self, time: float, values: Mapping[str, float]) -> list[AlarmChange]:
-        """Changes that new values of some channels bring. A NaN neither raises nor clears an alarm."""
+    def update(
+        self, time: float, values: Mapping[str, float], about: Mapping[str, str] | None = None
+    ) -> list[AlarmChange]:
+        """Changes that new values of some channels bring. A NaN neither raises nor clears an alarm.
+
+        about: what a count counts, by channel: it is said in place of the number."""
         changes = []
         for watch in self._watches:
             value = values.get(watch.limit.channel, math.nan)
-            change = _changed(watch, time, value) if math.isfinite(value) else None
+            words = (about or {}).get(watch.limit.channel, "")
+            change = _changed(watch, time, value, words) if math.isfinite(value) else None
             changes += [] if change is None else [change]
         return changes
 
@@ -96,10 +109,10 @@ class Alarms:
         """Names, states and levels of everything active or latched, active first."""
         watches = [w for w in self._watches if w.state is not AlarmState.CLEAR]
         watches.sort(key=lambda w: w.state is AlarmState.LATCHED)
-        return [(_name(w.limit), w.state, w.limit.level) for w in watches]
+        return [(w.name, w.state, w.limit.level) for w in watches]
 
 
-def _changed(watch: _Watch, time: float, value: float) -> AlarmChange | None:
+def _changed(watch: _Watch, time: float, value: float, words: str) -> AlarmChange | None:
     limit = watch.limit
     outside_limits = (limit.low is not None and value < limit.low) or (limit.high is not None and value > limit.high)
     margin = limit.hysteresis
@@ -109,28 +122,51 @@ def _changed(watch: _Watch, time: float, value: float) -> AlarmChange | None:
     if outside_limits:
         if watch.beyond_since is None:
             watch.beyond_since = time
+        watch.cause = words or _passed(limit, value)
         if watch.state is not AlarmState.ACTIVE and time - watch.beyond_since >= limit.hold_s:
             watch.state = AlarmState.ACTIVE
-            return _change(watch, time, f"{value:.4g}")
+            return _change(watch, time, "" if words else _reading(limit, value))
         return None
     watch.beyond_since = None
     if watch.state is AlarmState.ACTIVE and within_margin:
         watch.state = AlarmState.LATCHED
-        return _change(watch, time, f"back to {value:.4g}")
+        return _change(watch, time, "" if watch.limit.channel in COUNTS else f"back to {_reading(limit, value)}")
     return None
 
 
-def _name(limit: Limit) -> str:
-    if limit.text:
-        return limit.text
-    low = "" if limit.low is None else f" below {limit.low:g}"
-    high = "" if limit.high is None else f" above {limit.high:g}"
-    return f"{limit.channel}{low}{' or' if low and high else ''}{high}"
+SCALES = {
+    "link.loss_percent": (1.0, " %"), "link.silence_s": (1.0, " s"), "ground.free_mb": (1.0, " MB"),
+    "ground.minutes_left": (1.0, " min"),
+}  # fmt: skip
+"""Factor and unit in which a person reads what is no column of a flight."""
+COUNTS = ("recorder.recording", "sensors.unusable")
+"""Channels whose number and limit say nothing to a person."""
+
+
+def _scale(channel: str) -> tuple[float, str]:
+    """Factor and unit, with the space before it, in which a person reads a channel: degrees instead of radians."""
+    if channel in SCALES or channel not in COLUMN_BY_NAME:
+        return SCALES.get(channel, (1.0, ""))
+    unit = COLUMN_BY_NAME[channel].unit
+    return (RADIAN, " " + unit.replace("rad", "deg")) if "rad" in unit else (1.0, f" {unit}")
+
+
+def _reading(limit: Limit, value: float) -> str:
+    """A value as a person reads it, with its unit; nothing for a count."""
+    factor, unit = _scale(limit.channel)
+    return "" if limit.channel in COUNTS else f"{factor * value:.3g}{unit}"
+
+
+def _passed(limit: Limit, value: float) -> str:
+    """Which limit a value has passed, with its unit."""
+    below = limit.low is not None and value < limit.low
+    reading = _reading(limit, (limit.low if below else limit.high) or 0.0)
+    return f"{'below' if below else 'above'} {reading}" if reading else ""
 
 
 def _change(watch: _Watch, time: float, detail: str) -> AlarmChange:
-    text = f"{_name(watch.limit)}: {watch.state.value} ({detail})"
-    return AlarmChange(time, _name(watch.limit), watch.state, watch.limit.level, text)
+    text = f"{watch.name}: {watch.state.value}{f' ({detail})' if detail else ''}"
+    return AlarmChange(time, watch.name, watch.state, watch.limit.level, text)
 
 
 class Phase(StrEnum):

@@ -114,37 +114,35 @@ class UnconfirmedRuns:
     """Parts that follow nothing known, by run, a bounded number of them."""
 
     def __init__(self) -> None:
-        self._candidates: list[_Candidate] = []
+        self.candidates: list[_Candidate] = []
 
     @property
     def count(self) -> int:
-        return sum(len(c.parts) for c in self._candidates)
+        return sum(len(c.parts) for c in self.candidates)
 
     def hold(self, pending: PendingScan, lost_frames: int) -> tuple[ConfirmedRun | None, int]:
         """Keep a part. Returns the run it proves, if it does, and how many other parts had to be given up for it."""
         given_up = 0
         now_ns = pending.now_ns
-        candidate = next((c for c in self._candidates if c.run.follows(pending.part, now_ns)), None)
+        candidate = next((c for c in self.candidates if c.run.follows(pending.part, now_ns)), None)
         if candidate is None:
-            if len(self._candidates) >= _MAX_CANDIDATES:
-                weakest = min(self._candidates, key=lambda c: c.scans)
-                self._candidates.remove(weakest)
+            if len(self.candidates) >= _MAX_CANDIDATES:
+                weakest = min(self.candidates, key=lambda c: c.scans)
+                self.candidates.remove(weakest)
                 given_up = len(weakest.parts)
             candidate = _Candidate(ScanRun(pending.part, now_ns), now_ns, lost_frames)
-            self._candidates.append(candidate)
+            self.candidates.append(candidate)
         given_up += len(candidate.parts) == _MAX_PARTS
         candidate.run.advance(pending.part, now_ns)
         candidate.parts.append(pending)
         candidate.scans += pending.part.msg_id == SCAN_FAST_ID
         if candidate.scans < PROVEN_SCANS or now_ns - candidate.since_ns < PROVEN_NS:
             return None, given_up
-        self._candidates.remove(candidate)
+        self.candidates.remove(candidate)
         return ConfirmedRun(tuple(candidate.parts), candidate.lost), given_up + self.clear()
 
     def clear(self) -> int:
         """The known run goes on: what waits is not believed. Returns how many parts that were."""
-        if not self._candidates:
-            return 0
         count = self.count
-        self._candidates.clear()
+        self.candidates.clear()
         return count

@@ -1,6 +1,5 @@
 """Exact accounting of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
 
-from collections import OrderedDict
 from collections.abc import Iterator
 
 from daq.contract.link.scan_map import BLOCK, ScanMap
@@ -13,6 +12,8 @@ _RATE_SPAN_NS = 10 * NS
 _LAST = 2**32 - 1
 _COPY_NS = 2 * NS
 """An equal frame comes so soon as a copy by another way; later it is a new one of a slow sender that has come round."""
+_RECENT = 128
+"""And within so many frames: a sequence number may return after that many."""
 
 
 class SequenceTracker:
@@ -22,10 +23,11 @@ class SequenceTracker:
         self.received = 0
         self.lost = 0
         self.duplicates = 0
-        self._settled = 0  # lost when the sender was last known to be the one it was
+        self.settled = 0
+        """Lost when the sender was last known to be the one it was: that is lost for good."""
         self._next: int | None = None
         self._missing: set[int] = set()
-        self._recent: OrderedDict[int, tuple[int, int]] = OrderedDict()
+        self._recent: list[tuple[int, int, int]] = [(0, 0, -_RECENT)] * 256  # by sequence: hash, time, how manieth
         self._last_ns = 0
         self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
         self._rate = 0.0
@@ -33,15 +35,12 @@ class SequenceTracker:
     def count_frame(self, frame: MavlinkFrame, now_ns: int) -> bool:
         """Count a frame; False for a duplicate of a recent one."""
         sequence = frame.sequence
-        digest = hash(frame.raw)
-        earlier, since_ns = self._recent.get(sequence, (None, 0))
-        if earlier == digest and now_ns - since_ns < _COPY_NS:
+        digest, count = hash(frame.raw), self.received
+        earlier, since_ns, nth = self._recent[sequence]
+        if earlier == digest and now_ns - since_ns < _COPY_NS and count - nth < _RECENT:
             self.duplicates += 1
             return False
-        self._recent.pop(sequence, None)
-        self._recent[sequence] = digest, now_ns
-        if len(self._recent) > 128:  # a sequence number may return after that many
-            self._recent.popitem(last=False)
+        self._recent[sequence] = digest, now_ns, count
         self.received += 1
         step = 0 if self._next is None else (sequence - self._next) & 255
         if step >= 128 and sequence in self._missing:
@@ -50,23 +49,20 @@ class SequenceTracker:
             return True
         if step:
             self._count_gap(step, now_ns)
-        self._measure_rate(now_ns)
+        if self._anchor is None or now_ns - self._anchor[0] >= _RATE_SPAN_NS:
+            self._measure_rate(now_ns)
         self._next = (sequence + 1) & 255
         if self._missing:
             self._missing.discard(sequence)
         self._last_ns = now_ns
         return True
 
-    def settle(self) -> None:
-        """The sender is still the one it was: what has been counted as lost is lost."""
-        self._settled = self.lost
-
     def restart(self, lost_at_jump: int) -> None:
         """The sender has started anew and counts from 0: the jump since it was last heard is no loss.
 
         lost_at_jump: what was counted as lost then, with the jump; what has been lost since is.
         """
-        self.lost = self._settled + self.lost - lost_at_jump
+        self.lost = self.settled + self.lost - lost_at_jump
         self._missing.clear()
 
     def expect_any(self) -> None:
@@ -75,11 +71,9 @@ class SequenceTracker:
 
     def _measure_rate(self, now_ns: int) -> None:
         total = self.received + self.lost
-        if self._anchor is None:
-            self._anchor = (now_ns, total)
-        elif now_ns - self._anchor[0] >= _RATE_SPAN_NS:
+        if self._anchor is not None:
             self._rate = (total - self._anchor[1]) * NS / (now_ns - self._anchor[0])
-            self._anchor = (now_ns, total)
+        self._anchor = (now_ns, total)
 
     def _count_gap(self, step: int, now_ns: int) -> None:
         assert self._next is not None

@@ -111,7 +111,7 @@ class Receiver:
     def _take_frame(self, frame: MavlinkFrame, sender: Sender, now_ns: int, utc: int, events: list[ev.Event]) -> None:
         if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
-        if not self._gate.allows(frame):
+        if self._gate.signer is not None and not self._gate.allows(frame):
             return
         port = self._ports[sender.port]
         if frame.msg_id == RADIO_STATUS_ID:
@@ -120,7 +120,7 @@ class Receiver:
                 if aircraft.port is port:
                     aircraft.meter.radio = fields
             return
-        speaking = self._aircraft_of(frame, sender)
+        speaking = self._aircraft.get(frame.system) or self._new_aircraft(frame, sender)
         if speaking is None or not self._may_speak(speaking, frame, sender, now_ns):
             return
         speaking.port = port
@@ -134,36 +134,30 @@ class Receiver:
         else:
             events += speaking.take_answer(frame, now_ns)
 
-    def _aircraft_of(self, frame: MavlinkFrame, sender: Sender) -> TrackedAircraft | None:
-        """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
-        aircraft = self._aircraft.get(frame.system)
-        if aircraft is not None:
-            return aircraft
+    def _new_aircraft(self, frame: MavlinkFrame, sender: Sender) -> TrackedAircraft | None:
+        """The aircraft a first frame is of; None for a sender that is none, or one too many."""
         if self.config.systems and frame.system not in self.config.systems:
             return None
-        if _is_aircraft(frame):
-            of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
-            room = len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
-            if not self.config.systems and not room:
-                self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
-                return None
-            sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            aircraft = self._aircraft[frame.system] = TrackedAircraft(
-                frame.system,
-                self._ports[sender.port],
-                sender,
-                sessions,
-                self.config.backfill,
-                self.faults,
-                self.findings,
-            )
+        if not _is_aircraft(frame):
+            return None
+        of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
+        room = len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
+        if not self.config.systems and not room:
+            self.findings.doubt(findings.NOBODY, findings.AIRCRAFT)
+            return None
+        sessions = None if self._folder is None else Sessions(self._folder, self.faults)
+        port, backfill = self._ports[sender.port], self.config.backfill
+        aircraft = TrackedAircraft(frame.system, port, sender, sessions, backfill, self.faults, self.findings)
+        self._aircraft[frame.system] = aircraft
         return aircraft
 
     def _may_speak(self, aircraft: TrackedAircraft, frame: MavlinkFrame, sender: Sender, now_ns: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
-        is_own_message = frame.msg_id >= FIRST_OWN_ID
+        is_own_message, unsigned = frame.msg_id >= FIRST_OWN_ID, self._gate.signer is None
+        if unsigned and aircraft.senders.confirmed(sender, frame.component, is_own_message, now_ns):
+            return True
         speaker = aircraft.senders.speaker(sender.port) if is_own_message else None
-        if self._gate.signer is None:
+        if unsigned:
             if not aircraft.senders.allows(sender, frame.component, is_own_message, now_ns):
                 return False
         elif is_own_message:

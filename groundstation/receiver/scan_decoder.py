@@ -44,7 +44,7 @@ class ScanDecoder:
         self._unconfirmed = UnconfirmedRuns()
         self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()  # boot -> first report of it, and how many
         self._restart_allowance = Allowance(_RESTARTS_AT_ONCE, _RESTARTS_PER_S)
-        self._parts: OrderedDict[int, list[ScanPart]] = OrderedDict()
+        self._parts: dict[int, list[ScanPart]] = {}
         self._layouts = layouts()
         self._events: list[ev.Event] = []
         self._foreign_channels_reported = False
@@ -74,24 +74,24 @@ class ScanDecoder:
         part = self._part(frame, now_ns)
         if part is None:
             return
-        pending: PendingScan = _new_tuple(PendingScan, (part, frame.component, now_ns, utc_ns))
         straggled = None if len(self.sessions) < 2 else self._straggled(part)
         if straggled is not None:
             straggled.see(part.number)  # counted, not shown
             if part.msg_id == SCAN_FAST_ID:
                 straggled.received.add(part.number)
             return
-        accounting = self.accounting
+        accounting = self.sessions[-1] if self.sessions else None
         if accounting is None or accounting.run is None:
-            self._begin(pending, accounting)
+            self._begin(PendingScan(part, frame.component, now_ns, utc_ns), accounting)
             return
         if accounting.run.follows(part, now_ns):
-            self._believe(accounting, pending)
-            self._findings.doubt(self.system, findings.NUMBERS, self._unconfirmed.clear())
+            self._believe(accounting, part, frame.component, now_ns, utc_ns)
+            if self._unconfirmed.candidates:
+                self._findings.doubt(self.system, findings.NUMBERS, self._unconfirmed.clear())
             return
         long_on_its_way = accounting.run.is_older(part) and part.number in accounting.received  # a late copy
         if not long_on_its_way:
-            self._hold(accounting, pending)
+            self._hold(accounting, PendingScan(part, frame.component, now_ns, utc_ns))
 
     def _straggled(self, part: ScanPart) -> SessionAccounting | None:
         """The earlier session that a part of another boot is a late one of."""
@@ -111,7 +111,7 @@ class ScanDecoder:
                 return
             accounting = self._new_session(pending.part.boot, pending.now_ns)
         accounting.run = ScanRun(pending.part, pending.now_ns)
-        self._believe(accounting, pending)
+        self._believe(accounting, *pending)
 
     def _hold(self, accounting: SessionAccounting, pending: PendingScan) -> None:
         """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
@@ -132,7 +132,7 @@ class ScanDecoder:
             self._findings.doubt(self.system, findings.RESTARTS)
             return
         for part in proven.parts:
-            self._believe(accounting, part)
+            self._believe(accounting, *part)
 
     def _restart_trackers(self, component: int, lost: int) -> None:
         """The logger has started anew, and with it all its components; of an autopilot's a second's loss is forgiven."""
@@ -141,15 +141,14 @@ class ScanDecoder:
             if number != component:
                 tracker.expect_any()
 
-    def _believe(self, accounting: SessionAccounting, pending: PendingScan) -> None:
-        part, now_ns = pending.part, pending.now_ns
+    def _believe(self, accounting: SessionAccounting, part: ScanPart, component: int, now_ns: int, utc_ns: int) -> None:
         assert accounting.run is not None
         accounting.run.advance(part, now_ns)
         if self._claims:
             self._claims.clear()
-        self._scan_component = pending.component
+        self._scan_component = component
         for tracker in self.trackers.values():
-            tracker.settle()
+            tracker.settled = tracker.lost
         accounting.see(part.number)
         parts = self._parts.get(part.number)
         if parts is None:
@@ -159,7 +158,7 @@ class ScanDecoder:
         is_late = part.time_monotonic_ns < accounting.last_time_ns
         parts.append(part)
         while len(self._parts) > _PARTS_KEPT:
-            _, old_parts = self._parts.popitem(last=False)
+            old_parts = self._parts.pop(next(iter(self._parts)))
             if old_parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in old_parts):
                 self.partial_scans += 1
         if part.msg_id == SCAN_FAST_ID:
@@ -179,7 +178,7 @@ class ScanDecoder:
             latency = (now_ns + relation.offset_ns - part.time_monotonic_ns) / NS
             self.latency_s = latency
         scan = join_parts(parts)
-        fields = accounting.session, scan, now_ns, pending.utc_ns, latency, is_late
+        fields = accounting.session, scan, now_ns, utc_ns, latency, is_late
         self._events.append(_new_tuple(ev.ScanReceived, fields))
 
     def _part(self, frame: MavlinkFrame, now_ns: int) -> ScanPart | None:

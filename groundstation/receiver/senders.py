@@ -100,13 +100,15 @@ class Senders:
         self._confirmed: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # spoke before, and still may
         self.contested = 0
 
+    def confirmed(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
+        """Whether a frame is of who has spoken in this role and still may."""
+        speakers = self._confirmed.get((sender, component, is_own_message), ())
+        for speaker in speakers:
+            speaker.heard_ns = now_ns
+        return bool(speakers)
+
     def allows(self, sender: Sender, component: int, is_own_message: bool, now_ns: int) -> bool:
-        """Whether a frame may be used. is_own_message: it is one of the logger's own messages."""
-        confirmed = self._confirmed.get((sender, component, is_own_message))
-        if confirmed is not None:
-            for confirmed_speaker in confirmed:
-                confirmed_speaker.heard_ns = now_ns
-            return True
+        """Whether a frame of one not yet confirmed may be used. is_own_message: it is one of the logger's own messages."""
         port = sender.port
         roles = ((component, port), (_LOGGER, port)) if is_own_message else ((component, port),)
         speakers = [self._speakers.get(role) for role in roles]

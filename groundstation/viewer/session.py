@@ -33,6 +33,8 @@ class SessionViews:
         for key, port in (("port", config.port), ("web_port", config.web_port)):
             if not port_is_free(port) and (key == "port" or window == "web"):
                 raise ViewerError(f"[view] {key}: {LOOPBACK}:{port} is in use; close the other viewer or give another")
+        if window == "web":
+            self._say(f"the page opens with the first aircraft heard, at http://{config.host}:{config.web_port}/")
 
     def make(self, system: int) -> LiveView | None:
         """The view of an aircraft; None, and a word, when there can be none."""

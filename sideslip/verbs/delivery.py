@@ -4,12 +4,12 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import click
 
 from daq.utilities.outputs import write_json
-from daq.utilities.plain_words import VisibleStream, one_line
+from daq.utilities.plain_words import VisibleStream, one_line, visible
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -38,9 +38,41 @@ def deliver(
         file_lines.append(f"figure: {answer.save(figure_path)}")
     if report_folder is not None:
         file_lines.append(f"report: {answer.report(report_folder)}")
-    for line in (*(answer.lines() if lines is None else lines), *file_lines):
-        click.echo(line)
+    print_lines((*(answer.lines() if lines is None else lines), *file_lines))
     return 0 if answer.passed else 1
+
+
+COLOURS = {"fail": "bold red", "warn": "yellow", "ok": "green", "head": "dim", "next": "bold cyan"}
+WORDS = (
+    r"(?P<fail>\b(?:FAIL|fail|NO-GO|not converged)\b)", r"(?P<warn>\b(?:cannot tell|warn|doubt)\b)", r"(?P<ok>\b(?:pass|ok)\b)",
+    r"(?P<head>^[=-]{5,}$)", r"(?P<next>^(?:next|recommended|verdict):)",
+)  # fmt: skip
+"""What is coloured on a terminal: words that decide, and rules of tables."""
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print an answer: with colours where a terminal shows them, plain in a pipe or with NO_COLOR."""
+    out = sys.stdout
+    terminal = out.bare if isinstance(out, VisibleStream) else out
+    if not terminal.isatty():
+        for line in lines:
+            click.echo(line)
+        return
+    from rich.console import Console
+    from rich.highlighter import RegexHighlighter
+    from rich.text import Text
+    from rich.theme import Theme
+
+    class Deciding(RegexHighlighter):
+        base_style = "answer."
+        highlights: ClassVar[list[str]] = list(WORDS)
+
+    theme = Theme({f"answer.{name}": style for name, style in COLOURS.items()})
+    console, highlighter = Console(file=terminal, theme=theme), Deciding()
+    for line in lines:
+        text = Text(visible(line))
+        highlighter.highlight(text)
+        console.print(text, soft_wrap=True, highlight=False)
 
 
 def beside_lines(paths: Iterable[Path]) -> list[str]:
@@ -61,7 +93,9 @@ class Progress:
 
     def __init__(self, title: str = "") -> None:
         self._title = title
-        self._live = sys.stderr.isatty()
+        context = click.get_current_context(silent=True)
+        self._quiet = context is not None and bool(context.meta.get("sideslip.quiet"))
+        self._live = sys.stderr.isatty() and not self._quiet
         self._told = 0
         self._bar = _bar() if self._live else None
         self._task = self._bar.add_task(title, total=None) if self._bar is not None else None
@@ -85,7 +119,7 @@ class Progress:
             self._bar.update(
                 self._task, description=one_line(words), completed=share, total=None if share is None else 1.0
             )
-        elif share is not None and int(STEPS_OF_A_LOG * share) >= self._told:
+        elif share is not None and not self._quiet and int(STEPS_OF_A_LOG * share) >= self._told:
             self._told = int(STEPS_OF_A_LOG * share) + 1
             click.echo(f"{words}: {share:.0%}", err=True)
 

@@ -35,6 +35,15 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, dir_okay=False),
     help="A file of 'sideslip design', flown by the onboard sequencer; on a scenario without one the pilot arms it in the air.",
 )
+@click.option(
+    "--config",
+    "config_file",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="The logger's configuration [default: the CDFP's, every sensor its own].",
+)
+@click.option(
+    "--calibration", help="Folder of calibration files, or a built-in set, that the recording carries [cdfp]."
+)
 @json_option("Write the ground station's counters as JSON.")
 @flag_option("--list", "show_list", text="List the built-in scenarios.")
 def fly(
@@ -46,6 +55,8 @@ def fly(
     port: str | None,
     no_backfill: bool,
     manoeuvre: Path | None,
+    config_file: Path | None,
+    calibration: str | None,
     json_path: Path | None,
     show_list: bool,
 ) -> int:
@@ -74,8 +85,9 @@ def fly(
         loaded_scenario = _with_manoeuvre(loaded_scenario, manoeuvre)
     folder = out or Path("flights") / loaded_scenario.name
     pace = _pace(speed, live or port is not None)
+    papers = {"config_file": config_file, "calibration": _calibration_folder(calibration)}
     if port is not None:
-        return _fly_over_port(loaded_scenario, folder, port, seed, pace)
+        return _fly_over_port(loaded_scenario, folder, port, seed, pace, **papers)
     view = LiveFactory() if live else None
     try:
         with Progress(f"flying {loaded_scenario.name}") as bar:
@@ -87,6 +99,7 @@ def fly(
                 backfill=not no_backfill,
                 live=view.make if view else None,
                 tell=bar,
+                **papers,
             )
     finally:
         if view is not None:
@@ -105,6 +118,17 @@ def fly(
     if json_path is not None:
         write_json(s, json_path)
     return 0
+
+
+def _calibration_folder(calibration: str | None) -> Path | None:
+    """A folder of calibration files, or a built-in set by its name. Raises CalibrationError where there is neither."""
+    if calibration is None:
+        return None
+    from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY, load_calibration
+
+    load_calibration(calibration)
+    folder = Path(calibration)
+    return folder if folder.is_dir() else NOMINAL_DIRECTORY / calibration
 
 
 def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
@@ -126,16 +150,28 @@ def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
 RADIO_ON_S = 7 * 24 * 3600.0
 
 
-def _fly_over_port(scenario: "Scenario", folder: Path, port: str, seed: int | None, pace: float | None) -> int:
+def _fly_over_port(
+    scenario: "Scenario",
+    folder: Path,
+    port: str,
+    seed: int | None,
+    pace: float | None,
+    *,
+    config_file: Path | None = None,
+    calibration: Path | None = None,
+) -> int:
     """Fly with the radio on a real port; after landing it stays on until Ctrl-C, for backfill and downloads."""
     from daq.telemetry.link import open_port
     from firmware_sim.hardware.bridge import PortBridge
-    from firmware_sim.runs.flight import prepare_flight
+    from firmware_sim.runs.flight import CONFIG_FILE, prepare_flight
     from groundstation.calibration.calibration_set import NOMINAL_DIRECTORY
 
     opened = open_port(port)
+    config_file, calibration = config_file or CONFIG_FILE, calibration or NOMINAL_DIRECTORY / "cdfp"
     try:
-        with prepare_flight(scenario, folder, seed=seed, speed=pace, calibration=NOMINAL_DIRECTORY / "cdfp") as flight:
+        with prepare_flight(
+            scenario, folder, seed=seed, speed=pace, config_file=config_file, calibration=calibration
+        ) as flight:
             flight.each_scan = PortBridge(flight.radio.ground, opened).pump
             click.echo(f"flying {scenario.name} for {flight.duration_s:g} s, radio on {port}")
             files = flight.run()

@@ -30,7 +30,7 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
     type=float,
     default=THEIL_LIMIT,
     show_default=True,
-    help="Theil's coefficient above which a channel does not match (exit status 1).",
+    help="Theil's coefficient, beyond what its noise alone leaves, above which a channel does not match (exit status 1).",
 )
 @segments_option()
 @histories_option("predicts")

@@ -70,8 +70,8 @@ def test_decoding_speed(compared: Against) -> None:
     rates = {name: float(np.median(m)) for name, m in measured.items()}
     for name, rate in rates.items():
         print(f"{name:22s} {rate:9,.0f} frames/s")
-    # the whole receiver, checks included, keeps up with the stock parser alone, within what two runs beside one another differ by
-    for name, most in (("whole receiver", 1.2), ("decoder, to values", 0.7)):
+    # the whole receiver, checks included, is no slower than the stock parser alone; two runs differ by 5 %
+    for name, most in (("whole receiver", 1.05), ("decoder, to values", 0.7)):
         ratio = float(np.median(np.divide(measured["stock pymavlink"], measured[name])))
         compared(f"time of the {name} / of the stock parser alone", ratio, most)
     rng = np.random.default_rng(2)

@@ -23,6 +23,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import product
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -93,14 +94,16 @@ class _Unpacker:
     """A layout as `unpack_scan` wants it.
 
     codec: gives the arrays of bytes as bytes, all else as the layout's. names: of what `pick` picks, one field each. split: name,
-    its parts (place, shift), and half and whole of its range where it has a sign, else 0. groups: by place in `offsets`.
-    rest: places of the rest of the header. The others are places of the field of that name, -1 where there is none.
+    places of its low and high part, shift of the high one, and half of its range where it has a sign, else 0. time: places and
+    shifts of the time's parts. groups: by place in `offsets`. rest: places of the rest of the header.
+    The others are places of the field of that name, -1 where there is none.
     """
 
     codec: struct.Struct
     names: tuple[str, ...]
     pick: Callable[[Sequence[Any]], tuple[Any, ...]]
-    split: tuple[tuple[str, tuple[tuple[int, int], ...], int, int], ...]
+    split: tuple[tuple[str, int, int, int, int], ...]
+    time: tuple[tuple[int, int], ...]
     bits: tuple[tuple[str, int], ...]
     channels: tuple[tuple[str, int], ...]
     groups: tuple[str, ...]
@@ -209,21 +212,20 @@ def _unpacker(
         place += f.count if f.count and not as_bytes else 1
     names = tuple(c.name for c in channels if c.name in places)
     name_places = tuple(places[n] for n in names)
-    parts: list[tuple[str, tuple[tuple[int, int], ...], int, int]] = []
+    pieces: dict[str, list[tuple[int, int]]] = {}
     for name, size in split.items():
-        shift, pieces = 0, []
-        for i, kind in enumerate(_SPLIT[size]):
-            pieces.append((places[f"{name}_{i}"], shift))
-            shift += 8 * _SIZE[kind]
-        signed = name in limits and limits[name][0] < 0
-        parts.append((name, tuple(pieces), 1 << (size - 1) if signed else 0, 1 << size))
+        widths = [8 * _SIZE[kind] for kind in _SPLIT[size]]
+        pieces[name] = [(places[f"{name}_{i}"], sum(widths[:i])) for i in range(len(widths))]
+    time = tuple(pieces.pop("time_monotonic_ns"))
+    half = {name: 1 << (split[name] - 1) if limits[name][0] < 0 else 0 for name in pieces}
     return _Unpacker(
         codec=struct.Struct("<" + "".join(codes)),
         names=names,
         pick=itemgetter(*name_places)
         if len(name_places) > 1
         else lambda numbers: tuple(numbers[i] for i in name_places),
-        split=tuple(parts),
+        split=tuple((name, low, high, shift, half[name]) for name, ((low, _), (high, shift)) in pieces.items()),
+        time=time,
         bits=tuple((c.name, i) for i, c in enumerate(bits)),
         channels=tuple((c.name, i) for i, c in enumerate(channels)),
         groups=tuple(groups),
@@ -376,19 +378,18 @@ def unpack_scan(layout: ScanLayout, payload: bytes) -> ScanPart:
 
     Raises ValueError for a payload of the wrong length or mark: a frame made from another channel table.
     """
-    u = layout.unpacker
+    u = layout.unpacker  # each line here is done for each frame that comes down: what can be looked up or mapped is
     if len(payload) != u.codec.size:
         raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {u.codec.size}")
     numbers = u.codec.unpack(payload)
     if u.table >= 0 and numbers[u.table] != layout.table:
         raise ValueError(f"{layout.name} is of another table of laboratory channels")
     values = dict(zip(u.names, u.pick(numbers), strict=True))
-    for name, parts, half, span in u.split:
-        word = 0
-        for place, shift in parts:
-            word |= numbers[place] << shift
-        values[name] = word - span if half and word >= half else word
-    time_ns = values.pop("time_monotonic_ns")
+    for name, low, high, shift, half in u.split:
+        values[name] = ((numbers[low] | numbers[high] << shift) ^ half) - half  # two's complement; half 0: no sign
+    time_ns = 0
+    for place, shift in u.time:
+        time_ns |= numbers[place] << shift
     if u.in_bits >= 0:
         word = int.from_bytes(numbers[u.in_bits], "little")
         for name, bit in u.bits:
@@ -400,17 +401,31 @@ def unpack_scan(layout: ScanLayout, payload: bytes) -> ScanPart:
                 del values[name]
     groups: dict[str, GroupStatus] = {}
     if u.groups:
-        states = int.from_bytes(numbers[u.states], "little")
-        for group, offset in zip(u.groups, numbers[u.offsets], strict=True):
-            if offset != NOT_IN_SCAN:
-                state_and_offset = _STATES[states & 7], 0 if offset == UNFIT_OFFSET else offset
-                groups[group] = _new_tuple(GroupStatus, state_and_offset)
-            states >>= _STATE_BITS
+        word, offsets = int.from_bytes(numbers[u.states], "little"), numbers[u.offsets]
+        states = _FOUR_STATES[word & _FOUR]
+        while len(states) < len(offsets):
+            word >>= 4 * _STATE_BITS
+            states += _FOUR_STATES[word & _FOUR]
+        pairs = zip(states, offsets, strict=False)
+        groups = {g: _new_tuple(GroupStatus, pair) for g, pair in zip(u.groups, pairs, strict=True)}
+        if min(offsets) <= UNFIT_OFFSET:
+            _mark_unread(groups)
     rest = [numbers[place] for place in u.rest] if u.rest else _NO_REST
     return _new_tuple(ScanPart, (layout.msg_id, numbers[u.boot], numbers[u.number], time_ns, values, groups, *rest))
 
 
-_STATES = tuple(SensorState)
+def _mark_unread(groups: dict[str, GroupStatus]) -> None:
+    """Leave out groups that are not in the scan; an offset that did not fit becomes 0."""
+    for group, (state, offset) in list(groups.items()):
+        if offset == NOT_IN_SCAN:
+            del groups[group]
+        elif offset == UNFIT_OFFSET:
+            groups[group] = GroupStatus(state, 0)
+
+
+_FOUR = (1 << 4 * _STATE_BITS) - 1
+_FOUR_STATES = tuple(states[::-1] for states in product(SensorState, repeat=4))
+"""States of four groups by their bits, for it is looked up for each scan."""
 _NO_REST = (0, 0, 0)
 _new_tuple: Callable[..., Any] = tuple.__new__
 """A named tuple without the function that gives its fields names: a third of the time, for each group of each scan."""
@@ -420,7 +435,7 @@ def join_parts(parts: Iterable[ScanPart]) -> Scan:
     """One scan from the parts of it that arrived; all of the same number and boot."""
     first, *later_parts = parts
     if not later_parts and first.msg_id != SCAN_SLOW_ID:
-        return Scan(first.number, first.time_monotonic_ns, groups=first.groups, values=first.values)
+        return Scan(first.number, first.time_monotonic_ns, 0, 0, 0, first.groups, first.values)
     groups: dict[str, GroupStatus] = {}
     values: dict[str, RawValue] = {}
     utc = accuracy = lateness = 0

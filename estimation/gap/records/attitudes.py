@@ -13,6 +13,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.records.sampling import Mask, known_at
 from groundstation.flight import Flight
+from groundstation.flight.arrays import integral
 
 MOTION = ("p", "q", "r", "phi", "theta")
 FEWEST = 40  # values, for what is white in them to be told to a sixth
@@ -59,11 +60,6 @@ def white_share(known: Array, summed: Array) -> float:
     pairs = pairs[even] - np.median(steps[np.isfinite(steps)])
     power = float(np.mean(pairs**2))
     return float(np.clip(-2.0 * np.mean(pairs[:, 0] * pairs[:, 1]) / power, 0.0, 1.0)) if power > 0.0 else 0.0
-
-
-def integral(time: Array, rate: Array) -> Array:
-    """(N,) of a rate (N,), zero at first, by straight lines between samples."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[1:] + rate[:-1]))])
 
 
 def _filled(flight: Flight, values: Array, known: Mask, rate: Array, criteria: Criteria) -> Array | None:

@@ -109,7 +109,7 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
         for i, signal in enumerate(model.outputs):
             factor, unit = face(signal.name, signal.unit)
             for j, column in enumerate(moved_columns):
-                x = np.degrees(flight[column])
+                x = np.degrees(abscissa(model, fit, flight, column))
                 axes[i][j].plot(x, factor * _residual(fit, i), ".", color=colour, ms=1.6, alpha=0.35)
                 axes[i][j].errorbar(*binned(x, factor * _residual(fit, i)), color="k", fmt="o-", ms=2.4, lw=0.8)
                 axes[i][j].axhline(0, color="0.4", lw=0.6)
@@ -127,6 +127,13 @@ def moved_quantities(result: Result, flight: "Flight") -> list[str]:
     """Which of incidence, sideslip and surfaces were measured and moved, at the samples of the fit."""
     same_samples = len(flight) == result.flights[0].time.size
     return [c for c in AGAINST if same_samples and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
+
+
+def abscissa(model: "Model", fit: FlightFit, flight: "Flight", column: str) -> Array:
+    """(N,) what residuals are drawn against: as the model has it where the column is one of its outputs, else as measured. The
+    noise of a measured output stands in its own residual, and would bend a perfect model's."""
+    outputs = [i for i, signal in enumerate(model.outputs) if signal.source == column and i < fit.outputs.shape[1]]
+    return fit.outputs[:, outputs[0]] if outputs else flight[column]
 
 
 def binned(x: Array, residual: Array) -> tuple[Array, Array, Array]:

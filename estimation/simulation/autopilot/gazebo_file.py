@@ -197,10 +197,10 @@ def _aircraft(name: str, body: Body, values: dict[str, float], path: Path) -> Ai
         Ixx=float(inertia[0, 0]), Iyy=float(inertia[1, 1]), Izz=float(inertia[2, 2]), Ixz=float(-inertia[0, 2]),
         title=f"Gazebo model {name}",
     )  # fmt: skip
-    if not (
-        aircraft.Ixx > 0 and aircraft.Iyy > 0 and aircraft.Izz > 0 and aircraft.Ixz**2 < aircraft.Ixx * aircraft.Izz
-    ):
-        raise SimulationError(f"{path}: its links together have an inertia that no body has")
+    if aircraft.impossible:
+        raise SimulationError(
+            f"{path}: no aircraft has {aircraft.impossible}, which its links and lift-drag plugins together make"
+        )
     return aircraft
 
 

@@ -96,7 +96,13 @@ class JsbsimOracle:
             fdm.run_ic()
         self._check(state)
         pressure = fdm["aero/qbar-psf"]
-        return np.array([fdm[n] for n in (*FORCES, *MOMENTS)]) / pressure, fdm["aero/alphadot-rad_sec"]
+        loads = np.array([fdm[n] for n in (*FORCES, *MOMENTS)]) / pressure
+        if not np.isfinite(loads).all():
+            raise SimulationError(
+                f"{self.path}: its aerodynamics makes no number of V {state['V']:.3g} m/s, alpha"
+                f" {math.degrees(state['alpha']):.3g} deg, beta {math.degrees(state['beta']):.3g} deg"
+            )
+        return loads, fdm["aero/alphadot-rad_sec"]
 
     def _check(self, state: dict[str, float]) -> None:
         """Raise SimulationError where JSBSim did not take the state that was set."""
@@ -153,14 +159,21 @@ def jsbsim_simulation(which: str) -> Simulation:
 def aircraft_as_loaded(fdm: Any, name: str) -> Aircraft:
     """Geometry, mass and inertia as JSBSim has them after `run_ic`, with the fuel and loads of the file.
 
-    JSBSim's property ixz is the element of the inertia matrix; ours stands in the equations, with the other sign.
+    JSBSim's property ixz is the element of the inertia matrix; ours stands in the equations, with the other sign. Raises
+    SimulationError for numbers that no aircraft has: JSBSim computes with them.
     """
     fdm["ic/vt-fps"] = 100.0
     fdm.run_ic()
     inertia = {axis: fdm[f"inertia/{axis}-slugs_ft2"] * SLUG_FOOT2 for axis in ("ixx", "iyy", "izz", "ixz")}
-    return Aircraft(
+    aircraft = Aircraft(
         name, span=fdm["metrics/bw-ft"] * FOOT, area=fdm["metrics/Sw-sqft"] * FOOT**2,
         chord=fdm["metrics/cbarw-ft"] * FOOT, mass=fdm["inertia/mass-slugs"] * SLUG,
         Ixx=inertia["ixx"], Iyy=inertia["iyy"], Izz=inertia["izz"], Ixz=-inertia["ixz"],
         title=f"JSBSim aircraft {name}",
     )  # fmt: skip
+    if aircraft.impossible:
+        raise SimulationError(
+            f"JSBSim aircraft {name}: no aircraft has {aircraft.impossible} (SI units; with fuel and loads); correct its"
+            " metrics or mass_balance"
+        )
+    return aircraft

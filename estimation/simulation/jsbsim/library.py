@@ -11,6 +11,8 @@ import numpy as np
 
 from daq.utilities.constants import FOOT, GRAVITY, SLUG
 from daq.utilities.input_files import read_xml
+from daq.utilities.packages import optional
+from daq.utilities.plain_words import one_line
 from estimation.simulation.oracle import SimulationError
 
 SLUG_FOOT2 = SLUG * FOOT**2
@@ -22,13 +24,8 @@ PREFIX = "jsbsim:"  # of a simulation or an aircraft that is JSBSim's
 
 
 def library() -> Any:
-    """The package `jsbsim`. Raises SimulationError where it is not installed."""
-    try:
-        import jsbsim
-    except ModuleNotFoundError as error:
-        raise SimulationError(
-            "jsbsim:... needs the package jsbsim, which is not installed; pip install 'sideslip[jsbsim]'"
-        ) from error
+    """The package `jsbsim`. Raises MissingPackageError where it is not installed."""
+    jsbsim = optional("jsbsim", "jsbsim:...")
     jsbsim.FGJSBBase().debug_lvl = 0  # it talks on standard output otherwise, and that may be somebody's pipe
     return jsbsim
 
@@ -105,7 +102,7 @@ def loaded(
         try:
             load_succeeded = fdm.load_model(path.stem)
         except (jsbsim.BaseError, RuntimeError, ValueError) as error:
-            raise SimulationError(f"{path}: JSBSim cannot load it ({error})") from error
+            raise SimulationError(f"{path}: JSBSim cannot load it ({one_line(str(error)).strip()})") from error
     if not load_succeeded:
         raise SimulationError(f"{path}: JSBSim cannot load it; try it with JSBSim itself, which says why")
     return fdm

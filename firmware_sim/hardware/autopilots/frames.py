@@ -24,17 +24,30 @@ class Message:
 
 
 HEARTBEAT = Message(0, 50, Struct("<IBBBBB"))  # custom mode, type, autopilot, base mode, status, version
+SYSTEM_TIME = Message(2, 137, Struct("<QI"))  # UTC, time
 PARAM_REQUEST_READ = Message(20, 214, Struct("<hBB16s"))  # index, system, component, id
 PARAM_VALUE = Message(22, 220, Struct("<fHH16sB"))  # value, count, index, id, type
 PARAM_SET = Message(23, 168, Struct("<fBB16sB"))  # value, system, component, id, type
+GPS_RAW_INT = Message(
+    24, 24, Struct("<QiiiHHHHBBiIII")
+)  # time, place, eph, epv, speed, course, fix, satellites, accuracies
+RAW_IMU = Message(27, 144, Struct("<Q9hBh"))  # time, force, rates, field, id, temperature
+SCALED_PRESSURE = Message(29, 115, Struct("<Iffhh"))  # time, static, pitot, temperatures
+ATTITUDE = Message(30, 39, Struct("<I6f"))  # time, angles, rates
+GLOBAL_POSITION_INT = Message(33, 104, Struct("<Iiiii3hH"))  # time, place, height, velocity, heading
 SERVO_OUTPUT_RAW = Message(36, 222, Struct("<I8HB"))  # time, widths, port
 RC_CHANNELS = Message(65, 118, Struct("<I18HBB"))  # time, widths, count, rssi
 MANUAL_CONTROL = Message(69, 243, Struct("<hhhhHB"))  # x, y, z, r, buttons, system
 RC_CHANNELS_OVERRIDE = Message(70, 124, Struct("<8HBB10H"))  # 1 to 8, system, component, 9 to 18
 COMMAND_LONG = Message(76, 152, Struct("<7fHBBB"))  # parameters, command, system, component, confirmation
 COMMAND_ACK = Message(77, 143, Struct("<HB"))  # command, result
+HIGHRES_IMU = Message(
+    105, 93, Struct("<Q13fHB")
+)  # time, force, rates, field, pressures, height, temperature, updated, id
+TIMESYNC = Message(111, 34, Struct("<qq"))  # its time, ours
 STATUSTEXT = Message(253, 83, Struct("<B50s"))  # severity, text
-TAKEN = {m.number: m for m in (PARAM_REQUEST_READ, PARAM_SET, MANUAL_CONTROL, RC_CHANNELS_OVERRIDE, COMMAND_LONG)}
+_REQUESTS = (PARAM_REQUEST_READ, PARAM_SET, MANUAL_CONTROL, RC_CHANNELS_OVERRIDE, COMMAND_LONG, TIMESYNC)
+TAKEN = {m.number: m for m in _REQUESTS}
 
 
 @dataclass(frozen=True, slots=True)

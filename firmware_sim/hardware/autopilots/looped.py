@@ -20,6 +20,10 @@ class LossyLine:
         self.lost: Callable[[int], bool] = lambda now_ns: False
         self.late_ns: Callable[[int], int] = lambda now_ns: 0
 
+    def behind_ns(self, now_ns: int) -> float:
+        """How long what waits to be sent will take [ns]."""
+        return max(0.0, self._free_ns - now_ns)
+
     def send(self, data: bytes, now_ns: int) -> None:
         """Put bytes on the line, behind those that have not left yet."""
         start = max(self._free_ns, now_ns)

@@ -133,10 +133,8 @@ class Instruments:
         supply = m.supply.sensor_v + m.supply.sensor_v_per_main_v * (truth.supply_voltage - 12.0)
         ratio = supply / SUPPLY_NOMINAL_V
         alpha, beta = self._local_flow(truth)
-        for index, vane, angle in (
-            (10, m.alpha_vane, self._alpha.step(alpha)),
-            (11, m.beta_vane, self._beta.step(beta)),
-        ):
+        shafts = self._alpha.step(alpha), self._beta.step(beta)
+        for index, vane, angle in ((10, m.alpha_vane, shafts[0]), (11, m.beta_vane, shafts[1])):
             row[index] = ratio * (vane.centre_v + (vane.volts_per_rad + vane.cubic_v_per_rad3 * angle * angle) * angle)
         pots = ((12, m.elevon_left, s.arm_left), (13, m.elevon_right, s.arm_right), (14, m.rudder, s.arm_r))
         for index, pot, angle in pots:
@@ -150,9 +148,11 @@ class Instruments:
         row[25] = truth.temperature + m.static.die_above_air_k
         row[26] = (truth.thrust + m.thrust.zero_n) * m.thrust.counts_per_newton * 0.5 / (NAU7802_GAIN * 2**23)
         row[27:33] = (truth.latitude, truth.longitude, truth.altitude, *truth.velocity_ned)
-        row[33:39] = truth.pulses_us
-        row[33:39] *= 1e-6
-        row[39:44] = truth.digital
+        row[33:37] = (s.phi, s.theta, math.cos(s.psi), math.sin(s.psi))
+        row[37:39] = shafts
+        row[39:45] = truth.pulses_us
+        row[39:45] *= 1e-6
+        row[45:50] = truth.digital
         return row
 
     @staticmethod

@@ -23,6 +23,8 @@ SIGNALS: tuple[str, ...] = tuple(
         "pitot_pressure pitot_temperature static_pressure static_temperature "  # Pa, K
         "thrust_bridge "  # V/V
         "latitude longitude altitude velocity_north velocity_east velocity_down "  # deg, deg, m, m/s
+        "bank pitch heading_north heading_east "  # rad, rad, cosine and sine of the heading
+        "alpha_encoder beta_encoder "  # rad, of the vanes' shafts
         "pwm_1 pwm_2 pwm_3 pwm_4 pwm_5 pwm_6 "  # s
         "digital_1 digital_2 digital_3 digital_4 digital_5"
     ).split()

@@ -14,6 +14,7 @@ Pairs = list[tuple[Array, Array]]
 AGREEMENT = 0.9  # share of a motion that has to be explained before its scale is judged
 SCALE_TOLERANCE = 0.12
 """Of an angle by its gyro, of velocity by acceleration: scale errors of uncalibrated sensors stay within 3 %, lags within 5 %."""
+BY_CHANCE = 2.0  # sigmas of a scale over all windows that chance is given beside the tolerance
 MOST_SCALE = 2.0  # A scale beyond it is another unit, which `quality.plausibility` names
 HEADING_TOLERANCE = np.radians(12.0)
 """Between heading and course: declination that was not allowed for, or a compass beside a current."""
@@ -34,15 +35,18 @@ def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
         rate = EULER_RATES[angle](c)
         pairs = [(integral(t, b), np.unwrap(a)) for t, a, b in windows(time, c[angle], rate)]
         slope, agreement = slope_and_agreement(pairs)
-        if _wrong_scale(slope, agreement):
+        std = _slope_std(slope, agreement, pairs)
+        if _wrong_scale(slope, agreement, std):
             text = f"{angle} moves {slope:.3g} times as far as {gyro} turns: scale of a gyro, or of time"
             moves = f"derivatives by {gyro} and of its moment by {abs(slope - 1):.0%}"
-            std = _slope_std(slope, agreement, pairs)
             yield Contradiction((angle, gyro), text, slope, std=std, moves=moves, stops=True)
 
 
-def _wrong_scale(slope: float, agreement: float) -> bool:
-    return agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE
+def _wrong_scale(slope: float, agreement: float, std: float) -> bool:
+    """Whether a scale is none of a sensor, nor of chance: a flight of some seconds is one window, and a share that is not
+    explained there may lie in the slope."""
+    off = abs(slope - 1.0)
+    return agreement > AGREEMENT and off > max(SCALE_TOLERANCE, BY_CHANCE * std) and 1 / MOST_SCALE < slope < MOST_SCALE
 
 
 def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction]:
@@ -56,13 +60,13 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
         for t, speed, push in windows(time, c[name], acceleration)
     ]
     slope, agreement, pairs = max((_as_late(parts, delay) for delay in RECEIVER_LATE), key=lambda fit: fit[1])
-    if _wrong_scale(slope, agreement):
+    std = _slope_std(slope, agreement, pairs)
+    if _wrong_scale(slope, agreement, std):
         text = (
             f"velocity by GNSS changes {slope:.3g} times as much as ax, ay, az with attitude and gravity make it: scale of "
             "either, or of time"
         )
         moves = f"force derivatives by {abs(slope - 1):.0%}, if the accelerometers are wrong"
-        std = _slope_std(slope, agreement, pairs)
         yield Contradiction((*velocities, "ax", "ay", "az"), text, slope, std=std, moves=moves, stops=True)
 
 

@@ -28,6 +28,10 @@ EXCEL_DAYS, MATLAB_DAYS = (30_000.0, 80_000.0), (700_000.0, 800_000.0)
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)")
 """Time of day, with the day of the year before it in IRIG time."""
 
+_SECONDS = re.compile(r"(?i)(?P<head>(?:.*[._/ ])?(?:tv_?)?)(?:sec|secs|seconds)")
+_NANOSECONDS = re.compile(r"(?i)n(?:ano)?_?(?:sec|secs|seconds)")
+_ONE_STAMP = (re.compile(r"(?i)(?:.*[._/])?header[._/]stamp"), re.compile(r"%time"))
+
 
 @dataclass(frozen=True)
 class Stamps:
@@ -71,6 +75,41 @@ def stamps_of(
     if not restarts.any():
         raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
     return _in_a_row(stamps, restarts)
+
+
+# ----------------------------------------------------------------------------------------------------------- ROS headers
+
+
+@dataclass(frozen=True)
+class SenderStamp:
+    """seconds: (N,) since `first` [s since 1970]; columns: of the table that it was made of."""
+
+    seconds: Array
+    first: float
+    columns: tuple[str, ...]
+
+
+def stamp_columns(names: Sequence[str]) -> tuple[str, ...]:
+    """The columns of a ROS header's stamp as exporters of bags write it: seconds and nanoseconds (bagpy, ros2 tools), one of
+    nanoseconds (`rostopic echo -p`: field.header.stamp, and %time of its receiver); none where there is no such thing."""
+    for name in names:
+        match = _SECONDS.fullmatch(name.strip())
+        if match:
+            partner = next((n for n in names if _NANOSECONDS.fullmatch(n.strip().removeprefix(match["head"]))), None)
+            if partner is not None and partner.strip().startswith(match["head"]):
+                return name, partner
+    return next(((n,) for pattern in _ONE_STAMP for n in names if pattern.fullmatch(n.strip())), ())
+
+
+def sender_stamp(numeric: Mapping[str, Array]) -> SenderStamp | None:
+    """The stamp of a ROS header among columns of numbers (N,); None where there is none."""
+    columns = stamp_columns(tuple(numeric))
+    if not columns or not all(np.isfinite(numeric[n]).any() for n in columns):
+        return None
+    first = float(np.nanmin(numeric[columns[0]]))
+    if len(columns) == 1:
+        return SenderStamp((numeric[columns[0]] - first) * 1e-9, first * 1e-9, columns)
+    return SenderStamp(numeric[columns[0]] - first + 1e-9 * numeric[columns[1]], first, columns)
 
 
 # ------------------------------------------------------------------------------------------------------------- numbers

@@ -6,7 +6,7 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from groundstation.flight.arrays import Array
 from groundstation.flight.files.csv_columns import plain_columns
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parquet
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.table_time import stamps_of, without_sentinels
+from groundstation.importers.formats.table_time import sender_stamp, stamp_columns, stamps_of, without_sentinels
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time
 from groundstation.importers.series import Log, TimeSeries
 from groundstation.importers.units import conversion, find_unit
@@ -69,12 +69,23 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Impo
 
     if path.suffix.lower() != ".parquet":
         try:
-            return _read_csv(path, layout, can_be_time, needs_time=time is None or time.column is not None)
+            table = _read_csv(path, layout, can_be_time, needs_time=time is None or time.column is not None)
+            return table if time is not None else _with_sender_stamp(table)
         except csv.Error as error:
             raise ImportDataError(f"{path}: not a readable table ({error}); is it a CSV?") from error
     content = read_parquet(path, ImportDataError, can_be_time)
     numeric = {name: np.where(np.isinf(values), np.nan, values) for name, values in content.numeric.items()}
     return ImportedTable(numeric, content.words, content.dates, content.firsts)
+
+
+def _with_sender_stamp(table: ImportedTable) -> ImportedTable:
+    """The table with the stamp of a ROS header as its time, where it has one and no column `time`."""
+    stamp = None if any(_bare(n) == "time" for n in table.numeric) else sender_stamp(table.numeric)
+    if stamp is None:
+        return table
+    numeric = {"time": stamp.seconds, **{n: v for n, v in table.numeric.items() if n not in stamp.columns}}
+    notes = (*table.notes, f"time by {' and '.join(map(plain_name, stamp.columns))}, the sender's own clock")
+    return replace(table, numeric=numeric, firsts={**table.firsts, "time": stamp.first}, notes=notes)
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:
@@ -112,7 +123,7 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
 
 
 def _check_time_column(path: Path, header: list[str], can_be_time: Callable[[str], bool]) -> None:
-    if not any(can_be_time(h) and h not in DATE_NAMES for h in header):
+    if not any(can_be_time(h) and h not in DATE_NAMES for h in header) and not stamp_columns(header):
         raise ImportDataError(
             f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; {NAME_THE_TIME}"
         )
@@ -164,8 +175,8 @@ class _MixedColumns:
             self._row += len(block)
 
     def _check_time(self, columns: Sequence[Sequence[str]]) -> None:
-        if any(_DIGIT.search(" ".join(columns[i])) for i in self._words):
-            return
+        if not self._words or any(_DIGIT.search(" ".join(columns[i])) for i in self._words):
+            return  # the time is a stamp of numbers, or it is there
         i = next(iter(self._words))
         word = next((cell.strip() for cell in columns[i] if cell.strip()), "")
         raise ImportDataError(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from daq.transport.mavlink_codec import padded
 from daq.utilities.input_files import read_bytes
+from daq.utilities.packages import optional
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tlog_series import LONGEST_ARRAY, ReceivedMessages, by_boot
 from groundstation.importers.series import Log
@@ -88,7 +89,7 @@ class _Rows:
 @cache
 def layouts() -> Mapping[int, DialectLayout]:
     """The messages of the dialect that ArduPilot and PX4 share, by id."""
-    from pymavlink.dialects.v20 import ardupilotmega
+    ardupilotmega = optional("pymavlink.dialects.v20.ardupilotmega", "a telemetry log")
 
     by_id = {}
     for number, message in ardupilotmega.mavlink_map.items():

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.utilities.input_files import read_bytes
+from daq.utilities.packages import missing
 from daq.utilities.plain_words import LONGEST_NAME, one_line
 from groundstation.flight.marks import FlightMode, Mark, Marks, mode_changes
 from groundstation.importers.attitude import euler_from_quaternion
@@ -28,10 +29,8 @@ def read_ulog(path: Path) -> Log:
     try:
         from pyulog import ULog
         from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
-    except ModuleNotFoundError:
-        raise ImportDataError(
-            f"{path}: reading ULog needs the package pyulog; pip install 'sideslip[ground]'"
-        ) from None
+    except ModuleNotFoundError as error:
+        raise missing(error, f"{path}: a ULog") from error
 
     data = read_bytes(path, error=ImportDataError)
     if not data.startswith(MAGIC):

@@ -14,7 +14,7 @@ import pytest
 from tests.conftest import ROOT
 
 FLIGHT, RAW = ROOT / "recordings/cdfp_ld2.mcap", ROOT / "recordings/cdfp_ld2_raw.mcap"
-COMMAND = f"{sys.executable} -m sideslip"
+COMMAND = f"{sys.executable} -m sideslip --quiet"
 
 
 def shell(line: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from estimation.compatibility.air_data import AIR, AirData, airspeed_of, reconstruct_air, with_air
 from estimation.compatibility.air_filter import STATES, Assumptions, Nodes, Noise, _Chain
-from estimation.compatibility.air_nodes import fresh_samples
+from estimation.compatibility.air_nodes import _earlier, fresh_samples
 from estimation.errors import DataError
 from firmware_sim.runs.direct import measured
 from firmware_sim.world.scenario import load_scenario
@@ -178,6 +178,25 @@ def test_vanes_stay_and_the_verb_writes_what_it_says(tmp_path: Path, calm: list[
     assert any("estimate with ml" in n.text for n in again.notes)
 
 
+def test_an_airspeed_that_comes_late_is_no_vertical_wind(flown: list[list[Columns]]) -> None:
+    """0.3 s late it was one of 0.3 g: an aircraft that descends gains speed."""
+    for seed, truth in enumerate(flown[0][:2]):
+        flight = seen(truth, seed)
+        late = flight.with_columns(V=np.interp(flight.time - 0.3, flight.time, flight["V"]))
+        air, prompt = reconstruct_air(late), reconstruct_air(flight)
+        assert abs(air.wind[2] - prompt.wind[2]) < 0.3
+        error = air.values["alpha"] - truth["alpha"]
+        assert abs(np.nanmean(error)) < np.radians(1.5)
+
+
+def test_a_fix_of_before_is_held_against_the_motion_of_before() -> None:
+    time = np.arange(0.0, 2.0, 0.02)
+    velocity = np.column_stack([np.sin(3.0 * time), np.cos(3.0 * time), time])
+    earlier = _earlier(velocity, time, 0.1)
+    np.testing.assert_allclose(earlier[10:], velocity[5:-5], atol=1e-12)
+    assert _earlier(velocity, time, 0.0) is velocity
+
+
 def test_columns_that_are_added_leave_the_flight_as_it_was(calm: list[tuple[Columns, AirData]]) -> None:
     flight = seen(calm[0][0], 0)
     made = with_air(flight, calm[0][1])
@@ -204,6 +223,7 @@ def test_filter_and_smoother_agree_with_the_joint_distribution() -> None:
             force=rng.standard_normal((n, 3)),
             turn=0.2 * axis,
             acceleration=rng.standard_normal((n, 3)),
+            speed_acceleration=rng.standard_normal((n, 3)),
             fix=fix,
             fixes=np.array([1.0, 0.0] + [1.0] * (n - 2)),
             airspeed=15.0 + rng.standard_normal(n),

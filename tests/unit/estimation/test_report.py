@@ -107,7 +107,7 @@ def test_page_is_one_file_with_every_part(report: Path) -> None:
         "correlation",
         "provenance",
     ):
-        assert f'<h2 id="{part}"' in text
+        assert f'<div id="{part}"' in text
     for piece in (
         "flight_card",
         "residuals_cdfp_ld1",

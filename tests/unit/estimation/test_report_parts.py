@@ -1,6 +1,7 @@
 """Pieces of the report pages against hand-made numbers: folding, rounding, grouping, figures' statistics, flight card."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from estimation.report.advice import Untold, grouped
 from estimation.report.drawing.estimate_figures import ellipse
 from estimation.report.drawing.figures import LARGE, picture
-from estimation.report.drawing.residual_figures import binned, spectrum
+from estimation.report.drawing.residual_figures import abscissa, binned, spectrum
 from estimation.report.flight_tables import flight_card, mean_wind, notes_table
 from estimation.report.page import Page, Section
 from estimation.report.tables import (
@@ -202,3 +203,24 @@ def test_figures_are_vectors_and_stay_small_with_long_records() -> None:
     assert shown.uri.startswith("data:image/svg+xml")
     assert b"<image" in text  # the dots
     assert len(text) < 400_000
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_leaves_as_many_bins_outside_as_their_bars_say(seed: int) -> None:
+    """A perfect model's residuals of beta against beta: the measured one would bring its own noise to both axes."""
+    rng = np.random.default_rng([7, seed])
+    time = np.arange(0, 60, 0.05)
+    truth = 0.03 * np.sin(1.1 * time)
+    measured = truth + rng.normal(0, 0.015, time.size)
+    model = SimpleNamespace(outputs=(SimpleNamespace(name="beta", source="beta"),))
+    fit = SimpleNamespace(time=time, outputs=truth[:, None])
+    flight = Flight.build("f", time, {"beta": measured, "delta_a": truth})
+    residual = measured - truth
+    x = abscissa(model, fit, flight, "beta")
+    _, means, bars = binned(x, residual)
+    assert (
+        np.sum(np.abs(means) > bars) <= 3
+    )  # of ten; one in twenty by the bars, four or more in a thousand such figures
+    _, means, bars = binned(measured, residual)
+    assert np.sum(np.abs(means) > bars) >= 5
+    assert abscissa(model, fit, flight, "delta_a") is flight["delta_a"]

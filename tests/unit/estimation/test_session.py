@@ -165,3 +165,21 @@ def test_brief_prints_the_numbers_that_the_data_could_tell(made_flights: list[Fl
         assert (f"{name} " in numbers) is e.identifiable
     value = float(numbers.split("Cl_p ")[1].split()[0])
     assert value == pytest.approx(found["Cl_p"].estimate, abs=0.05 * found["Cl_p"].std_coloured)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_perfect_model_passes_whatever_the_noise_of_a_channel_and_a_wrong_one_does_not(seed: int) -> None:
+    """Theil's coefficient of noise alone is sigma / (rms z + rms y), by hand: 0.4 here, above the limit of a clean channel."""
+    rng = np.random.default_rng([40, seed])
+    t = np.arange(0, 40, 0.05)
+    y = 0.2 * np.sin(0.9 * t)
+    sigma = 1.0 * y.std()
+    z = y + rng.normal(0, sigma, t.size)
+    perfect = channel_fit(z, y)
+    assert perfect.noise == pytest.approx(sigma / (np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2))), rel=0.15)
+    assert perfect.theil > 0.3
+    assert perfect.matches(0.3)
+    assert not channel_fit(z, -0.5 * y).matches(0.3)
+    clean = channel_fit(y, 0.4 * y)  # Theil 0.6 / 1.4 = 0.43 without any noise
+    assert clean.noise < 0.001
+    assert not clean.matches(0.3)

@@ -55,15 +55,26 @@ def test_nothing_is_found_lacking_where_nothing_lacks() -> None:
 
 
 def test_yaw_by_aileron_is_added_to_the_linear_model_and_its_double_is_named() -> None:
-    flights, aircraft, _ = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
+    flights, aircraft, truth = flown(Situation("adverse yaw", hidden={"Cn_da": 0.014}))
     found = estimated(flights, aircraft).flights[0]
     assert found.structure is not None
     assert found.verdict is not None
     assert found.structure.added == ("Cn_da",)
     e = found.results["ml"].parameters["Cn_da"]
     assert abs(e.estimate - 0.014) < 3.0 * e.std_coloured
-    assert found.verdict.recommended.method == "none"
-    assert set(found.verdict.recommended.lacks) >= {"Cn_da", "Ixz"}
+    assert any("another Ixz" in d.text and "Cn_da" in d.text for d in found.verdict.doubts)
+    assert found.verdict.recommended.method == "ml"
+    assert not e.identifiable
+    assert e.std_coloured >= abs(e.estimate)
+    plain = runner.estimate(
+        load_model("lateral", craft_and_file()[1]), flights, aircraft, ("ml",), structure=StructureWish.OFF
+    )
+    for name in ("Cn_beta", "Cl_p", "Cl_da"):
+        told = found.results["ml"].parameters[name]
+        assert told.identifiable
+        assert abs(told.estimate - truth[name]) < 3.0 * told.std_coloured, name
+    before = plain.flights[0].results["ml"].parameters["Cn_beta"].std_coloured
+    assert found.results["ml"].parameters["Cn_beta"].std_coloured > before
     data = found.structure.to_json()
     assert data["added"] == ["Cn_da"]
     assert set(data["tested"][0]) >= {"term", "score", "threshold", "significant", "moves"}

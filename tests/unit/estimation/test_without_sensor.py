@@ -85,5 +85,5 @@ def test_an_aircraft_of_which_nothing_is_believed_has_starts_from_the_kinematics
 
 
 def test_both_lacking_is_refused() -> None:
-    with pytest.raises(MissingColumnError, match="beta"):
+    with pytest.raises(MissingColumnError, match="of beta and ay one would do"):
         estimated(made(36, "beta", "ay"))

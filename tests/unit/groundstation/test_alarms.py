@@ -65,3 +65,21 @@ def test_active_alarm_means_the_last_value_was_not_safely_inside(values: list[fl
 def test_senseless_limits_are_refused(fields: dict[str, float], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         Limit(channel="V", **fields)
+
+
+def test_an_alarm_names_its_limit_and_value_in_units_and_which_sensor() -> None:
+    limits = [
+        SPEED,
+        Limit(channel="alpha", high=0.26, text="angle of attack"),
+        Limit(channel="link.silence_s", high=3.0, text="no data"),
+        Limit(channel="sensors.unusable", high=0.5, text="sensor not usable"),
+    ]
+    alarms = Alarms(limits)
+    values = {"V": 10.5, "alpha": 0.3, "link.silence_s": 4.0, "sensors.unusable": 1.0}
+    came = [c.text for c in alarms.update(0.0, values, {"sensors.unusable": "pitot (stuck)"})]
+    assert came == [
+        "airspeed below 11 m/s: active (10.5 m/s)", "angle of attack above 14.9 deg: active (17.2 deg)",
+        "no data above 3 s: active (4 s)", "sensor not usable pitot (stuck): active",
+    ]  # fmt: skip
+    over = [c.text for c in alarms.update(1.0, {"V": 15.0, "sensors.unusable": 0.0})]
+    assert over == ["airspeed below 11 m/s: latched (back to 15 m/s)", "sensor not usable pitot (stuck): latched"]

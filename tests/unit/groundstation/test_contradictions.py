@@ -72,6 +72,19 @@ def test_a_gyro_of_another_scale_is_told(column: str, factor: float, between: tu
         assert found[between].stops
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_few_seconds_of_a_drifting_attitude_are_no_scale(seed: int) -> None:
+    """8 s are one window: an attitude that wanders by a fifth of a small motion explains nine tenths of it."""
+    flight = turning_flight(seed)
+    rows = slice(0, int(np.searchsorted(flight["time"], flight["time"][0] + 8.0)))
+    short = {n: v[rows].copy() for n, v in flight.items()}
+    t = short["time"] - short["time"][0]
+    turned = 0.05 * np.sin(2 * np.pi * t / 4.0 + seed)
+    short["theta"], short["q"] = turned + 0.01 * np.cos(2 * np.pi * t / 1.3), np.gradient(turned, t) / 1.16
+    short["phi"], short["p"], short["r"] = 0 * t, 0 * t, 0 * t
+    assert ("theta", "q") not in found_in(short)
+
+
 def test_accelerometers_of_another_scale_are_told() -> None:
     flight = turning_flight()
     for axis in ("ax", "ay", "az"):

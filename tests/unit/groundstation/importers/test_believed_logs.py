@@ -71,6 +71,26 @@ def test_without_e2t_equivalent_airspeed_is_made_true_by_the_pressure(tmp_path: 
     assert "made true by the density of p_static" in said(flight)
 
 
+@pytest.mark.parametrize(("gyro", "accelerometer"), [(30.0, 10.0), (0.0, 15.0)])
+def test_what_a_filter_delays_is_dated_back_by_its_own_frequency(
+    tmp_path: Path, gyro: float, accelerometer: float
+) -> None:
+    """A low-pass of second order delays a slow motion by sqrt(2)/(2 pi f); a filter that is off delays nothing."""
+    tables = autopilots.ardupilot(autopilots.flight())
+    plain = imported(tmp_path, "plain.bin", autopilots.dataflash(tables))
+    names, values = [b"INS_GYRO_FILTER", b"INS_ACCEL_FILTER"], [gyro, accelerometer]
+    stated = {"PARM": ("Nf", "Name,Value", np.array([tables["IMU"][2][0]] * 2), [names, values]), **tables}
+    dated = imported(tmp_path, "dated.bin", autopilots.dataflash(stated))
+    for column, frequency in (("p", gyro), ("ay", accelerometer), ("phi", 0.0)):
+        delay = np.sqrt(2.0) / (2.0 * np.pi * frequency) if frequency else 0.0
+        inside = slice(20, -20)
+        expected = np.interp(dated.time[inside] + delay, plain.time, plain[column])
+        step = np.max(np.abs(np.diff(plain[column])))
+        assert np.max(np.abs(dated[column][inside] - expected)) < 0.2 * step, column
+    assert ("INS_GYRO_FILTER" in said(dated)) == (gyro > 0.0)
+    assert "INS_ACCEL_FILTER" in said(dated)
+
+
 @pytest.mark.parametrize("ratio", [1.9936, 2.4])
 def test_a_pitot_ratio_that_is_not_bernoullis_is_told_and_moves_nothing(tmp_path: Path, ratio: float) -> None:
     f = autopilots.flight()

@@ -37,6 +37,20 @@ def test_names_and_the_units_in_them() -> None:
     ]
 
 
+def test_the_system_before_a_name_and_the_number_behind_it_say_nothing() -> None:
+    names = ["EGI_PITCH_ANGLE", "ADC_TRUE_AIRSPEED", "FCC_A_RUDDER_POS", "AHRS_YAW_RATE_2", "INS1_NORMAL_ACCEL", "x_p"]
+    names += ["roll_cmd", "EGI_ROLL_VALID", "target_heading", "stick_pitch"]
+    assert candidate_columns(names) == {
+        "theta": ["EGI_PITCH_ANGLE"],
+        "V": ["ADC_TRUE_AIRSPEED"],
+        "delta_r": ["FCC_A_RUDDER_POS"],
+        "r": ["AHRS_YAW_RATE_2"],
+        "az": ["INS1_NORMAL_ACCEL"],
+    }
+    assert candidate_columns(["EGI_ROLL", "roll_angle"]) == {"phi": ["EGI_ROLL", "roll_angle"]}
+    assert candidate_columns(["FCC_A_PHI", "phi"])["phi"][0] == "phi"
+
+
 def test_a_table_is_drafted_with_units_by_its_values(tmp_path: Path) -> None:
     time = np.arange(0.0, 30.0, 0.04)
     phi, theta, psi = 25.0 * np.sin(0.9 * time), 4.0 + 2.0 * np.sin(0.5 * time), 200.0 + 3.0 * time

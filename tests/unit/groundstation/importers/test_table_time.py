@@ -262,3 +262,40 @@ def test_an_expression_follows_the_rules_of_arithmetic() -> None:
     }  # fmt: skip
     for text, expected in cases.items():
         np.testing.assert_allclose(parse(text).values(c), expected, atol=1e-12, err_msg=text)
+
+
+@pytest.mark.parametrize(
+    ("columns", "digits"),
+    [
+        (("header.stamp.secs", "header.stamp.nsecs"), 9),
+        (("header.stamp.sec", "header.stamp.nanosec"), 9),
+        (("field.header.stamp",), 0),
+        (("%time",), 0),
+    ],
+)
+def test_the_stamp_of_a_ros_header_is_the_time(
+    tmp_path: Path, turning: Columns, columns: tuple[str, ...], digits: int
+) -> None:
+    nanoseconds = [round(t * 1e9) + 1_700_000_123_000_000_000 for t in turning["time"]]
+    stamps = [f"{n // 10**9},{n % 10**9}" if digits else str(n) for n in nanoseconds]
+    flight = import_data(written(tmp_path / "topic.csv", turning, stamps, head=",".join(columns)))
+    np.testing.assert_allclose(flight.time - flight.time[0], turning["time"] - turning["time"][0], atol=1e-6)
+    assert "the sender's own clock" in said(flight)
+    np.testing.assert_allclose(flight["p"], turning["p"], atol=1e-6)
+
+
+def test_topics_of_a_bag_are_joined_by_the_sender_s_stamp_and_not_by_the_receiver_s(
+    tmp_path: Path, turning: Columns
+) -> None:
+    """The second topic came 0.7 s later over the network."""
+    stamp = ["1700000123", "1700000200"][0]
+    cells = [f"{1700000124.2 + t:.4f},odom,{int(stamp) + int(t)},{round((t % 1) * 1e9)}" for t in turning["time"]]
+    head = "Time,header.frame_id,header.stamp.secs,header.stamp.nsecs"
+    late = [c.replace(c.split(",")[0], f"{float(c.split(',')[0]) + 0.7:.4f}", 1) for c in cells]
+    first = written(tmp_path / "imu.csv", turning, cells, ("ax", "ay", "az", "p", "q", "r"), head)
+    second = written(tmp_path / "attitude.csv", turning, late, ("phi", "theta", "psi", "V"), head)
+    flight = import_data([first, second])
+    inside = slice(10, -10)
+    expected = np.interp(flight.time - flight.time[0], turning["time"] - turning["time"][0], turning["phi"])
+    np.testing.assert_allclose(flight["phi"][inside], expected[inside], atol=2e-3)
+    assert "joined on time" in said(flight)

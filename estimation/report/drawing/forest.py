@@ -1,0 +1,91 @@
+"""The answer in two pictures: every derivative with its bound beside what was believed, and the fit in a strip per channel."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from estimation.report.drawing.figures import MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.names import axis_label, face, literal, tex
+
+if TYPE_CHECKING:
+    from estimation.estimators.result import Result
+    from estimation.report.answer import AnswerRow
+
+INK, TRUTH = "#0b5c8e", "#1d7a46"
+REACH = 1.0  # times an estimate that a mark may be away from it; farther ones stand as arrows at the edge
+MARKS = (
+    ("prior", "D", "0.35", "before flying"),
+    ("published", "s", "#a35a00", "published"),
+    ("truth", "*", TRUTH, "truth"),
+)
+STRIP, ROW = 0.46, 0.25  # inches of a channel, and of a derivative
+
+
+def draw_forest(axis: Any, rows: "Sequence[AnswerRow]") -> Any:
+    """Each derivative on a line: the estimate at nought with 95 % of its bound, others by their distance from it, in per cent of
+    the estimate. One that the data could not tell shows what was believed alone, as a word. Gives the axes."""
+    shown = list(rows)
+    for key, marker, colour, label in MARKS:
+        others = [(y, row, getattr(row, key)) for y, row in enumerate(shown) if row.told and row.value]
+        pairs = [(y, (other - row.value) / abs(row.value)) for y, row, other in others if other is not None]
+        inside = [(d, y) for y, d in pairs if abs(d) <= REACH]
+        if pairs:
+            places = [100 * d for d, _ in inside], [y for _, y in inside]
+            axis.plot(*places, marker, color=colour, ms=5, mfc="none", label=label)
+        for y, d in pairs:
+            if abs(d) > REACH:
+                axis.plot(100 * REACH * np.sign(d), y, ">" if d > 0 else "<", color=colour, ms=5, mfc="none")
+    told = [(y, row) for y, row in enumerate(shown) if row.told and row.value and np.isfinite(row.bound)]
+    bars = [100 * min(1.96 * abs(row.bound / row.value), REACH) for _, row in told]
+    axis.errorbar(
+        np.zeros(len(told)), [y for y, _ in told], xerr=bars, fmt="o", color=INK, ms=4, capsize=2.5, label="estimate"
+    )
+    for y, row in enumerate(shown):
+        if not row.told:
+            axis.text(0, y, "cannot tell", ha="center", va="center", color="0.45", style="italic", fontsize=7.5)
+    axis.axvline(0, color="0.6", lw=0.7)
+    axis.set_xlim(-105 * REACH, 105 * REACH)
+    axis.set_yticks(range(len(shown)), [f"${tex(row.name)}$" for row in shown])
+    axis.set_ylim(len(shown) - 0.4, -0.6)
+    axis.set_xlabel("from the estimate [% of it]; bars: 95 %; arrows: beyond")
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handletextpad=0.3, columnspacing=1.0)
+    return axis
+
+
+def forest_figure(rows: "Sequence[AnswerRow]") -> Picture | None:
+    """`draw_forest` as a picture; None without derivatives."""
+    from matplotlib.figure import Figure
+
+    if not rows:
+        return None
+    with styled():
+        figure = Figure(figsize=(5.9, ROW * len(rows) + 1.0), layout="constrained")
+        draw_forest(figure.subplots(), rows)
+    caption = "Each estimate with its 95 % interval, and how far from it other numbers lie: where a bar covers a mark they agree."
+    return picture(figure, "forest", caption)
+
+
+def strips_figure(result: "Result") -> Picture | None:
+    """Measured and estimated motion of the first flight of a result, one low strip a channel, with r2 at its end."""
+    from matplotlib.figure import Figure
+
+    fit, outputs = result.flights[0], result.model.outputs
+    if not outputs:
+        return None
+    with styled():
+        figure = Figure(figsize=(11.6, STRIP * len(outputs) + 0.55), layout="constrained")
+        axes = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)[:, 0]
+        for i, (axis, signal) in enumerate(zip(axes, outputs, strict=True)):
+            factor, unit = face(signal.name, signal.unit)
+            axis.plot(fit.time, factor * fit.measured[:, i], ".", color=MEASURED, ms=2.0)
+            axis.plot(fit.time, broken_at_gaps(fit.time, factor * fit.outputs[:, i]), color=INK, lw=1.0)
+            axis.set_ylabel(axis_label(signal.name, unit), rotation=0, ha="right", va="center")
+            axis.locator_params(axis="y", nbins=3)
+            match = fit.fit.get(signal.name)
+            text = "" if match is None or not np.isfinite(match.r2) else f"$r^2$ {match.r2:.3f}"
+            axis.text(1.005, 0.5, text, transform=axis.transAxes, va="center", fontsize=8)
+        axes[-1].set_xlabel("time [s]")
+        figure.align_ylabels()
+    caption = f"{literal(fit.name)}: measured (dots) and estimated motion by {result.method}."
+    return picture(figure, "strips", caption, 2 * fit.time.size * len(outputs))

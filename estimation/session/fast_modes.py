@@ -1,0 +1,97 @@
+"""Modes that are over before the record of a control can say when it moved.
+
+A rate that damps with L (`p`: Cl_p) and is driven by a control answers an edge with a time constant of T = 1/L. Where the
+control was logged at intervals longer than T, an edge that came somewhere within an interval and a damping that is another one
+make the same samples: damping and control power trade against each other, and only their ratio, the steady rate for a
+deflection, is told.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.utilities.constants import SEA_LEVEL_DENSITY
+from estimation.estimators.result import Result
+from estimation.prepare.columns import with_derived
+from groundstation.flight import Flight
+
+SLOWEST_RECORD = 1.0
+"""Time constants of a mode from one record of a control to the next, from which on they cannot be told apart: 63 % of the answer
+are over by then. A record of the true deflection, interpolated, is not held and does not come under this."""
+DAMPING: Mapping[str, tuple[str, str]] = {"Cl_p": ("Ixx", "b"), "Cm_q": ("Iyy", "c"), "Cn_r": ("Izz", "b")}
+"""Damping -> its inertia and its length among the constants of a model."""
+CONTROLS: Mapping[str, tuple[str, str]] = {
+    "Cl_p": ("Cl_da", "delta_a"),
+    "Cm_q": ("Cm_de", "delta_e"),
+    "Cn_r": ("Cn_dr", "delta_r"),
+}
+"""Damping -> the control derivative that drives the same rate, and its control."""
+
+
+@dataclass(frozen=True)
+class FastMode:
+    """A damping that the records of a control are too slow for. interval, time_constant [s]; ratio, std: of the control
+    derivative over the damping, and its corrected bound."""
+
+    damping: str
+    control: str
+    interval: float
+    time_constant: float
+    ratio: float
+    std: float
+
+    @property
+    def text(self) -> str:
+        """For a person."""
+        return (
+            f"{self.damping} cannot be told at {1.0 / self.interval:.3g} Hz: the motion that it damps is over in"
+            f" {self.time_constant * 1e3:.0f} ms and the surface was logged every {self.interval * 1e3:.0f} ms; {self.control}/"
+            f"{self.damping} can: {self.ratio:.3g} +- {self.std:.2g}; log the servo outputs faster to tell both"
+        )
+
+
+def fast_modes(result: Result, flights: Sequence[Flight]) -> list[FastMode]:
+    """Dampings of a result that these flights are too slow for."""
+    modes = []
+    for damping, (inertia, length) in DAMPING.items():
+        control, surface = CONTROLS[damping]
+        intervals = [i for f in flights if (i := f.held(surface)) is not None]
+        constants = [result.model.constants.get(n, math.nan) for n in (inertia, length, "S")]
+        if damping not in result.parameters or control not in result.parameters or not intervals:
+            continue
+        rate = _damping_rate(abs(result.parameters[damping].estimate), constants, flights)
+        if rate * min(intervals) > SLOWEST_RECORD:
+            modes.append(FastMode(damping, control, min(intervals), 1.0 / rate, *_ratio(result, control, damping)))
+    return modes
+
+
+def with_fast_modes(result: Result, flights: Sequence[Flight]) -> Result:
+    """The result with such dampings, and what drives them, as not told."""
+    parameters = dict(result.parameters)
+    for mode in fast_modes(result, flights):
+        for name in (mode.damping, mode.control):
+            if parameters[name].identifiable:
+                parameters[name] = replace(parameters[name], identifiable=False, why=mode.text)
+    return replace(result, parameters=parameters)
+
+
+def _damping_rate(size: float, constants: Sequence[float], flights: Sequence[Flight]) -> float:
+    """1/s, at the median airspeed and density of the flights; NaN where one is not known. constants: inertia, length, area."""
+    inertia, length, area = constants
+    powers = [_density(f) * float(np.nanmedian(f["V"])) for f in flights if f.measured("V")]
+    return 0.25 * size * float(np.median(powers)) * area * length**2 / inertia if powers else math.nan
+
+
+def _density(flight: Flight) -> float:
+    dense = with_derived(flight, ["rho"])
+    return float(np.nanmedian(dense["rho"])) if dense.measured("rho") else SEA_LEVEL_DENSITY
+
+
+def _ratio(result: Result, control: str, damping: str) -> tuple[float, float]:
+    """Control derivative over damping, and its bound with the corrected ones of both, as if independent: that edges are dated
+    wrongly one by one is not in their covariance."""
+    a, b = result.parameters[control].estimate, result.parameters[damping].estimate
+    shares = [result.parameters[n].std_coloured / abs(result.parameters[n].estimate) for n in (control, damping)]
+    return a / b, abs(a / b) * math.hypot(*shares)

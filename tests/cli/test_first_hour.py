@@ -1,0 +1,106 @@
+"""What a newcomer meets: the greeting, help, doctor, completion, what to do next, --quiet, and colours on a terminal alone."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import sideslip
+from sideslip.cli import VERBS
+from sideslip.first_hour import AFTER_A_FAILED_CHECK, NEXT, next_line
+from tests.support.paths import RECORDINGS
+
+RAW = str(RECORDINGS / "cdfp_ld3_raw.mcap")
+HELPERS = {"help", "completion"}
+SAY_IT_THEMSELVES = {"estimate", "ground"}
+
+
+def run(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        sideslip.main(words)
+    out, err = capsys.readouterr()
+    return int(ended.value.code or 0), out, err
+
+
+def test_alone_it_greets_and_every_command_of_the_greeting_exists(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run([], capsys)
+    assert (status, err) == (0, "")
+    commands = [line.split()[1] for line in out.splitlines() if line.startswith("  sideslip ")]
+    assert len(commands) == 3
+    assert {*commands} <= {*VERBS}
+    assert len(out.splitlines()) < 12
+
+
+def test_help_of_a_verb_is_its_help_and_a_mistyped_one_is_answered(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["help", "match"], capsys)[1] == run(["match", "--help"], capsys)[1]
+    assert "Commands:" in run(["help"], capsys)[1]
+    status, _, err = run(["help", "estimat"], capsys)
+    assert status == 2
+    assert "did you mean 'sideslip estimate'" in err
+
+
+def test_doctor_names_every_extra_and_what_it_lacks(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daq.utilities.packages.installed", lambda modules: "torch" not in modules)
+    monkeypatch.setattr("sideslip.verbs.doctor.installed", lambda modules: "torch" not in modules)
+    status, out, _ = run(["doctor", "--json", str(tmp_path / "d.json")], capsys)
+    assert status == 0
+    assert "lacks torch; pip install 'sideslip[ngn]'" in out
+    facts = json.loads((tmp_path / "d.json").read_text())
+    assert facts["extras"]["ngn"] == ["torch"]
+    assert facts["extras"]["estimation"] == []
+    assert facts["cores"] >= 1
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_prints_what_the_shell_reads(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = run(["completion", shell], capsys)
+    assert "_SIDESLIP_COMPLETE" in out
+
+
+def test_the_printed_completion_completes_a_verb() -> None:
+    script = f'eval "$({sys.executable} -m sideslip completion bash)"; COMP_WORDS=(sideslip est); COMP_CWORD=1; '
+    script += f'sideslip() {{ {sys.executable} -m sideslip "$@"; }}; export -f sideslip; '
+    script += f"COMP_WORDS='sideslip est' COMP_CWORD=1 _SIDESLIP_COMPLETE=bash_complete {Path(sys.executable).parent}/sideslip"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.split() == ["plain,estimate"]
+
+
+def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.CaptureFixture[str]) -> None:
+    assert {*NEXT} == {*VERBS} - HELPERS - SAY_IT_THEMSELVES
+    assert {*AFTER_A_FAILED_CHECK} <= {*VERBS}
+    status, _, err = run(["verify", RAW], capsys)
+    assert (status, err) == (0, f"next: sideslip calibrate {RAW} -o flight.mcap\n")
+    for words in (["--quiet", "verify", RAW], ["verify", "--quiet", RAW]):
+        assert run(words, capsys)[2] == ""
+    assert next_line(["calibrate", RAW, "-o", "a.mcap"], failed=False).startswith("sideslip check a.mcap")
+    assert next_line(["verify", RAW], failed=True) == f"sideslip recover {RAW} -o recovered.mcap"
+    assert next_line(["verify", "--help"], failed=False) == ""
+
+
+def test_colours_stand_on_a_terminal_and_not_in_a_pipe(tmp_path: Path) -> None:
+    flight = RECORDINGS / "cdfp_ld3.mcap"
+    command = [sys.executable, "-m", "sideslip", "--quiet", "check", str(flight)]
+    environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "TERM")} | {"TERM": "xterm-256color"}
+    piped = subprocess.run(command, capture_output=True, env=environment, timeout=120, check=False).stdout
+    assert b"\x1b" not in piped
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(command, stdout=theirs, stderr=subprocess.DEVNULL, env=environment) as process:
+        os.close(theirs)
+        shown = b""
+        while True:
+            try:
+                block = os.read(ours, 65536)
+            except OSError:
+                break
+            if not block:
+                break
+            shown += block
+    os.close(ours)
+    assert process.returncode in (0, 1)
+    assert b"\x1b[" in shown

@@ -1,0 +1,103 @@
+"""The answer comes first: on the page, on the console, in Python; details fold."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimation.aircraft import load_aircraft
+from estimation.answers.estimates import Estimates, session_lines
+from estimation.errors import AircraftError, UnknownNameError
+from estimation.models import load_model
+from estimation.report.answer import AnswerRow, leading_answer, next_steps
+from estimation.resolve import resolve
+from estimation.session import runner
+from estimation.session.session import EstimationSession
+from groundstation.flight import Flight, MissingColumnError
+from tests.unit.estimation.truth import NOISE, TRUE, Case, fly
+
+
+@pytest.fixture(scope="module")
+def session() -> EstimationSession:
+    """A flight without rudder: its derivatives cannot be told."""
+    flights = fly(Case(noise=NOISE, rudder=0.0), np.random.default_rng(21))[0]
+    aircraft = load_aircraft("cdfp")
+    return runner.estimate(load_model("lateral", aircraft), flights, aircraft, ["ml"])
+
+
+def test_the_first_screen_is_verdict_table_picture_fit_and_next_in_this_order(
+    session: EstimationSession, tmp_path: Path
+) -> None:
+    text = Estimates(session).report(tmp_path).read_text(encoding="utf-8")
+    marks = ['class="verdict-line"', 'id="answer"', 'id="forest"', 'id="strips"', "<b>Next</b>", "<details"]
+    places = [text.index(mark) for mark in marks]
+    assert places == sorted(places)
+    headings = re.findall(r"<h2[^>]*>", text[: places[-1]])
+    assert headings == []  # everything with a heading of its own is folded
+    assert "<details open" not in text
+
+
+def test_rows_are_the_estimates_with_what_was_believed_and_published(session: EstimationSession) -> None:
+    answer = leading_answer(session)
+    rows = {row.name: row for row in answer.rows}
+    result = session.flights[0].results["ml"]
+    assert rows["Cl_p"].value == result.parameters["Cl_p"].estimate
+    assert (rows["Cl_p"].prior, rows["Cl_p"].published) == (-0.45, -0.4951)
+    assert set(answer.undetermined) >= {"CY_dr", "Cl_dr", "Cn_dr"}
+    assert not any(name.endswith("_0") for name in rows)  # trims of a day
+    assert abs(rows["Cl_p"].value - TRUE["Cl_p"]) < 4 * rows["Cl_p"].bound
+    (fly_rudder, *_) = next_steps(session, answer)
+    assert "rudder" in fly_rudder
+    assert "Cn_dr" in fly_rudder
+
+
+def test_the_console_has_the_same_order_and_gives_no_number_for_what_cannot_be_told(session: EstimationSession) -> None:
+    lines = list(session_lines(session))
+    answer = leading_answer(session)
+    order = [
+        lines.index(answer.verdict),
+        *(next(i for i, t in enumerate(lines) if t.startswith(w)) for w in ("Cl_p ", "next: ")),
+    ]
+    assert order == sorted(order)
+    assert order[-1] < 30  # a terminal's first screen
+    (blind,) = (t for t in lines[: order[-1]] if t.startswith("Cn_dr "))
+    assert re.fullmatch(r"Cn_dr +cannot tell +-0.0093 +-0.0327", blind)
+    value, bound, low, high = next(t for t in lines if t.startswith("Cl_p ")).split()[1:5]
+    assert float(high) - float(low) == pytest.approx(2 * 1.96 * float(bound), rel=0.1)
+    assert float(low) < float(value) < float(high)
+
+
+def test_a_forest_shows_estimates_at_nought_and_others_where_they_lie() -> None:
+    from matplotlib.figure import Figure
+
+    from estimation.report.drawing.forest import draw_forest
+
+    rows = [
+        AnswerRow("Cl_p", -0.5, 0.01, told=True, prior=-0.45),
+        AnswerRow("Cn_r", 0.2, 0.3, told=True, prior=-0.4),  # beyond the axis: an arrow
+        AnswerRow("Cn_dr", 0.7, 0.1, told=False, prior=0.1),
+    ]
+    axis = draw_forest(Figure().subplots(), rows)
+    prior = next(line for line in axis.lines if line.get_label() == "before flying")
+    assert prior.get_xdata() == pytest.approx([10.0])  # -0.45 is 10 % of the estimate above it
+    assert [line.get_marker() for line in axis.lines if line.get_marker() in "<>"] == ["<"]
+    assert [text.get_text() for text in axis.texts] == ["cannot tell"]
+    estimates = axis.containers[0].lines[0]
+    assert list(estimates.get_xdata()) == [0.0, 0.0]
+    assert "truth" not in [text.get_text() for text in axis.get_legend().get_texts()]
+
+
+def test_nothing_prints_pages_and_errors_name_what_is_near(session: EstimationSession) -> None:
+    answer = Estimates(session)
+    for shown in (answer, answer.model, answer.best, session):
+        assert 20 < len(repr(shown)) < 300
+    with pytest.raises(UnknownNameError, match="did you mean Cl_p"):
+        answer["Cl_P"]
+    with pytest.raises(KeyError):
+        answer["unheard of"]
+    flight = Flight.build("f", np.arange(9) * 0.1, {"beta": np.zeros(9)})
+    with pytest.raises(MissingColumnError, match="did you mean beta"):
+        flight["betta"]
+    with pytest.raises(AircraftError, match="no flight is given"):
+        resolve([], "lateral")
