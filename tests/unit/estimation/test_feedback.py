@@ -90,7 +90,9 @@ def test_asked_of_any_model_an_aileron_keeps_what_follows_the_bank() -> None:
     rng = np.random.default_rng(4)
     values, true, phi = control(rng, GAIN)
     still = np.zeros(TIME.size)
-    small = {n: 1e-3 * rng.standard_normal(TIME.size) for n in ("beta", "p", "q", "r", "theta", "alpha", "ax", "ay", "az")}
+    small = {
+        n: 1e-3 * rng.standard_normal(TIME.size) for n in ("beta", "p", "q", "r", "theta", "alpha", "ax", "ay", "az")
+    }
     flight = Flight.build("made", TIME, {
         **small, "phi": phi + 1e-3 * rng.standard_normal(TIME.size), "V": still + 17.0, "rho": still + 1.2,
         "delta_a": values, "delta_r": still,
