@@ -17,7 +17,6 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.surface_steps import jumping_outputs
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, upper_quantile
-from estimation.gap.significance.measured_again import MeasuredAgain
 from estimation.gap.significance.screen import Projected, gram_of
 from estimation.gap.significance.tangent import Tangent, is_door, through_doors
 
@@ -26,7 +25,6 @@ LEADING = 8  # signals kept for the answer
 TENTH = 0.1  # of an output's scatter: the size of an addition to it, which no score depends on
 NOTHING = 1e-12  # energy of a window without samples
 RESTLESS = 3  # windows kept of a record, most restless first
-CONTROLS_ANEW = 1  # seed of the flights whose controls are measured anew
 FEWEST = 4  # samples a window has at the least
 
 
@@ -65,16 +63,11 @@ def examine(round_: Round) -> Omnibus:
     """All three families on the residuals of a round's baseline."""
     problem, model_fit, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
     nulls = len(round_.null_residuals)
-    scores = _term_scores(round_.tangent)
-    terms, term_null = scores.signals(), scores.largest
+    terms, term_null = _terms(round_.tangent)
     white = whitened(problem, model_fit, round_)
     times, time_null = restless_times(problem, white, nulls)
     activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
-    largest = np.max([term_null, time_null, activity_null], axis=0)
-    omnibus = summed_up([*terms, *times, *activity], largest, criteria)
-    if not omnibus.matters(criteria) or omnibus.leading[0].kind != "term":
-        return omnibus
-    return summed_up([*scores.signals(by_control_noise(round_)), *times, *activity], largest, criteria)
+    return summed_up([*terms, *times, *activity], np.max([term_null, time_null, activity_null], axis=0), criteria)
 
 
 def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criteria) -> Omnibus:
@@ -116,52 +109,8 @@ def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[t
     return scaled
 
 
-@dataclass(frozen=True)
-class TermScores:
-    """Nameless terms. keys: place, signal and shape of each; places: place -> word for it; z, standard: (terms, 1 + nulls) signed
-    scores, and their sizes in units of their scatter on the nulls."""
-
-    keys: Sequence[tuple[str, str, str]]
-    places: Mapping[str, str]
-    z: Array
-    standard: Array
-
-    @property
-    def largest(self) -> Array:
-        """(nulls,) largest standardised score of every null."""
-        return np.asarray(self.standard[:, 1:].max(axis=0))
-
-    def signals(self, given: Array | float = 0.0) -> list[OmnibusSignal]:
-        """What stands out of the data, less what is `given`, (terms,) signed scores: of either sign, never more than without."""
-        own = less_given(self.z[:, 0], given)
-        return [
-            OmnibusSignal("term", self.places[p], SHAPES[shape].format(s), float(score), float(z**2))
-            for (p, s, shape), score, z in zip(self.keys, own * self.standard[:, 0], self.z[:, 0], strict=True)
-        ]
-
-
-def less_given(z: Array, given: Array | float) -> Array:
-    """(terms,) shares, 0 to 1, of signed scores that are left without what is given to them, which may be of the other sign."""
-    towards = np.maximum(np.sign(z) * given, 0.0)
-    return np.maximum(1.0 - towards / np.maximum(np.abs(z), NOTHING), 0.0)
-
-
-def by_control_noise(round_: Round) -> Array:
-    """(terms,) mean signed scores of nameless terms on flights without any effect whose controls are measured anew: what the
-    noise of the controls gives each. Zero where these cannot be flown."""
-    problem, found = round_.baseline.problem, round_.baseline.fit
-    residuals = []
-    for remade in MeasuredAgain(round_.baseline, CONTROLS_ANEW).sets:
-        pairs = enumerate(remade)
-        modelled = [problem.modelled(i, found.values, found.locals[i], inputs=r.inputs) for i, r in pairs]
-        if all(y is not None for y in modelled):
-            residuals.append(tuple(r.outputs - y for r, y in zip(remade, modelled, strict=True) if y is not None))
-    scores = _term_scores(Tangent(problem, found, tuple(residuals)))
-    return np.asarray(scores.z[:, 1:].mean(axis=1)) if residuals else np.zeros(len(scores.keys))
-
-
-def _term_scores(tangent: Tangent) -> TermScores:
-    """Scores of nameless terms on the data and on every null."""
+def _terms(tangent: Tangent) -> tuple[list[OmnibusSignal], Array]:
+    """Scores of nameless terms on the data, and the largest standardised score of every null."""
     problem, model_fit = tangent.problem, tangent.fit
     doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
     places = {**{n: n for n in problem.model.output_names}, **doors}
@@ -173,7 +122,11 @@ def _term_scores(tangent: Tangent) -> TermScores:
     ]
     gram = gram_of(tangent, lambda i: _changes(problem, model_fit, i, asks[i]))
     z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
-    return TermScores(keys, places, z, standard)
+    signals = [
+        OmnibusSignal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
+        for j, (p, s, shape) in enumerate(keys)
+    ]
+    return signals, standard[:, 1:].max(axis=0)
 
 
 def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:
