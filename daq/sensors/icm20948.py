@@ -87,6 +87,7 @@ class Icm20948(Driver):
     def _adopt_settings(self) -> None:
         config = self._config
         self._unread = False
+        self._away = False  # from the bank of the data
         self._turn: Rotation = rotation(config.mounting)
         self._gyro_setting = setting(
             GYRO_LOWPASS_HZ.index(config.gyro_lowpass_hz), tuple(COUNTS_PER_DPS).index(config.gyro_range_dps)
@@ -132,6 +133,8 @@ class Icm20948(Driver):
 
     def read(self) -> Reading:
         bus = self._bus
+        if self._away:
+            self._come_back()
         # Reading the status clears it: should the burst then fail, the repetition must not take the sample for an old one.
         self._unread = bool(bus.read_byte_data(self._address, INT_STATUS_1) & 1) or self._unread
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
@@ -155,12 +158,16 @@ class Icm20948(Driver):
         bus, address = self._bus, self._address
         if bus.read_byte_data(address, PWR_MGMT_1) != AUTO_CLOCK:
             return False
-        try:
-            bus.write_byte_data(address, REG_BANK_SEL, 2 << 4)
-            gyro, accel = (bus.read_byte_data(address, r) for r in (GYRO_CONFIG_1, ACCEL_CONFIG))
-        finally:
-            bus.write_byte_data(address, REG_BANK_SEL, 0)
+        self._away = True
+        bus.write_byte_data(address, REG_BANK_SEL, 2 << 4)
+        gyro, accel = (bus.read_byte_data(address, r) for r in (GYRO_CONFIG_1, ACCEL_CONFIG))
+        self._come_back()
         return (gyro, accel) == (self._gyro_setting, self._accel_setting)
+
+    def _come_back(self) -> None:
+        """To the bank of the data; a transfer that failed in another leaves the chip there until this one is taken."""
+        self._bus.write_byte_data(self._address, REG_BANK_SEL, 0)
+        self._away = False
 
     def metadata(self) -> dict[str, str]:
         config = self._config
