@@ -15,8 +15,23 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo docs test test-all lowest lint bench bench-gap rig torture study format clean setup
 
-demo: $(STAMP)
+# Where nothing is set up yet the demo installs what it runs, and no more: neither the tools of tests nor rerun.
+demo:
+	@test -e $(STAMP) || $(MAKE) $(VENV)/.demo
 	$(BIN)/sideslip demo --out $(OUT)
+
+$(VENV)/.demo: pyproject.toml constraints.txt
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[ngn]'
+	@touch $@
+
+# The lowest versions that pyproject.toml declares, of what it names itself, in an environment of their own; then the tests.
+lowest:
+	$(PYTHON) -m venv $(VENV)-lowest
+	$(VENV)-lowest/bin/python -m pip install -q packaging
+	$(VENV)-lowest/bin/python tests/support/lowest.py > $(VENV)-lowest/constraints.txt
+	$(VENV)-lowest/bin/python -m pip install -q -c $(VENV)-lowest/constraints.txt -e '.[dev]'
+	$(VENV)-lowest/bin/pytest -q -n 2 --dist worksteal -m "$(ORDINARY) and not long"
 
 # What takes long (whole commands, campaigns, pages in a browser: two tests in a hundred, half of the time) is left to CI and to test-all.
 ORDINARY = not study and not benchmark

@@ -226,7 +226,7 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
     except UserError as error:
         return _error_line(str(error))
     except ModuleNotFoundError as error:
-        return _error_line(str(missing(error, f"sideslip {(argv or sys.argv[1:] or [''])[0]}".rstrip())))
+        return _error_line(str(missing(error, f"sideslip {(words or [''])[0]}".rstrip())))
     except (KeyboardInterrupt, click.Abort):
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status

@@ -20,6 +20,7 @@ from typing import Any
 
 from daq.utilities.durable import make_directories, replacing
 from daq.utilities.errors import UserError
+from daq.utilities.input_files import READ_AT_ONCE
 
 KEY_BYTES = 32
 SIGNATURE_BYTES = 13
@@ -96,7 +97,7 @@ def _small_file(path: Path, limit: int) -> tuple[bytes, int]:
 
     Opened so that a FIFO nobody writes to is not waited for. Raises OSError.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    descriptor = os.open(path, READ_AT_ONCE | getattr(os, "O_NOCTTY", 0))
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)

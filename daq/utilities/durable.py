@@ -34,12 +34,19 @@ DISK_ERRNOS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, err
 """What a disk that is full, read-only, broken or gone says."""
 
 
+def lock_file(file: int | IO[str] | IO[bytes]) -> None:
+    """Lock an open file against other processes until it is closed, however this one ends. OSError where one has it already;
+    nothing where the system has no such locks (Windows)."""
+    if fcntl is not None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 def sync_directory(directory: Path) -> None:
     """Return once the names in a directory are on the medium; OSError when the medium fails."""
     if os.name == "nt":
         return  # Windows writes names through, and opens no directory
     try:
-        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = os.open(directory, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
     except PermissionError:
         return  # files may be made in it but not listed: what is recorded counts for more than that its name is safe
     try:
@@ -151,11 +158,10 @@ def folder_of_ones_own(folder: Path, name: str) -> Iterator[None]:
     however this process ends. Raises FolderInUseError, or OSError where the folder cannot be written."""
     make_directories(folder)
     with open_log(folder / f".{name}.lock") as lock:
-        if fcntl is not None:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise FolderInUseError(str(folder)) from None
+        try:
+            lock_file(lock)
+        except BlockingIOError:
+            raise FolderInUseError(str(folder)) from None
         clear_leftovers(folder)
         yield
 
@@ -198,9 +204,8 @@ def _hidden(path: Path) -> tuple[Path, int]:
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
     descriptor = os.open(new, flags, 0o666)
     try:
-        if fcntl is not None:
-            with contextlib.suppress(OSError):  # a file system without locks: the process number tells
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.suppress(OSError):  # a file system without locks: the process number tells
+            lock_file(descriptor)
         with contextlib.suppress(FileNotFoundError, PermissionError, AttributeError):
             os.fchmod(descriptor, path.stat().st_mode & 0o777)
     except BaseException:
@@ -234,8 +239,7 @@ def _clear(file: Path) -> None:
         return
     descriptor = os.open(file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     try:
-        if fcntl is not None:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # BlockingIOError: another machine is at it
+        lock_file(descriptor)  # BlockingIOError: another machine is at it
         file.unlink(missing_ok=True)
     finally:
         os.close(descriptor)

@@ -20,6 +20,10 @@ from daq.utilities.errors import UserError
 
 LARGEST_TEXT, LARGEST_DATA, DEEPEST = limits.TEXT_BYTES, limits.DATA_BYTES, limits.TOML_DEPTH
 _PIECE = 2**20
+READ_AT_ONCE = os.O_RDONLY
+"""Flags to open a file for its bytes without waiting for the other end of a pipe; Windows lacks some, and needs one more."""
+for _flag in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
+    READ_AT_ONCE |= getattr(os, _flag, 0)
 
 _SUNDRIES = re.compile(
     r"""\#[^\n]*+ | \"{3}(?:\\.|[^\\])*?(?:\"{3}|\\?\Z) | '{3}.*?(?:'{3}|\Z) | "(?:\\.|[^"\\\n])*+" | '[^'\n]*+'""",
@@ -79,7 +83,7 @@ def _read_on(file: IO[bytes], most: int) -> bytes:
 
 def _opened(path: Path, what: str, error: type[UserError]) -> int:
     try:
-        return os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # without waiting for the other end of a pipe
+        return os.open(path, READ_AT_ONCE)  # without waiting for the other end of a pipe
     except FileNotFoundError:
         raise error(f"{path}: no such {what}") from None
     except (OSError, ValueError) as reason:

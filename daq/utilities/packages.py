@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,10 @@ def missing(error: ImportError, what: str = "this") -> MissingPackageError:
         place = Path(hiding).parent if Path(hiding).name == "__init__.py" else Path(hiding)
         return MissingPackageError(
             f"{place} hides Sideslip's own package {root!r}; rename it, or start in another folder", name=module
+        )
+    if root in sys.stdlib_module_names:
+        return MissingPackageError(
+            f"{what} needs {root!r}, which Python has not got on this system; run it on Linux", name=module
         )
     command = f"pip install 'sideslip[{extra}]'" if extra else f"pip install {root}"
     return MissingPackageError(f"{what} needs the package {root!r}, which is not installed; {command}", name=module)

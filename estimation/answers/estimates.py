@@ -180,12 +180,23 @@ def estimate(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> "Estimates":
-    """Aerodynamic parameters with bounds. Arguments are the options of the verb; names are comma-separated or a list.
+    """Aerodynamic parameters with bounds. Arguments are the options of `sideslip estimate`.
 
-    simulation: one of your own as base; then model is a built-in name or a model file found on a simulation. truth: true
-    derivatives by name, or the JSON file of them. structure: off, test or auto, for what the model may
-    lack. progress: told each piece of work as it begins. Raises a UserError of one
-    sentence for what cannot be found, or flights that cannot feed the model.
+    flights: a Flight, a file, or a list of them. model: "lateral", "lateral-simple", "longitudinal", "six-dof", a model file,
+    "module:Class" or a Model. method: "ml", "fem", "ls", "ngn" ..., comma-separated or a list. aircraft: a built-in name or file;
+    by default what the flights carry. joint: also one estimate over all flights. segments: stretches such as "1:9,12:20" [s],
+    "mode:FBWA" or "V > 12"; each_segment: each as a flight. hold_initial, free_initial: states whose initial values are held or
+    estimated. simulation: one of your own as base; then model is a built-in name or a model file found on a simulation. truth:
+    true derivatives by name, or the JSON file of them. profile: parameters with an interval by profile likelihood. bootstrap:
+    number of refits. structure: off, test or auto, for what the model may lack. seed: of bootstrap and networks. progress: told
+    each piece of work as it begins.
+
+    Gives Estimates: `answer["Cl_p"].estimate` [1/rad] with `.std_coloured`, its bound of one standard deviation; `summary()`,
+    `plot()`, `to_pandas()`, `report(folder)`, `model`. Raises a UserError of one sentence for what cannot be found, or
+    flights that cannot feed the model.
+
+        result = ss.estimate("ld1.mcap", "lateral", "ml")
+        print(result.summary())
     """
     from estimation.estimators.estimator import Extras
     from estimation.resolve import resolve

@@ -155,13 +155,17 @@ def _lines(result: "GapResult") -> list[str]:
         lines.append("")
         lines.append(
             f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} "
-            f"{'floor':>7s} {'closed':>7s} {'held out':>9s}"
+            f"{'floor':>7s} {'training':>8s} {'held out':>9s}"
         )
     for s in result.steps:
         holdout = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
         lines.append(
             f"{s.effect:20s} {s.score:7.1f} {s.threshold:9.2f} {s.confidence:7.2f}  {s.gap.before:10.3f} {s.gap.after:7.3f} "
-            f"{s.gap.floor:7.3f} {s.gap.closed:7.0%} {holdout:>9s}"
+            f"{s.gap.floor:7.3f} {s.gap.closed:8.0%} {holdout:>9s}"
+        )
+    if any(s.holdout is not None for s in result.steps):
+        lines.append(
+            "training, held out: share of the gap closed on the flights fitted and on those held out, which decide"
         )
     parameters = result.model_before.parameters
     from_simulation = {p.name: p for p in parameters if p.reference_source.startswith("simulation")}

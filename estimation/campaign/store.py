@@ -4,14 +4,13 @@ A part is written under another name, forced to the disk and renamed, by one cli
 whole parts, and what was not in one yet is done again. A part holds all rows of every key in it.
 """
 
-import fcntl
 import hashlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from daq.utilities.durable import clear_leftovers, make_directories, open_log, whole
+from daq.utilities.durable import clear_leftovers, lock_file, make_directories, open_log, whole
 from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
 from estimation.campaign.tasks import CampaignError, Row
 
@@ -42,7 +41,7 @@ class Store:
                 f"--out {self.folder}: cannot be written ({error.strerror}); choose another folder"
             ) from error
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it however we end
+            lock_file(self._lock)  # the kernel lets go of it however we end
         except OSError as error:
             self._lock.close()
             raise CampaignError(f"--out {self.folder}: another campaign writes there; wait, or take another") from error

@@ -115,11 +115,15 @@ def ground(
 @contextmanager
 def _ignore_hangup() -> Iterator[None]:
     """A terminal that closes, or a connection to it that breaks, does not end a session: SIGTERM or a typed `quit` does."""
-    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
+    if hangup is None:
+        yield
+        return
+    handler = signal.signal(hangup, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGHUP, handler)
+        signal.signal(hangup, handler)
 
 
 @contextmanager

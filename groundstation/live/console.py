@@ -5,9 +5,11 @@ go to standard output as long as somebody reads it, and to `ground.log` always.
 """
 
 import os
+import queue
 import re
 import select
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -47,6 +49,7 @@ class Lines:
     def __init__(self, descriptor: int) -> None:
         self._descriptor: int | None = descriptor
         self._waiting = b""
+        self._read: queue.SimpleQueue[bytes] | None = None
 
     @classmethod
     def of_standard_input(cls) -> "Lines":
@@ -56,23 +59,44 @@ class Lines:
             lines._descriptor = sys.stdin.fileno()
         except (AttributeError, OSError, ValueError):
             lines._descriptor = None
+        if lines._descriptor is not None and not hasattr(os, "tcgetpgrp"):  # Windows, where a terminal cannot be asked
+            lines._read = queue.SimpleQueue()
+            threading.Thread(target=lines._wait, args=(lines._descriptor, lines._read), daemon=True).start()
         return lines
+
+    @staticmethod
+    def _wait(descriptor: int, read: "queue.SimpleQueue[bytes]") -> None:
+        data = b"-"
+        while data:
+            try:
+                data = os.read(descriptor, _LONGEST)
+            except OSError:
+                data = b""
+            read.put(data)
 
     def read(self) -> list[str]:
         """Whole lines that have come."""
-        if self._descriptor is None or not _ours(self._descriptor):
+        if self._descriptor is None:
             return []
-        try:
-            if not select.select([self._descriptor], [], [], 0)[0]:
-                return []
-            data = os.read(self._descriptor, _LONGEST)
-        except OSError:
-            data = b""
+        data = self._come(self._descriptor)
+        if data is None:
+            return []
         if not data:
             self._descriptor = None
         *complete, self._waiting = (self._waiting + data).split(b"\n")
         self._waiting = self._waiting[-_LONGEST:]
         return [line.decode("utf-8", "replace").strip() for line in complete]
+
+    def _come(self, descriptor: int) -> bytes | None:
+        """What has come; nothing at the end of it, None where one would have to wait."""
+        if self._read is not None:
+            return None if self._read.empty() else self._read.get()
+        if not _ours(descriptor):
+            return None
+        try:
+            return os.read(descriptor, _LONGEST) if select.select([descriptor], [], [], 0)[0] else None
+        except OSError:
+            return b""
 
 
 def _ours(descriptor: int) -> bool:

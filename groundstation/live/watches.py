@@ -7,7 +7,7 @@ measured are left out of the decision; with neither speed nor rate nothing is de
 """
 
 import math
-import os
+import shutil
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -262,5 +262,4 @@ class FreeSpace:
 
 def free_bytes(folder: Path) -> int:
     """Room for an ordinary user in the file system of a folder; OSError when it is gone."""
-    filesystem = os.statvfs(folder)
-    return filesystem.f_bavail * filesystem.f_frsize
+    return shutil.disk_usage(folder).free

@@ -35,6 +35,7 @@ PAGES = ("", "check", "estimate", "gap")
 WIDTHS = (400, 1280, 1920)
 A4_ACROSS = 1031  # CSS pixels of a sheet 297 mm long within margins of 12 mm
 A4_UPRIGHT = 703
+MOST_SHEETS = 8  # of a printed estimate
 HIDDEN_BY_SCROLLING = """() => [...document.querySelectorAll('.scroll, .frame, pre')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => (e.innerText || '').slice(0, 60))"""
 
@@ -146,6 +147,7 @@ def _prints(page: "Page", name: str) -> None:
     assert page.evaluate("getComputedStyle(document.querySelector('.sign')).display") == "flex"
     boxes = re.findall(rb"/MediaBox\s*\[\s*0 0 ([0-9.]+) ([0-9.]+)", page.pdf(prefer_css_page_size=True))
     assert boxes
+    assert name != "estimate" or len(boxes) <= MOST_SHEETS
     assert all((float(width) > float(height)) is across for width, height in boxes), (name, "landscape where wide")
 
 

@@ -8,9 +8,9 @@ an array of structs a group of arrays of references, a cell an array of referenc
 MATLAB_class tells which is which.
 """
 
+import contextlib
 import io
 import json
-import resource
 import struct
 import sys
 import warnings
@@ -150,9 +150,19 @@ def _hdf5_values(item: Any, tree: Tree) -> Any:
     return item[()]
 
 
+def _limit(name: str, value: int) -> None:
+    """Bound this process; where the system has no such bound (Windows), time and sizes of the reader stand alone."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(getattr(resource, name), (value, value))
+
+
 def main(path: str, most: int) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _limit("RLIMIT_CPU", CPU_S)
+    _limit("RLIMIT_CORE", 0)
     with open(path, "rb") as file:
         data = file.read()
     hdf5 = HDF5 in (data[:8], data[512:520])
@@ -165,7 +175,7 @@ def main(path: str, most: int) -> None:
             import scipy.io  # noqa: F401
     except ModuleNotFoundError:
         sys.exit(NO_PACKAGE)
-    resource.setrlimit(resource.RLIMIT_DATA, (OTHER_MEMORY + 4 * most, OTHER_MEMORY + 4 * most))
+    _limit("RLIMIT_DATA", OTHER_MEMORY + 4 * most)
     warnings.simplefilter("ignore")
     tree = Tree(most)
     variables = hdf5_variables(path, tree) if hdf5 else v5_variables(data, tree)
