@@ -35,14 +35,20 @@ LEAST_SHARE = 0.1
 """Of the dynamic pressure of the ground speed: less means a tail wind of two thirds of it, or a cover."""
 MOST_SHARE = 4.0
 """More means a head wind as fast as the ground speed, or pressure trapped in the tube."""
-FROZEN_COUNTS = 8.0
-"""A vane in flight moves by more in five seconds: eight counts of an ADS1115 at 4.096 V are 1 mV, a tenth of a degree."""
+FROZEN_COUNTS, FROZEN_ENCODER_COUNTS = 8.0, 2.0
+"""A vane in flight moves by more in five seconds: eight counts of an ADS1115 at 4.096 V are 1 mV, a tenth of a degree; two of
+an encoder are a sixth of one."""
 TILT_RAD = math.radians(35.0)
 """More than any aircraft stands or lies on its gear, tail draggers (15 degrees) and a wing on the ground included."""
 FORCE_ERROR = 0.1
 """Specific force at rest may be off by this share: six times a consumer accelerometer's zero and scale together."""
 _AXES: tuple[Axis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
-_VANES = {"alpha_vane": "angle-of-attack vane", "beta_vane": "sideslip vane"}
+_VANES = {
+    "alpha_vane": ("angle-of-attack vane", FROZEN_COUNTS),
+    "beta_vane": ("sideslip vane", FROZEN_COUNTS),
+    "alpha_encoder": ("angle-of-attack vane", FROZEN_ENCODER_COUNTS),
+    "beta_encoder": ("sideslip vane", FROZEN_ENCODER_COUNTS),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,11 +210,11 @@ class AirTruth:
             return
         self._moved = True
         yield from self._pitot(scans, fmean(speeds))
-        for name, words in _VANES.items():
+        for name, (words, least) in _VANES.items():
             vane = counts(scans, name)
-            if len(vane) >= LEAST_SCANS and max(vane) - min(vane) < FROZEN_COUNTS:
+            if len(vane) >= LEAST_SCANS and max(vane) - min(vane) < least:
                 travel = f"moves by {max(vane) - min(vane):.0f} counts in {WINDOW_S:.0f} s at {fmean(speeds):.0f} m/s"
-                yield SensorContradiction(name, f"{words} is frozen: {travel} (at least {FROZEN_COUNTS:.0f} in flight)")
+                yield SensorContradiction(name, f"{words} is frozen: {travel} (at least {least:.0f} in flight)")
         force = self._scales.force(scans)
         if force is not None and force[2] > -0.3 * GRAVITY:
             seen_z = f"mean specific force on body z is {force[2]:+.1f} m/s2 in flight (at most {-0.3 * GRAVITY:.1f})"

@@ -20,6 +20,7 @@ class GroupHealth:
 
     detail: what is wrong, in words; empty when nothing is. since_ns: monotonic time of the last change of state.
     retries: transfers that had to be repeated. setups: how often the chip was set up (1 after a clean start).
+    upsets: how often its settings were found changed when they were read back, and put right.
     """
 
     group: str
@@ -28,6 +29,7 @@ class GroupHealth:
     since_ns: int = 0
     retries: int = 0
     setups: int = 0
+    upsets: int = 0
     required: bool = True
 
     def note(self, state: SensorState, detail: str, time_ns: int) -> None:
@@ -160,9 +162,11 @@ class GroupWatch:
 
 
 def repetitions(summary: HealthSummary) -> str:
-    """Which sensors had to be asked again, in words: a connector on its way out shows here first."""
+    """Which sensors had to be asked again or set right, in words: a connector on its way out shows here first."""
     retries = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
-    return f"; transfers repeated: {', '.join(retries)}" if retries else ""
+    upsets = [f"{g.title} {g.upsets}" for g in summary.groups if g.upsets]
+    repeated = f"; transfers repeated: {', '.join(retries)}" if retries else ""
+    return repeated + (f"; settings put right: {', '.join(upsets)}" if upsets else "")
 
 
 def as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:

@@ -232,7 +232,10 @@ class Supervisor:
     def audit(self, now_ns: int) -> None:
         """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""
         if self.up and self.ready_ns is None and not self._intact():
-            self._go_down(SensorState.FAULT, "lost its settings (supply dip); being set up again", now_ns)
+            self.record.upsets += 1
+            self._go_down(
+                SensorState.FAULT, "lost its settings (supply dip, or a bit flipped); being set up again", now_ns
+            )
 
     def passed_over(self, reason: str, state: SensorState, now_ns: int) -> GroupOutcome:
         """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""

@@ -93,7 +93,7 @@ def checked(manoeuvre: Manoeuvre, where: str = "manoeuvre") -> Manoeuvre:
     if not STEP_RANGE[0] <= manoeuvre.time_step <= STEP_RANGE[1]:
         raise refusal(f"time_step {manoeuvre.time_step:g} s is not from {STEP_RANGE[0]:g} to {STEP_RANGE[1]:g} s")
     lengths = {len(values) for values in manoeuvre.increments.values()}
-    if len(lengths) > 1 or lengths < {2}:
+    if len(lengths) > 1 or min(lengths) < 2:
         raise refusal("the controls differ in number of samples" if len(lengths) > 1 else "fewer than two samples")
     if manoeuvre.duration_s > LONGEST_S:
         raise refusal(f"{manoeuvre.duration_s:.0f} s long, at most {LONGEST_S:.0f} s can be flown")

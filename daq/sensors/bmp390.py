@@ -4,20 +4,22 @@ Bosch datasheet BST-BMP390-DS002 revision 1.7 (BMP388: BST-BMP388-DS001). The co
 the individual chip; they are read at set-up, recorded as `nvm`, and the compensation of section 8.4 to 8.6 is done on
 the ground, so it can be repeated bit for bit. The chip runs in normal mode with its own filter off.
 
-Self-test: identity; trimming bytes not all equal; no error flag. Plausibility: 0x800000 is "not measured" (stale), as is a
+Self-test: identity; trimming bytes not all equal and as their checksum at 0x30 says (CRC-8, polynomial 0x1D, begun with 0xFF and
+inverted: Bosch BMP3 sensor API, bmp3_selftest.c); no error flag. Plausibility: 0x800000 is "not measured" (stale), as is a
 missing data-ready flag; 0 and 0xFFFFFF are out of range. A chip back in sleep mode has been reset.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Literal
 
+import fastcrc
 from pydantic import model_validator
 
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, SensorSection, Wait, WrongChipError
 
 CHIP_ID, ERR, STATUS, DATA, PWR_CTRL = 0x00, 0x02, 0x03, 0x04, 0x1B
-OSR, ODR, FILTER, NVM, CMD = 0x1C, 0x1D, 0x1F, 0x31, 0x7E
+OSR, ODR, FILTER, NVM_CRC, NVM, CMD = 0x1C, 0x1D, 0x1F, 0x30, 0x31, 0x7E
 NVM_LENGTH = 21
 SOFT_RESET, NORMAL_BOTH, READY_BOTH = 0xB6, 0x33, 0x60
 SKIPPED = 0x800000
@@ -46,6 +48,10 @@ class StaticConfig(SensorSection):
         return self
 
 
+trimming_crc: Callable[[bytes], int] = fastcrc.crc8.sae_j1850
+"""The checksum that the chip stores before its trimming bytes."""
+
+
 class Bmp390(Driver):
     """Uncompensated pressure and temperature [24-bit counts]."""
 
@@ -70,8 +76,14 @@ class Bmp390(Driver):
         bus.write_byte_data(address, CMD, SOFT_RESET)
         yield 5 * MS
         nvm = bytes(bus.read_i2c_block_data(address, NVM, NVM_LENGTH))
+        stored = bus.read_byte_data(address, NVM_CRC)
         if len(set(nvm)) == 1:
             raise SelfTestError(f"BMP390 trimming bytes are all 0x{nvm[0]:02x}; the chip is damaged")
+        if trimming_crc(nvm) != stored:
+            raise SelfTestError(
+                f"BMP390 trimming bytes do not match their checksum (0x{trimming_crc(nvm):02x}, stored 0x{stored:02x}):"
+                " read wrongly, or the chip is damaged; check supply and wiring"
+            )
         self._nvm = nvm
         bus.write_byte_data(address, OSR, self._osr)
         bus.write_byte_data(address, ODR, ODR_SELECT[self._config.rate_hz])
@@ -96,7 +108,8 @@ class Bmp390(Driver):
         return Reading(values)
 
     def intact(self) -> bool:
-        return self._bus.read_byte_data(self._address, PWR_CTRL) == NORMAL_BOTH
+        power, osr, odr, _, smoothing = self._bus.read_i2c_block_data(self._address, PWR_CTRL, 5)
+        return (power, osr, odr, smoothing) == (NORMAL_BOTH, self._osr, ODR_SELECT[self._config.rate_hz], 0)
 
     def metadata(self) -> dict[str, str]:
         conversion_us = 234 + 392 + 2020 * self._config.pressure_oversampling

@@ -29,6 +29,7 @@ from daq.sensors.capture import Capture, CaptureConfig
 from daq.sensors.icm20948 import Icm20948, ImuConfig
 from daq.sensors.ms4525do import Ms4525do, PitotConfig
 from daq.sensors.nau7802 import Nau7802, ThrustConfig
+from daq.sensors.sdp3x import Sdp3x
 from daq.sensors.ublox import GnssConfig, Ublox
 
 CHIPS: tuple[type[Driver], ...] = (
@@ -36,6 +37,7 @@ CHIPS: tuple[type[Driver], ...] = (
     Ak09916,
     Ads1115,
     Ms4525do,
+    Sdp3x,
     Bmp390,
     As5600,
     Nau7802,

@@ -152,7 +152,15 @@ class Icm20948(Driver):
         return Reading(state=SensorState.FAULT, detail="IMU was reset" if asleep else "IMU delivers only zeros")
 
     def intact(self) -> bool:
-        return self._bus.read_byte_data(self._address, PWR_MGMT_1) == AUTO_CLOCK
+        bus, address = self._bus, self._address
+        if bus.read_byte_data(address, PWR_MGMT_1) != AUTO_CLOCK:
+            return False
+        try:
+            bus.write_byte_data(address, REG_BANK_SEL, 2 << 4)
+            gyro, accel = (bus.read_byte_data(address, r) for r in (GYRO_CONFIG_1, ACCEL_CONFIG))
+        finally:
+            bus.write_byte_data(address, REG_BANK_SEL, 0)
+        return (gyro, accel) == (self._gyro_setting, self._accel_setting)
 
     def metadata(self) -> dict[str, str]:
         config = self._config

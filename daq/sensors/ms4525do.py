@@ -14,7 +14,7 @@ import math
 from collections.abc import Generator
 from typing import Literal
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait
@@ -24,16 +24,22 @@ from daq.utilities.constants import SEA_LEVEL_DENSITY
 NORMAL, RESERVED, FETCHED, FAULT = range(4)
 FULL = 0x3FFF
 LARGEST_JUMP = 0xFF
+SDP_COUNTS_PER_PA = {"sdp31": 60, "sdp32": 240, "sdp33": 20}
+"""Of the chips of `daq.sensors.sdp3x`: up to 500, 125 and 1500 Pa."""
 SPAN = {"A": (0.1, 0.8), "B": (0.05, 0.9)}
 
 
 class PitotConfig(SensorSection):
-    """`[sensors.pitot]`: MS4525DO; output type A spans 10 to 90 % of the counts, type B 5 to 95 %."""
+    """`[sensors.pitot]`: MS4525DO; output type A spans 10 to 90 % of the counts, type B 5 to 95 %.
+
+    driver `sdp3x`: an SDP31, SDP32 or SDP33, as `chip` says, at 0x21 to 0x23; `autopilot`: its own pitot.
+    """
 
     driver: str = "ms4525do"
     address: Address = 0x28
     output: Literal["A", "B"] = "A"
     range_pa: tuple[float, float] = (-6894.757, 6894.757)
+    chip: Literal["sdp31", "sdp32", "sdp33"] = "sdp33"
 
     @field_validator("range_pa")
     @classmethod
@@ -42,12 +48,21 @@ class PitotConfig(SensorSection):
             raise ValueError("range_pa must be [lowest, highest]")
         return range_pa
 
+    @model_validator(mode="after")
+    def _at_its_address(self) -> "PitotConfig":
+        if self.driver == "sdp3x" and not 0x21 <= self.address <= 0x23:
+            raise ValueError(f"an SDP3x sits at 0x21, 0x22 or 0x23, not at 0x{self.address:02x}; set address")
+        return self
+
 
 def nominal_transfer(config: object) -> tuple[float, float]:
     """Pascal for each count, and pascal at count zero, as data sheet or driver have it; NaN for a sensor of one's own."""
     if not isinstance(config, PitotConfig):
         return math.nan, math.nan
     (low, high), (start, span) = config.range_pa, SPAN[config.output]
+    if config.driver == "sdp3x":
+        counts = SDP_COUNTS_PER_PA[config.chip]
+        return 1.0 / counts, -32768.0 / counts
     if config.driver != "ms4525do":  # 16 bits over the range, end to end
         return (high - low) / 0xFFFF, low
     per_count = (high - low) / (span * FULL)

@@ -102,7 +102,8 @@ class Nau7802(Driver):
         return Reading(values)
 
     def intact(self) -> bool:
-        return self._bus.read_byte_data(self._address, PU_CTRL) & RUNNING == RUNNING
+        power, ctrl1, ctrl2 = self._bus.read_i2c_block_data(self._address, PU_CTRL, 3)
+        return power & RUNNING == RUNNING and (ctrl1, ctrl2 & ~CAL_ERROR) == (self._ctrl1, self._ctrl2)
 
     def metadata(self) -> dict[str, str]:
         return {

@@ -134,7 +134,9 @@ def _spanning(results: Mapping[str, Result], structure: StructureTest | None) ->
         for lack in structure.ambiguous
         for n in (lack.leading.candidate.name, *lack.differs)
     }
-    borne = [t.moves for lack in structure.lacks if not lack.matters for t in (lack.leading, *lack.rivals)]
+    borne = [
+        t.moves for lack in structure.lacks if not lack.matters(structure.bears) for t in (lack.leading, *lack.rivals)
+    ]
     alternatives = {lack.leading.candidate.name: lack.leading.candidate.null for lack in structure.ambiguous}
     return {m: _spanned(r, spans, borne, alternatives, why) for m, r in results.items()}
 

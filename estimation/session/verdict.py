@@ -176,7 +176,7 @@ def of_structure(
     for lack in lacks:
         text = lack_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))
-        against += [text] if lack.matters else []
+        against += [text] if lack.matters(structure.bears) else []
     for lack in ambiguous:
         text = ambiguous_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))

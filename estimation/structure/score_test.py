@@ -39,8 +39,9 @@ FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
 NOTABLE = 1.0  # bounds by which a printed value has to move
 BORNE = 3.0
-"""Bounds up to which what leaving something out moves is counted in the bounds instead: its size is known to a fifth there (a
-score of 5), so the wider bound holds the truth; beyond, the model is another one and its estimates are not to be believed."""
+"""Bounds up to which what leaving something out moves is counted in the bounds instead of forbidding a recommendation: its
+size is known to a fifth there (a score of 5), so the wider bound holds the truth; beyond, the model is another one and its
+estimates are not to be believed."""
 
 LIKELIEST_FIRST = (
     CandidateKind.LINEAR, CandidateKind.LATE_CONTROL, CandidateKind.SCALE, CandidateKind.LATE_SENSOR, CandidateKind.INERTIA,
@@ -104,10 +105,9 @@ class Lack:
         """Of the leading candidate and its rivals."""
         return (self.leading.candidate.name, *(r.candidate.name for r in self.rivals))
 
-    @property
-    def matters(self) -> bool:
-        """Whether leaving it out moves a printed value by more than its bound can bear."""
-        return any(t.worst[1] > BORNE for t in (self.leading, *self.rivals))
+    def matters(self, bounds: float) -> bool:
+        """Whether leaving it out moves a printed value by more than so many of its bounds."""
+        return any(t.worst[1] > bounds for t in (self.leading, *self.rivals))
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,12 @@ class StructureTest:
     ambiguous: tuple[Lack, ...] = ()
     why_not: str = ""
     follows: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def bears(self) -> float:
+        """Bounds by which what is left out may move a value: BORNE once that has been added which the model lacked most, and
+        before that, where a better model is to be had, NOTABLE."""
+        return BORNE if self.added else NOTABLE
 
     def with_added(self, names: Sequence[str], ambiguous: Sequence[Lack]) -> "StructureTest":
         """The same with what had been put into the model before."""

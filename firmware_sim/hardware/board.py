@@ -26,6 +26,7 @@ from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
 from firmware_sim.hardware.registers.ms4525do import Ms4525doChip
 from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
+from firmware_sim.hardware.registers.sdp3x import Sdp3xChip
 from firmware_sim.hardware.sensing.instruments import Instruments
 from firmware_sim.hardware.sensing.sensor_models import AT, NAU7802_GAIN, SensorModels
 from firmware_sim.tables import ScenarioError
@@ -36,6 +37,9 @@ ADC_WIRING: dict[str, tuple[str, str, str, str]] = {
     "analog_c": ("analog_2", "analog_3", "analog_4", "analog_5"),
 }
 """What is connected to AIN0 to AIN3 of each converter."""
+
+SDP3X_NOISE_PA = 0.5
+"""Of an SDP33 in flight: its data sheet's 0.2 Pa and what the tube makes."""
 
 MAG_FROM_CHIP = np.diag((1.0, -1.0, -1.0))
 """The magnetometer die lies reversed in y and z inside the ICM-20948."""
@@ -107,6 +111,17 @@ def _pitot(wiring: BoardWiring, device: str) -> PoweredChip:
         return pressure + sigma * rng.standard_normal(), temperature
 
     return Ms4525doChip(wiring.bend(device, inputs))
+
+
+def _sdp3x(wiring: BoardWiring, device: str) -> PoweredChip:
+    raw = wiring.instruments.inputs("pitot_pressure", "pitot_temperature", "static_pressure")
+    rng = wiring.instruments.generator(device)
+
+    def inputs(time_ns: int) -> tuple[float, float, float]:
+        pressure, temperature, ambient = raw(time_ns)
+        return pressure + SDP3X_NOISE_PA * rng.standard_normal(), temperature, ambient
+
+    return Sdp3xChip(wiring.bend(device, inputs))
 
 
 def _static(wiring: BoardWiring, device: str) -> PoweredChip:
@@ -205,6 +220,7 @@ CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
     "pilot_inputs": (0x42, _pilot_inputs),
     "vane_alpha": (0x36, _encoder),
     "vane_beta": (0x37, _encoder),
+    "pitot_sdp3x": (0x21, _sdp3x),
 }
 """Every chip of the simulated aircraft: its address on the bus and how it is wired. Value faults draw in this order."""
 

@@ -43,6 +43,8 @@ _HELD = ("pwm_1", "pwm_2", "pwm_3", "pwm_4")  # a pulse width holds until the ne
 _MAG_OVERFLOW = 8  # bit 3 of the magnetometer's second status byte
 _FIX_3D = 3
 
+_OTHER_SENSOR = 2.0
+
 LONGEST_HOLD = 1.0
 """How long [s] a supply voltage or chip temperature counts after it was read, where it is not read in each scan."""
 
@@ -96,6 +98,11 @@ class Calibrator:
             if item.triad is not None:
                 self._read_triad(item, item.triad, table, readings)
         self._read_static(table, readings)
+        ambient = self.facts.thermal_pitot_pa
+        if ambient is not None and "pitot" in readings.values and "static_pressure" in readings.values:
+            readings.values["pitot"] = readings.values["pitot"] * (
+                ambient / hold_recent(table.time, readings.values["static_pressure"])
+            )
         self._read_gnss(table, readings)
         for name in self._as_they_are:
             group = CHANNEL_BY_NAME[name].group
@@ -141,15 +148,32 @@ class Calibrator:
 
     def _pressure_transfer(self, item: Instrument, curve: CalibrationCurve, channel: str) -> tuple[float, float]:
         """What turns a reading into the curve's input: nothing, but for counts of any pitot that the curve takes in pascal."""
-        if curve.input_unit != "Pa" or CHANNEL_BY_NAME[channel].scale is not None:
+        if channel != "pitot_pressure":
             return 1.0, 0.0
         transfer = self.facts.transfer(CHANNEL_BY_NAME[channel].group, "pa")
+        if curve.input_unit != "Pa":
+            self._refuse_other_counts(item, curve, transfer)
+            return 1.0, 0.0
         if transfer is None:
             raise CalibrationError(
                 f"{self.calibration.name}: {item.instrument} takes {channel} in Pa, and neither recording nor logger.toml has the"
                 " chip's scale (pitot.scale_pa); write input_unit = 'count' and a curve over counts"
             )
         return transfer
+
+    def _refuse_other_counts(
+        self, item: Instrument, curve: CalibrationCurve, transfer: tuple[float, float] | None
+    ) -> None:
+        """A curve over counts is of the sensor it was made with: scales of two kinds differ by more than a factor of two."""
+        middle = sum(curve.valid) / 2
+        below, above = curves.evaluate(curve, np.array([middle - 0.5, middle + 0.5]))
+        slope = abs(float(above - below))
+        if transfer is None or 1 / _OTHER_SENSOR < slope / transfer[0] < _OTHER_SENSOR:
+            return
+        raise CalibrationError(
+            f"{self.calibration.name}: {item.instrument} is a curve over counts of {slope:.3g} Pa, and the sensor of the"
+            f" recording has {transfer[0]:.3g} Pa a count; calibrate this one, or write input_unit = 'Pa' and a curve over pascal"
+        )
 
     def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, readings: Readings) -> None:
         x, y, z = (self.physical(table, c) for c in item.channels)

@@ -55,6 +55,11 @@ class RecordedFacts:
         scale = self._number(f"{group}.scale_{unit}")
         return None if scale is None else (scale, self._number(f"{group}.offset_{unit}") or 0.0)
 
+    @property
+    def thermal_pitot_pa(self) -> float | None:
+        """Ambient pressure [Pa] at which a pitot that counts molecules shows what there is; None of any other."""
+        return self._number("pitot.calibrated_pa")
+
     def stamped(self, group: str) -> bool:
         """Whether a group's samples carry their sender's time, and stand in each scan until the next."""
         return self.values.get(f"{group}.stamped") == "sender"
@@ -158,6 +163,8 @@ def _bounds(key: str) -> tuple[float, float] | None:
         return 0.0, _LONGEST_DELAY
     if key in ("pitot.offset_pa", "static.offset_pa", "static.offset_k"):
         return -_LARGEST_OFFSET, _LARGEST_OFFSET
+    if key == "pitot.calibrated_pa":
+        return 5e4, 1.2e5
     if key.endswith(".zero_count"):
         return 0.0, _LARGEST_COUNT
     if key.endswith((".filter_delay_s", "_after_s")):

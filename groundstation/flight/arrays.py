@@ -47,8 +47,8 @@ def slope_and_agreement(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, fl
     """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
     xy = xx = yy = 0.0
     for x, y in pairs:
-        trend = np.vander(np.linspace(-1.0, 1.0, x.size), 2)
-        x, y = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (x, y))
+        trend = np.linspace(-1.0, 1.0, x.size)
+        x, y = (v - v.mean() - trend * float(trend @ v) / float(trend @ trend) for v in (x, y))
         xy, xx, yy = xy + float(x @ y), xx + float(x @ x), yy + float(y @ y)
     if xx <= 0 or yy <= 0:
         return 0.0, 0.0

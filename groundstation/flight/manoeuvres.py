@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from groundstation.flight.arrays import Array
@@ -17,6 +18,7 @@ from groundstation.flight.flight import Flight
 CONTROLS = ("delta_a", "delta_r", "delta_e")
 SMALLEST = 0.0175  # rad: a control movement below 1 deg is trimming, not a manoeuvre
 TRIM_TIME = 12.0  # s: the trim position is the median over so long
+MEDIANS_AT_ONCE = 2_000_000  # samples in windows at once: 16 MB
 QUIET = 2.0  # s without movement end a manoeuvre
 LEAD, TAIL = 0.5, 2.5  # s kept before the first movement and after the last
 
@@ -97,7 +99,10 @@ def _departure(values: Array, time: Array) -> Array:
         padded = np.pad(filled, half, mode="reflect")
         # every fifth median is enough for something that varies over seconds
         rows = np.arange(0, filled.size, 5)
-        medians = np.array([np.median(padded[i : i + width]) for i in rows])
+        around = sliding_window_view(padded, width)[: filled.size : 5]
+        at_once = max(1, MEDIANS_AT_ONCE // width)
+        parts = [np.median(around[i : i + at_once], axis=1) for i in range(0, len(around), at_once)]
+        medians = np.concatenate(parts)
         trim = np.interp(np.arange(filled.size), rows, medians)
     return np.where(missing, 0.0, filled - trim)
 

@@ -7,6 +7,7 @@ through on loopback, where anybody who can log in could look anyway. Connections
 
 import contextlib
 import hmac
+import re
 import secrets
 import select
 import socket
@@ -28,6 +29,10 @@ IDLE_S = 600.0  # without a byte in either direction
 LONGEST_HEAD = 16384
 _BLOCK = 1 << 16
 _BACKLOG = 128
+_HOP_BY_HOP = (b"connection:", b"upgrade:", b"http2-settings:", b"keep-alive:", b"proxy-connection:")
+"""Not passed on: with them a connection could go on as HTTP/2, or with a second request, at which nobody looks."""
+_ODD_LINE = re.compile(rb"[\x00\n\r]|^[ \t]|^[^:]*[ \t]:")
+"""A bare line end, a line continued or a blank before the colon: what two programs read differently."""
 _HTTP2 = b"PRI * HTTP/2.0\r\n\r\n"
 COOKIE = "sideslip"
 
@@ -165,7 +170,7 @@ class _GateConnection(socketserver.BaseRequestHandler):
             if head is None:
                 return
             if not head.startswith(_HTTP2):
-                status = refusal(_headers(head), HERE, "")
+                status = HTTPStatus.BAD_REQUEST if ambiguous(head) else refusal(_headers(head), HERE, "")
                 if status is not None:
                     response = (
                         f"HTTP/1.1 {status.value} {status.phrase}",
@@ -182,11 +187,17 @@ class _GateConnection(socketserver.BaseRequestHandler):
                 pump(client, server)
 
 
+def ambiguous(head: bytes) -> bool:
+    """Whether another program may read other headers from a head than this one does."""
+    lines = head.partition(b"\r\n\r\n")[0].split(b"\r\n")
+    return any(_ODD_LINE.search(line) for line in lines[1:]) or bool(re.search(rb"[\x00\n\r]", lines[0]))
+
+
 def single_request(head: bytes) -> bytes:
     """The head of a request (with what follows it) that lets no second request follow on the same connection: only the first
     was looked at."""
     lines, body = head.partition(b"\r\n\r\n")[::2]
-    headers = [line for line in lines.split(b"\r\n") if not line.lower().startswith((b"connection:", b"upgrade:"))]
+    headers = [line for line in lines.split(b"\r\n") if not line.lower().startswith(_HOP_BY_HOP)]
     return b"\r\n".join([*headers, b"Connection: close"]) + b"\r\n\r\n" + body
 
 

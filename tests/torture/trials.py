@@ -8,8 +8,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ VERBS: dict[str, list[str]] = {
     "estimate": ["estimate", str(FLIGHT), "--method", "ls", "--json", "out.json", "--save-model", "model.toml"],
     "design": ["design", "--model", "lateral", "--aircraft", "cdfp", "--kind", "doublet", "--time", "10", "-o", "out.toml"],
     "campaign": ["campaign", str(FLIGHT), "--method", "ls", "--serial", "--out", "data"],
+    "match": ["match", "MODEL", str(FLIGHT), "--json", "out.json", "--figure", "out.png"],
+    "fly": ["fly", "quiet", "--speed", "max", "--out", "flown"],
     "gap": ["gap", str(FLIGHT), "--json", "out.json"],
 }  # fmt: skip
 NEW_ONLY = ("recover", "aircraft new")  # refuse a name that is there
@@ -48,13 +51,30 @@ class Tally:
         if wrong:
             self.faults.append(what)
 
+    def add(self, part: "Tally") -> None:
+        """More of the same."""
+        self.trials += part.trials
+        self.faults += part.faults
+        self.slowest_s = max(self.slowest_s, part.slowest_s)
+        self.peak_mb = max(self.peak_mb, part.peak_mb)
 
-def _started(verb: str, folder: Path, prepare: Callable[[], None] | None = None) -> "subprocess.Popen[bytes]":
-    environment = {**os.environ, "SIDESLIP_TRACEBACK": "1", "OMP_NUM_THREADS": "1"}
+
+def _started(verb: str, folder: Path, words: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", **(words or {})}
     return subprocess.Popen(
-        [sys.executable, "-m", "sideslip", *VERBS[verb]],
-        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=prepare, env=environment,  # noqa: PLW1509
+        [sys.executable, "-m", "sideslip", *(str(_model()) if w == "MODEL" else w for w in VERBS[verb])],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
     )  # fmt: skip
+
+
+@cache
+def _model() -> Path:
+    """A model file for verbs that want one; it stays until this program ends."""
+    from estimation.models.load import load_model, write_model
+
+    path = Path(tempfile.mkdtemp(prefix="torture-")) / "model.toml"
+    write_model(load_model("lateral", "cdfp"), path)
+    return path
 
 
 def _old(verb: str, folder: Path) -> list[Path]:
@@ -77,6 +97,7 @@ def _ended(process: "subprocess.Popen[bytes]", tally: Tally, verb: str) -> str:
         tally.faults.append(f"{verb}: hung")
         return ""
     tally.slowest_s = max(tally.slowest_s, time.monotonic() - begun)
+    tally.peak_mb = max(tally.peak_mb, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3)
     words = said.decode("utf-8", "replace")
     tally.judge(f"{verb}: traceback: {words[-200:]}", "Traceback" in words)
     return words
@@ -113,31 +134,52 @@ def killed(verb: str, times: int, rng: random.Random) -> Tally:
     return tally
 
 
-def full(verb: str, times: int, rng: random.Random) -> Tally:
-    """No file may grow beyond a random length: status 2 or the whole work, the old file, nothing half-written."""
+def full(verb: str, most: int, rng: random.Random) -> Tally:
+    """The disk is full from the first, the second, ... write on (of many, `most`): a status that says so, the old file."""
     tally = Tally()
-    for _ in range(times):
-        with tempfile.TemporaryDirectory() as name:
-            here = Path(name)
+    with tempfile.TemporaryDirectory() as name:
+        shim, counts, room = _shim(Path(name)), Path(name) / "counts", Path(name) / "room"
+
+        def once(at: int) -> tuple[int, str, list[Path]]:
+            here = room / str(at)
+            here.mkdir(parents=True)
             old = _old(verb, here)
-            room = rng.choice([0, 1, rng.randrange(5000), rng.randrange(200_000)])
-            process = _started(verb, here, lambda room=room: _no_longer_than(room))  # type: ignore[misc]
-            _ended(process, tally, verb)
+            words = {
+                "LD_PRELOAD": str(shim),
+                "TORTURE_FOLDER": str(here),
+                "TORTURE_FAIL_AT": str(at),
+                "TORTURE_COUNT": str(counts),
+            }
+            process = _started(verb, here, words)
+            said = _ended(process, tally, verb)
+            return process.returncode, said, old
+
+        _, _, new = once(0)
+        sizes = {path.name: path.stat().st_size for path in new}
+        writes = max((int(line) for line in counts.read_text().split()), default=0) if counts.exists() else 0
+        for at in sorted(rng.sample(range(1, writes + 1), min(most, writes))):
+            status, said, old = once(at)
             tally.trials += 1
             tally.judge(
-                f"{verb}: status {process.returncode} with {room} bytes of room", process.returncode not in (0, 1, 2)
+                f"{verb}: status {status} with the disk full at write {at} of {writes}: {said[-200:]}",
+                status not in (1, 2),
             )
             for path in old:
-                kept = path.exists() and (path.read_bytes() == OLD or path.stat().st_size <= room)
-                tally.judge(f"{verb}: {path.name} was destroyed with {room} bytes of room", not kept)
-            left = [p.name for p in here.rglob(f"*{ENDING}")]
+                data = path.read_bytes() if path.exists() else b""
+                whole = data != OLD and abs(len(data) - sizes[path.name]) <= 0.02 * len(data) + 200
+                tally.judge(f"{verb}: {path.name} destroyed at write {at} of {writes}", data != OLD and not whole)
+            left = [p.name for p in (room / str(at)).rglob(f"*{ENDING}")]
             tally.judge(f"{verb}: left behind {left}", bool(left))
     return tally
 
 
-def _no_longer_than(room: int) -> None:
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+def _shim(folder: Path) -> Path:
+    """The library that makes a disk full, compiled."""
+    made = folder / "full_disk.so"
+    subprocess.run(
+        ["cc", "-O1", "-shared", "-fPIC", "-o", made, Path(__file__).with_name("full_disk.c"), "-ldl"], check=True
+    )
+    return made
 
 
 def two(one: str, other: str) -> Tally:

@@ -10,6 +10,7 @@ leaves alone; on 9 to 18 0 leaves alone too, so that a message without them says
 handle_rc_channels_override).
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -58,6 +59,8 @@ _ANEW_MS = 1000  # time since boot that goes back by more is another boot, not a
 _CLOCK_DRIFT = 100e-6  # of the autopilot's clock against ours: twice what a crystal has
 _RATE_OF = 25  # messages
 _SET_MESSAGE_INTERVAL = 511
+_DENIED = 2  # MAV_RESULT
+_LOOP_SHARE = 0.8
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 
 
@@ -106,6 +109,9 @@ class AutopilotLink:
         self.channels: Channels | None = None
         self.parameters: Mapping[str, float] = {}
         self.port_fault = ""
+        self.refusal = ""
+        """Why RC_CHANNELS is not sent as often as it was asked for, with the cure; empty where it is."""
+        self._text = ""  # what the autopilot said of it
 
     # ---------------------------------------------------------------------------------------- what it says
 
@@ -145,11 +151,27 @@ class AutopilotLink:
         elif frame.name == "HEARTBEAT":
             numbers = [_whole(frame, field) for field in ("autopilot", "type", "custom_mode")]
             self.heard = AutopilotHeartbeat(now_ns, frame.system, *numbers)
+        elif frame.name == "STATUSTEXT":
+            text = str(frame.fields()["text"])
+            self._text = text if f"message ID {RC_CHANNELS} " in text else self._text
+        elif frame.name == "COMMAND_ACK" and _whole(frame, "command") == _SET_MESSAGE_INTERVAL:
+            self._answered(_whole(frame, "result"))
         elif frame.name == "PARAM_VALUE":
             fields = frame.fields()
             value = fields["param_value"]
             if isinstance(value, float):
                 self.parameters = {**self.parameters, str(fields["param_id"]): value}
+
+    def _answered(self, result: int) -> None:
+        """SET_MESSAGE_INTERVAL was taken, or was not: ArduPilot sends at 0.8 of its loop rate at most (cap_message_interval)."""
+        if not result:
+            self.refusal = self._text = ""
+            return
+        rate = 1e6 / self._interval_us
+        cure = f"set SCHED_LOOP_RATE to {math.ceil(rate / _LOOP_SHARE)} or more, 100 advised, and restart it"
+        words = f" ({self._text})" if self._text else ""
+        answer = "denied" if result == _DENIED else f"not taken (MAV_RESULT {result})"
+        self.refusal = f"RC_CHANNELS at {rate:.0f} Hz is {answer}{words}: {cure}"
 
     def _note_channels(self, frame: MavlinkFrame, now_ns: int) -> None:
         boot_ms, widths = read_channels(frame.payload)

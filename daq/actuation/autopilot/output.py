@@ -85,7 +85,7 @@ def _wrong_mode(mode: int) -> str:
 
 def _stale_channels(link: AutopilotLink, config: AutopilotConfig, now_ns: int, stale_ns: int) -> str:
     if link.channels is None or now_ns - link.channels.sampled_ns > stale_ns:
-        return f"no RC_CHANNELS for {stale_ns * 1e-6:.0f} ms"
+        return link.refusal or f"no RC_CHANNELS for {stale_ns * 1e-6:.0f} ms"
     absent = [n for n in (config.switch_channel, *config.watch) if n not in link.channels.widths]
     return f"RC_CHANNELS shows no channel {absent[0]}" if absent else ""
 

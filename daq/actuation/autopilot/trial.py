@@ -62,9 +62,8 @@ class AutopilotTrial:
     def _rate(self) -> TrialFinding:
         rate = self._output.link.rate_hz(self._clock.monotonic_ns())
         if rate < 0.9 * LEAST_RATE_HZ:
-            words = (
-                f"RC_CHANNELS comes {rate:.0f} times a second; raise baud rate or SRn_RC_CHAN to {LEAST_RATE_HZ:.0f}"
-            )
+            cure = self._output.link.refusal or f"raise baud rate or SRn_RC_CHAN to {LEAST_RATE_HZ:.0f}"
+            words = f"RC_CHANNELS comes {rate:.0f} times a second; {cure}"
             return TrialFinding("autopilot stream", False, words)
         return TrialFinding("autopilot stream", True, f"RC_CHANNELS {rate:.0f} times a second")
 

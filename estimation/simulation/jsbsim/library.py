@@ -1,5 +1,6 @@
 """The one place that imports JSBSim, an optional package, and silences it; which of an aircraft's properties are our surfaces."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ RADIUS = 6.4e8  # m: a hundred earths, so that 20 s of flight do not see the cur
 STILL_EARTH = f"""<planet name="still"><semimajor_axis unit="M">{RADIUS}</semimajor_axis>
 <semiminor_axis unit="M">{RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0.0</rotation_rate>
 <GM unit="M3/SEC2">{GRAVITY * RADIUS**2}</GM><J2>0.0</J2></planet>"""
+_PART = r"[A-Za-z_][\w.-]*(\[\d+\])?"
+_PROPERTY = re.compile(rf"/?{_PART}(/{_PART})*/?")
 PREFIX = "jsbsim:"  # of a simulation or an aircraft that is JSBSim's
 
 
@@ -81,6 +84,9 @@ def loaded(
     root = tree_of(path) if root is None else root
     for talk in [*root.findall("output"), *root.findall("input")]:  # files, and sockets that would listen for commands
         root.remove(talk)
+    for name in properties_read(root):
+        if not _PROPERTY.fullmatch(name):
+            raise SimulationError(f"{path}: {name!r} is no name of a property of JSBSim")
     with TemporaryDirectory() as folder:
         shadow = Path(folder) / path.stem
         shadow.mkdir()
@@ -105,6 +111,12 @@ def loaded(
             raise SimulationError(f"{path}: JSBSim cannot load it ({one_line(str(error)).strip()})") from error
     if not load_succeeded:
         raise SimulationError(f"{path}: JSBSim cannot load it; try it with JSBSim itself, which says why")
+    section = root.find("aerodynamics")
+    unknown = [] if section is None else [n for n in sorted(properties_read(section)) if not knows_property(fdm, n)]
+    for name in unknown:
+        fdm[name] = 0.0  # or JSBSim, which asks for its value once more as it ends, would end this process
+    if unknown:
+        raise SimulationError(f"{path}: JSBSim knows no property {unknown[0]}, which its aerodynamics reads")
     return fdm
 
 

@@ -1,4 +1,4 @@
-"""An ArduPlane with elevons and rudder on a serial line: its loop of 50 Hz, sticks to servos, failsafe, streams and commands.
+"""An ArduPlane with elevons and rudder on a serial line: its loop, sticks to servos, failsafe, streams and commands.
 
 The order within a loop is that of ArduPlane's scheduler: servos are set from what was read before, then the receiver is read,
 ten times a second the switches, then messages are taken and sent. A message so reaches the servos in the second loop
@@ -9,7 +9,8 @@ after the one that takes it. Modelled by ArduPlane 4.5 (radio.cpp, mode_manual.c
 * Overrides count as a receiver that is alive (Plane::read_radio): while they come, its loss is not noticed. Without either for
   1 s roll, pitch and yaw are taken for trim, after 1.5 s the mode becomes CIRCLE (1).
 * RC_CHANNELS_OVERRIDE is taken from the system id in MAV_GCS_SYSID (SYSID_MYGCS before 4.7) alone; DO_SET_SERVO on an output
-  with a function fails (AP_ServoRelayEvents::do_set_servo); SET_MESSAGE_INTERVAL sets a stream.
+  with a function fails (AP_ServoRelayEvents::do_set_servo); SET_MESSAGE_INTERVAL sets a stream,
+  in whole milliseconds of which 0.8 are a loop at least (cap_message_interval), else it is DENIED and a STATUSTEXT says why.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,13 +25,13 @@ from firmware_sim.hardware.autopilots.frames import (
     RC_CHANNELS,
     RC_CHANNELS_OVERRIDE,
     SERVO_OUTPUT_RAW,
+    STATUSTEXT,
     ReceivedFrame,
     text_of,
 )
 from firmware_sim.hardware.autopilots.looped import LEAST_US, MS, TRAVEL_US, TRIM_US, LoopedAutopilot
 from firmware_sim.hardware.autopilots.rc_input import CHANNELS, RcInput
 
-LOOP_NS = 20 * MS
 RECEIVER_NS, RECEIVER_PHASE_NS = 22 * MS, 3 * MS
 SILENT_NS, SHORT_FAILSAFE_NS = 1000 * MS, 1500 * MS
 THROTTLE_FAILSAFE_US = 950
@@ -38,7 +39,7 @@ MANUAL, CIRCLE = 0, 1
 STAND_IN = 1.0 / 3.0
 OUTPUTS = 4
 _SET_SERVO, _SET_MESSAGE_INTERVAL = 183, 511
-_ACCEPTED, _UNSUPPORTED, _FAILED = 0, 3, 4
+_ACCEPTED, _DENIED, _UNSUPPORTED, _FAILED = 0, 2, 3, 4
 _REAL32 = 9  # MAV_PARAM_TYPE
 
 PARAMETERS: Mapping[str, float] = {
@@ -51,6 +52,7 @@ PARAMETERS: Mapping[str, float] = {
     "SERVO3_FUNCTION": 21.0,
     "SERVO4_FUNCTION": 70.0,
     "MIXING_GAIN": 1.0,
+    "SCHED_LOOP_RATE": 100.0,
 }
 """Set up as docs/sequencer.md asks for it."""
 
@@ -64,8 +66,9 @@ class ArduPlane(LoopedAutopilot):
         parameters: Mapping[str, float] | None = None,
         origin_ns: int = 0,
     ) -> None:
-        super().__init__(LOOP_NS, origin_ns)
         self.parameters = {**PARAMETERS, **(parameters or {})}
+        self._loop_hz = round(self.parameters["SCHED_LOOP_RATE"])
+        super().__init__(round(1e9 / self._loop_hz), origin_ns)
         self.rc = RcInput(self.parameters)
         self.mode = MANUAL
         self._receiver = receiver
@@ -87,11 +90,11 @@ class ArduPlane(LoopedAutopilot):
         """One turn."""
         self._set_servos(now_ns)
         self._read_radio(now_ns)
-        if self.loops % 5 == 0:
+        if self.loops % (self._loop_hz // 10) == 0:
             self.rc.look_at_switch(now_ns)
         for message in self.heard(now_ns):
             self._handle_message(message, now_ns)
-        if self.loops % 50 == 0:
+        if self.loops % self._loop_hz == 0:
             self._send_heartbeat(now_ns)
         for number, (interval, due) in self._streams.items():
             if now_ns >= due:
@@ -143,11 +146,18 @@ class ArduPlane(LoopedAutopilot):
 
     def _command(self, command: int, values: list[float], now_ns: int) -> int:
         if command == _SET_MESSAGE_INTERVAL and int(values[0]) in (RC_CHANNELS.number, SERVO_OUTPUT_RAW.number):
-            self._streams[int(values[0])] = max(round(values[1] * 1e3), LOOP_NS), now_ns
-            return _ACCEPTED
+            return self._set_interval(int(values[0]), int(values[1] / 1000), now_ns)
         if command == _SET_SERVO:
             return _FAILED if self.parameters.get(f"SERVO{int(values[0])}_FUNCTION", 0.0) else _ACCEPTED
         return _UNSUPPORTED
+
+    def _set_interval(self, number: int, interval_ms: int, now_ns: int) -> int:
+        if interval_ms * 800 < 1e6 / self._loop_hz:
+            words = f"Requested rate for message ID {number} too fast. Increase SCHED_LOOP_RATE"
+            self._send(self.packer.pack(STATUSTEXT, 4, words.encode()[:50]), now_ns)
+            return _DENIED
+        self._streams[number] = interval_ms * MS, now_ns
+        return _ACCEPTED
 
     def _send_parameter(self, name: str, now_ns: int) -> None:
         if name in self.parameters:

@@ -30,6 +30,16 @@ def calibration_bytes(values: tuple[int, ...] = UNIT_CALIBRATION) -> bytes:
     return struct.pack(CALIBRATION_FORMAT, *values)
 
 
+def trimming_checksum(data: bytes) -> int:
+    """What is stored at 0x30, bit by bit: shifted left through 0x1D, begun with 0xFF, inverted at the end."""
+    register = 0xFF
+    for byte in data:
+        for bit in range(7, -1, -1):
+            carry = register >> 7 ^ byte >> bit & 1
+            register = (register << 1 & 0xFF) ^ (0x1D if carry else 0)
+    return register ^ 0xFF
+
+
 class Trimming:
     """The compensation polynomials of one unit, and their inverses."""
 
@@ -121,6 +131,8 @@ class Bmp390Chip(RegisterChip):
         if register == EVENT:
             event, self._event = self._event, 0
             return event
+        if register == CALIBRATION - 1:
+            return trimming_checksum(calibration_bytes())
         if CALIBRATION <= register < CALIBRATION + len(self._calibration):
             return self._calibration[register - CALIBRATION]
         return self._registers.get(register, 0)

@@ -55,9 +55,10 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
     if not all(n in c for n in ("ax", "ay", "az", "phi", "theta", "psi", *velocities)):
         return
     parts = [
-        (t, integral(t, push), speed)
+        part
         for name, acceleration in zip(velocities, earth_acceleration(c), strict=True)
         for t, speed, push in windows(time, c[name], acceleration)
+        if (part := _smoothed(t, integral(t, push), speed)) is not None
     ]
     slope, agreement, pairs = max((_as_late(parts, delay) for delay in RECEIVER_LATE), key=lambda fit: fit[1])
     std = _slope_std(slope, agreement, pairs)
@@ -70,15 +71,18 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
         yield Contradiction((*velocities, "ax", "ay", "az"), text, slope, std=std, moves=moves, stops=True)
 
 
-def _as_late(parts: list[tuple[Array, Array, Array]], late: float) -> tuple[float, float, Pairs]:
+def _smoothed(t: Array, push: Array, speed: Array) -> tuple[Array, Array, Array, int] | None:
+    """Time, what pushes, velocity without what a receiver cannot follow, and samples of that mean; None where it is too short."""
+    width = max(1, round(RECEIVER_SMOOTHS / float(np.median(np.diff(t)))))
+    return (t, push, np.convolve(speed, np.full(width, 1.0 / width), "valid"), width) if t.size > 2 * width else None
+
+
+def _as_late(parts: list[tuple[Array, Array, Array, int]], late: float) -> tuple[float, float, Pairs]:
     """Slope, agreement and their pairs for a receiver so many seconds late, both sides without what it cannot follow."""
-    pairs = []
-    for t, push, speed in parts:
-        width = max(1, round(RECEIVER_SMOOTHS / float(np.median(np.diff(t)))))
-        kernel = np.full(width, 1.0 / width)
-        if t.size > 2 * width:
-            shifted = np.interp(t - late, t, push)
-            pairs.append((np.convolve(shifted, kernel, "valid"), np.convolve(speed, kernel, "valid")))
+    pairs = [
+        (np.convolve(np.interp(t - late, t, push), np.full(width, 1.0 / width), "valid"), speed)
+        for t, push, speed, width in parts
+    ]
     return (*slope_and_agreement(pairs), pairs)
 
 

@@ -5,6 +5,8 @@ rosbag2_storage_sqlite3 (tables topics, messages, and since Iron message_definit
 definitions: those of the standard messages are in `ros_definitions`.
 """
 
+import contextlib
+import io
 import json
 import sqlite3
 import struct
@@ -111,6 +113,7 @@ def mcap_profile(path: Path) -> str | None:
 def _mcap(path: Path) -> Bag:
     from mcap.exceptions import McapError
     from mcap.stream_reader import StreamReader
+    from zstandard import ZstdError
 
     bag = Bag()
     schemas: dict[int, Any] = {}
@@ -135,7 +138,7 @@ def _mcap(path: Path) -> Bag:
                         if decode is not None:
                             kind = schema.name if schema else ""
                             bag.add_message(channel.topic, kind, record.log_time, record.data, decode)
-    except (McapError, *_DAMAGE) as error:
+    except (McapError, ZstdError, RuntimeError, *_DAMAGE) as error:
         if not bag.topics:
             raise ImportDataError(
                 f"{path}: not an MCAP file, or its first chunk is cut off or damaged ({error})"
@@ -158,7 +161,8 @@ def _mcap_decoder(channel: Any, schema: Any) -> Decode:
 def _cdr(name: str, definition: str) -> Decode:
     from mcap_ros2.decoder import generate_dynamic
 
-    decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
+    with contextlib.redirect_stderr(io.StringIO()):  # it says there what it raises
+        decoders: Mapping[str, Decode] = generate_dynamic(name, definition)
     return decoders[name] if name in decoders else decoders[name.replace("/msg/", "/")]
 
 

@@ -52,6 +52,14 @@ def test_parameters(parameters: dict[str, float], what: str, words: str) -> None
     assert "override gate" not in found
 
 
+@pytest.mark.parametrize("loop_rate", [50.0, 60.0])
+def test_a_loop_too_slow_for_the_stream_is_said_with_its_cure(loop_rate: float) -> None:
+    found = tried(AutopilotRig(switch_plan((0.0, OFF)), parameters={"SCHED_LOOP_RATE": loop_rate}))
+    assert not found["autopilot"].well
+    assert "RC_CHANNELS at 50 Hz is denied (Requested rate for message ID 65 too fast." in found["autopilot"].text
+    assert "set SCHED_LOOP_RATE to 63 or more, 100 advised" in found["autopilot"].text
+
+
 def test_the_switch_is_to_be_at_off() -> None:
     found = tried(AutopilotRig(switch_plan((0.0, 1500.0))))
     assert found["pilot's signals"].text == "switch is at arm; put it to off"

@@ -6,14 +6,17 @@ from collections.abc import Generator
 import pytest
 
 from daq.contract.scan import SensorState
+from daq.sensors import sdp3x
 from daq.sensors.ads1115 import Ads1115, AnalogConfig
 from daq.sensors.ak09916 import Ak09916, MagConfig
+from daq.sensors.as5600 import As5600, EncoderConfig
 from daq.sensors.base import Driver, Reading, SelfTestError, WrongChipError
 from daq.sensors.bmp390 import Bmp390, StaticConfig
 from daq.sensors.capture import Capture, CaptureConfig, ChecksumError, crc8
 from daq.sensors.icm20948 import Icm20948, ImuConfig
-from daq.sensors.ms4525do import Ms4525do, PitotConfig, split
+from daq.sensors.ms4525do import Ms4525do, PitotConfig, nominal_transfer, split
 from daq.sensors.nau7802 import Nau7802, ThrustConfig
+from daq.sensors.sdp3x import Sdp3x, words_of
 from tests.unit.daq.fakes import FakeBus, FakeChip, WordChip
 
 
@@ -262,8 +265,15 @@ class TestMs4525do:
 class TestBmp390:
     NVM = bytes(range(1, 22))
 
+    def checksum(self) -> int:
+        """Remainder of 21 bytes with the first inverted, divided by x^8 + x^4 + x^3 + x^2 + 1, inverted."""
+        value = (int.from_bytes(self.NVM, "big") ^ 0xFF << 160) << 8
+        for place in range(175, 7, -1):
+            value ^= (0x11D << place - 8) * (value >> place & 1)
+        return value ^ 0xFF
+
     def chip(self) -> FakeChip:
-        chip = FakeChip({0x00: 0x60})
+        chip = FakeChip({0x00: 0x60, 0x30: self.checksum()})
         chip.put(0x31, self.NVM)
         return chip
 
@@ -283,6 +293,22 @@ class TestBmp390:
         failing.registers[0x02] = 0x04
         with pytest.raises(SelfTestError, match="error flags 0x04"):
             set_up(Bmp390(StaticConfig(), FakeBus({0x77: failing})))
+
+    @pytest.mark.parametrize("bit", [0, 50, 97, 167])
+    def test_a_flipped_bit_of_the_trimming_is_refused(self, bit: int) -> None:
+        chip = self.chip()
+        chip.registers[0x31 + bit // 8] ^= 1 << bit % 8
+        with pytest.raises(SelfTestError, match="do not match their checksum"):
+            set_up(Bmp390(StaticConfig(), FakeBus({0x77: chip})))
+
+    @pytest.mark.parametrize("register", [0x1B, 0x1C, 0x1D, 0x1F])
+    def test_each_setting_is_read_back(self, register: int) -> None:
+        chip = self.chip()
+        driver = Bmp390(StaticConfig(), FakeBus({0x77: chip}))
+        set_up(driver)
+        assert driver.intact()
+        chip.registers[register] ^= 0x02
+        assert not driver.intact()
 
     def test_bmp388_at_its_place_is_named(self) -> None:
         with pytest.raises(WrongChipError, match=r"expected a BMP390 .* 0x60 but read 0x50"):
@@ -312,6 +338,73 @@ class TestBmp390:
             StaticConfig(rate_hz=200, pressure_oversampling=8)
 
 
+class TestSdp3x:
+    """Checksums from the data sheet's example: 0xBEEF has 0x92."""
+
+    def reading(self, data: str, chip: str = "sdp33") -> Reading:
+        plain = FakeChip()
+        plain.plain = bytes.fromhex(data)
+        config = PitotConfig(driver="sdp3x", address=0x21, chip=chip)  # type: ignore[arg-type]
+        return Sdp3x(config, FakeBus({0x21: plain})).read()
+
+    def test_checksum(self) -> None:
+        assert sdp3x.crc8(bytes.fromhex("BEEF")) == 0x92
+        assert words_of(bytes.fromhex("BEEF92")) == [0xBEEF]
+        with pytest.raises(OSError, match="checksum of a word"):
+            words_of(bytes.fromhex("BEEE92"))
+
+    def test_counts_and_scale(self) -> None:
+        word = bytes.fromhex("0BB8")  # 3000 counts: 150 Pa of an SDP33, 50 of an SDP31
+        warm = bytes.fromhex("1388")  # 25 degrees
+        data = word + bytes([sdp3x.crc8(word)]) + warm + bytes([sdp3x.crc8(warm)])
+        for chip, pascal in (("sdp33", 150.0), ("sdp31", 50.0), ("sdp32", 12.5)):
+            reading = self.reading(data.hex(), chip)
+            scale, offset = nominal_transfer(PitotConfig(driver="sdp3x", chip=chip))  # type: ignore[arg-type]
+            assert reading.values["pitot_pressure"] * scale + offset == pytest.approx(pascal)
+            assert reading.values["pitot_temperature"] * 200 / 2047 - 50 == pytest.approx(25.0, abs=0.06)
+
+    def test_another_chip_of_the_family_is_named(self) -> None:
+        plain = FakeChip()
+        plain.plain = b"".join(w + bytes([sdp3x.crc8(w)]) for w in (b"\0\0", b"\x13\x88", b"\0\x3c"))
+        bus = FakeBus({0x21: plain})
+        bus.i2c_rdwr = lambda *m: FakeBus.i2c_rdwr(bus, *m) if m[0].flags & 1 else None  # type: ignore[method-assign]
+        with pytest.raises(SelfTestError, match="60 counts a pascal: a SDP31, not an SDP33"):
+            set_up(Sdp3x(PitotConfig(driver="sdp3x", address=0x21), bus))
+
+
+class TestAs5600:
+    def chip(self, raw: int, status: int = 0x20) -> FakeChip:
+        return FakeChip({0x0B: status, 0x0C: raw >> 8, 0x0D: raw & 0xFF})
+
+    def driver(self, chip: FakeChip, centre: int = 2048) -> As5600:
+        return As5600(EncoderConfig(centre_count=centre), FakeBus({0x36: chip}), group="vane_beta")
+
+    @pytest.mark.parametrize(
+        ("raw", "centre", "count"),
+        [(2048, 2048, 0), (2148, 2048, 100), (4090, 6, -12), (6, 4090, 12), (0, 2048, -2048)],
+    )
+    def test_angle_from_the_centre_across_the_wrap(self, raw: int, centre: int, count: int) -> None:
+        reading = self.driver(self.chip(raw), centre).read()
+        assert (reading.state, reading.values) == (SensorState.OK, {"beta_encoder": count})
+
+    @pytest.mark.parametrize(("status", "words"), [(0x00, "no magnet"), (0x30, "too weak"), (0x28, "too strong")])
+    def test_magnet_bits(self, status: int, words: str) -> None:
+        reading = self.driver(self.chip(2000, status)).read()
+        assert reading.state is SensorState.OUT_OF_RANGE
+        assert words in reading.detail
+        with pytest.raises(SelfTestError, match=words):
+            set_up(self.driver(self.chip(2000, status)))
+
+    def test_set_up_and_what_is_read_back(self) -> None:
+        chip = self.chip(2000)
+        driver = self.driver(chip)
+        set_up(driver)
+        assert chip.written == [(0x07, 0x03), (0x08, 0x00)]  # slow filter 2x, nothing else
+        assert driver.intact()
+        chip.registers[0x08] = 0x04
+        assert not driver.intact()
+
+
 class TestNau7802:
     def chip(self) -> FakeChip:
         chip = FakeChip({0x1F: 0x0F})
@@ -335,6 +428,8 @@ class TestNau7802:
         assert chip.registers[0x15] == 0x30
         assert waited >= 6 * 1e9 / 80
         assert driver.intact()
+        chip.registers[0x01] ^= 0x01  # gain
+        assert not driver.intact()
 
     def test_failed_calibration_is_told(self) -> None:
         chip = self.chip()

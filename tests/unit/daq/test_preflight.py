@@ -17,9 +17,10 @@ from daq.config import LoggerConfig, PreflightConfig
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
 from daq.recorder.storage import RealStorage, in_memory
+from daq.sensors.capture import CaptureConfig
 from daq.sensors.config import SensorsConfig
 from daq.sensors.icm20948 import ImuConfig
-from daq.service.checks import PreflightVerdict, RadioReport, listen_to_radio
+from daq.service.checks import PreflightVerdict, RadioReport, listen_to_radio, sender_checks
 from daq.service.preflight import Preflight, run_preflight
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of
@@ -67,6 +68,9 @@ class Sensors:
         return HealthSummary(self._clock.monotonic_ns(), groups)
 
     def metadata(self) -> dict[str, str]:
+        return {}
+
+    def refusals(self) -> dict[str, str]:
         return {}
 
 
@@ -327,3 +331,27 @@ def test_an_oe_that_is_not_wired_is_found(tmp_path: Path, monkeypatch: pytest.Mo
         PreflightVerdict.NO_GO,
         "servo driver goes on without it: OE is not wired to the monostable",
     )
+
+
+@pytest.mark.parametrize(
+    ("stream_hz", "late_ms", "verdict", "words"),
+    [
+        (25.0, 30.0, PreflightVerdict.GO, "samples a second (at least 18)"),
+        (10.0, 30.0, PreflightVerdict.NO_GO, "10.1 samples a second (at least 18)"),
+        (4.0, 30.0, PreflightVerdict.NO_GO, "SCHED_LOOP_RATE of at least 38 grants it"),
+        (25.0, 190.0, PreflightVerdict.NO_GO, "(limit 150)"),
+    ],
+)
+def test_samples_of_a_sender_too_slow_or_too_old(
+    stream_hz: float, late_ms: float, verdict: PreflightVerdict, words: str
+) -> None:
+    config = LoggerConfig(sensors=SensorsConfig(capture=CaptureConfig(driver="mavlink_servo")))
+    scans = []
+    for k in range(80):
+        now_ms = 1000 + 50 * k
+        newest_ms = ((now_ms - late_ms) * 1e-3 * stream_hz) // 1 / stream_hz * 1e3
+        offset_us = round((newest_ms - now_ms) * 1e3)
+        scans.append(Scan(k, now_ms * 1_000_000, groups={"capture": GroupStatus(SensorState.OK, offset_us)}))
+    (check,) = sender_checks(config, scans, {"capture": "SCHED_LOOP_RATE of at least 38 grants it"})
+    assert check.verdict is verdict
+    assert words in check.text

@@ -196,6 +196,8 @@ def _tables() -> Iterator[Kept]:
 
 
 def _logs() -> Iterator[Kept]:
+    bag = seeds.bag_inputs()[1]
+    yield Kept("bag", "a type that nobody knows", lambda: bag.replace(b"float32[3]", b"float33[3]"))
     yield Kept("ulog", "a format of itself", lambda: _ulog(_format("t:uint64_t timestamp;t[9] x;"), _topic("t")))
     yield Kept(
         "ulog",
@@ -283,6 +285,9 @@ def _logs() -> Iterator[Kept]:
 
 
 def _texts() -> Iterator[Kept]:
+    for steps in ("[]", "[0.0]"):
+        text = f'version = 1\nkind = "doublet"\ntime_step = 0.05\n[increments]\ndelta_a = {steps}\n'
+        yield Kept("manoeuvre", f"increments {steps}", text.encode)
     yield Kept(
         "mapping", "a column without a source", _toml('format = 1\n[time]\ncolumn = "time"\n[columns]\np = []\n')
     )

@@ -14,6 +14,7 @@ import fastcrc
 import numpy as np
 
 import sideslip
+from tests.support.paths import ROOT
 from tests.unit.fuzz import seeds
 from tests.unit.fuzz.mutate import BYTES, TEXT, TOML, Mutator, Rng, flip_bits, mutated
 
@@ -213,6 +214,36 @@ def _simulation(prefix: str) -> Reader:
     return read
 
 
+def _jsbsim(path: Path, scratch: Path) -> object:
+    """In a folder of its own, as JSBSim wants it."""
+    folder = scratch / "aircraft" / "case"
+    folder.mkdir(parents=True, exist_ok=True)
+    path.rename(folder / "case.xml")
+    return _simulation("jsbsim:")(folder / "case.xml", scratch)
+
+
+def _campaign(path: Path, scratch: Path) -> object:
+    from estimation.campaign.plan import read_plan
+    from estimation.campaign.sources import entries_of
+    from estimation.campaign.work_list import work_list
+    from sideslip.simulated import simulator
+
+    plan = read_plan(path)
+    return work_list(plan, entries_of(plan, scratch, simulator()), scratch)
+
+
+def _manoeuvre(path: Path, scratch: Path) -> object:
+    from daq.contract.manoeuvre import load_manoeuvre
+
+    return load_manoeuvre(path).digest
+
+
+def _limits(path: Path, scratch: Path) -> object:
+    from estimation.design.limits import load_limits
+
+    return load_limits(path)
+
+
 def _aircraft(path: Path, scratch: Path) -> object:
     from estimation.aircraft import load_aircraft
     from estimation.models.load import load_model
@@ -299,6 +330,17 @@ def _state(path: Path, scratch: Path) -> object:
 
 IMPORT = verb("import", "FILE", "-o", "OUT", "--accept-implausible")
 
+VERBS_OF_A_FLIGHT = (
+    verb("check", "FILE"),
+    verb("estimate", "FILE", "--method", "ls", "--structure", "off", "--aircraft", "cdfp"),
+    verb("frequency", "FILE", "--input", "delta_a", "--output", "p"),
+    verb("performance", "FILE", "--aircraft", "cdfp"),
+    verb("reconstruct", "FILE", "-o", "TXT"),
+    verb("export", "FILE", "-o", "TXT"),
+    verb("watch", "FILE", "--model", "lateral", "--aircraft", "cdfp"),
+    verb("match", str(ROOT / "docs/examples/short_period.toml"), "FILE", "--aircraft", "cdfp"),
+)
+
 KINDS: dict[str, Kind] = {
     k.name: k
     for k in (
@@ -330,5 +372,11 @@ KINDS: dict[str, Kind] = {
         Kind("signing state", ".state", seeds.state_inputs, (*TEXT, *TEXT, *BYTES), (_state,), 0.5),
         Kind("recording", ".mcap", seeds.recording_inputs, BYTES,
              (verb("verify", "FILE"), verb("info", "FILE"), verb("calibrate", "FILE", "-o", "OUT", "--salvage")), 0.5, quick=4),
+        Kind("bag", ".mcap", seeds.bag_inputs, BYTES, (verb("info", "FILE"), IMPORT), quick=8),
+        Kind("campaign plan", ".toml", seeds.campaign_inputs, TOML, (_campaign,)),
+        Kind("manoeuvre", ".toml", seeds.manoeuvre_inputs, TOML, (_manoeuvre,)),
+        Kind("limits", ".toml", seeds.limits_inputs, TOML, (_limits,)),
+        Kind("jsbsim", ".xml", seeds.jsbsim_inputs, (*TEXT, *BYTES), (_jsbsim,)),
+        Kind("flight of a verb", ".csv", seeds.flight_inputs, (*TEXT, *BYTES), VERBS_OF_A_FLIGHT, 1.0, quick=8),
     )
 }  # fmt: skip

@@ -16,16 +16,16 @@ ROWS = 60
 
 
 @cache
-def flown() -> Mapping[str, np.ndarray]:
-    """Three seconds of a banking flight at 20 Hz."""
-    t = np.arange(ROWS) * 0.05
+def flown(rows: int = ROWS) -> Mapping[str, np.ndarray]:
+    """Three seconds (or as many rows) of a banking flight at 20 Hz."""
+    t = np.arange(rows) * 0.05
     speed = 16 + 0.5 * np.sin(0.3 * t)
     return {
         "time": t, "ax": 0.8 + 0.05 * np.sin(9 * t), "ay": 0.1 * np.sin(2 * t), "az": -9.8 + 0.08 * np.cos(7 * t),
         "p": 0.48 * np.cos(1.2 * t), "q": 0.045 * np.cos(0.9 * t), "r": 0.2 * np.sin(t), "phi": 0.4 * np.sin(1.2 * t),
         "theta": 0.08 + 0.05 * np.sin(0.9 * t), "psi": 2.9 + 0.05 * t, "alpha": 0.09 + 0.02 * np.sin(t),
         "beta": 0.05 * np.sin(2 * t), "V": speed, "delta_a": 0.1 * np.sign(np.sin(t)), "delta_r": 0.03 * np.sin(2 * t),
-        "p_dynamic": 0.5 * 1.17 * speed**2, "rho": np.full(ROWS, 1.17), "altitude": 60 + np.sin(0.1 * t),
+        "p_dynamic": 0.5 * 1.17 * speed**2, "rho": np.full(rows, 1.17), "altitude": 60 + np.sin(0.1 * t),
     }  # fmt: skip
 
 
@@ -41,6 +41,15 @@ def csv_inputs() -> list[bytes]:
     above = "flight of today\nby somebody\n" + plain
     blanks = "\n".join(["time p q r", *(f"{0.05 * i:.2f} {np.cos(i):.4f} 0.1 nan" for i in range(ROWS))])
     return [plain.encode(), units.encode(), above.encode(), blanks.encode()]
+
+
+def flight_inputs() -> list[bytes]:
+    """Twelve seconds with all that a verb asks for."""
+    f = dict(flown(240))
+    f |= {"delta_e": 0.05 * np.sign(np.sin(0.7 * f["time"])), "thrust": np.zeros(240)}
+    return [
+        "\n".join([",".join(f), *(",".join(f"{x:.6g}" for x in row) for row in zip(*f.values(), strict=True))]).encode()
+    ]
 
 
 def parquet_inputs() -> list[bytes]:
@@ -302,3 +311,77 @@ def sdf_inputs() -> list[bytes]:
     throws = dict.fromkeys(("delta_e", "delta_a", "delta_r"), (-0.3, 0.3))
     made = LinearAircraft("cdfp", "cdfp", craft, derivatives, throws=throws, thrust=14.0)
     return [ET.tostring(model_sdf("cdfp", made, None))]
+
+
+def campaign_inputs() -> list[bytes]:
+    """A plan with every table in it, for a flight that stands in the repository."""
+    flight = str(RECORDINGS / "foreign" / "ordinary_0.csv")
+    return [
+        f'flights = ["{flight}"]\nmethods = ["ls"]\nmodel = "lateral"\naircraft = "cdfp"\ngroups = ["aircraft"]\nseed = 3\n'
+        f'time_limit = 60.0\n[[flight]]\npath = "{flight}"\nmass = 3.5\nsegments = "2:8"\ndate = "2026-03-01"\n'
+        f'[[simulate]]\nscenario = "quiet"\ncount = 3\n'.encode()
+    ]
+
+
+def manoeuvre_inputs() -> list[bytes]:
+    """A doublet, as `design` writes one."""
+    from daq.contract.manoeuvre import Manoeuvre
+
+    steps = [0.0] * 4 + [0.05] * 10 + [-0.05] * 10 + [0.0] * 4
+    digest = Manoeuvre("doublet", 0.05, {"delta_a": tuple(steps)}).digest
+    text = (
+        f'version = 1\ndigest = "{digest}"\nkind = "doublet"\naircraft = "cdfp"\nmodel = "lateral"\ntime_step = 0.05\n'
+    )
+    return [f'{text}[about]\nwhy = "none"\n[limits]\nbeta = 0.2\n[increments]\ndelta_a = {steps}\n'.encode()]
+
+
+def limits_inputs() -> list[bytes]:
+    """A file of limits for `design`."""
+    return [
+        b"[controls.delta_a]\namplitude_deg = 5.0\nrate_deg_s = 60.0\n[response]\nbeta = [-8.0, 8.0]\nphi = [-30.0, 30.0]\n"
+    ]
+
+
+def jsbsim_inputs() -> list[bytes]:
+    """A small aircraft whose coefficients are functions and a table."""
+    place = "<x>0</x><y>0</y><z>0</z>"
+    lift = "".join(f"{0.1 * n:.1f} {0.4 * n:.1f}\n" for n in range(-3, 4))
+    return [
+        f"""<?xml version="1.0"?><fdm_config name="small" version="2.0" release="BETA">
+<metrics><wingarea unit="M2">0.5</wingarea><wingspan unit="M">1.5</wingspan><chord unit="M">0.4</chord>
+<location name="AERORP" unit="M">{place}</location><location name="EYEPOINT" unit="M">{place}</location>
+<location name="VRP" unit="M">{place}</location></metrics>
+<mass_balance><ixx unit="KG*M2">0.2</ixx><iyy unit="KG*M2">0.2</iyy><izz unit="KG*M2">0.4</izz><emptywt unit="KG">3.5</emptywt>
+<location name="CG" unit="M">{place}</location></mass_balance><ground_reactions/>
+<aerodynamics><function name="aero/own"><product><property>aero/beta-rad</property><value>2.0</value></product></function>
+<axis name="LIFT"><function name="aero/lift"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
+<table><independentVar>aero/alpha-rad</independentVar><tableData>{lift}</tableData></table></product></function></axis>
+<axis name="ROLL"><function name="aero/roll"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
+<property>metrics/bw-ft</property><property>fcs/left-aileron-pos-rad</property><property>aero/own</property><value>-0.1</value>
+</product></function></axis></aerodynamics></fdm_config>""".encode()
+    ]
+
+
+def bag_inputs() -> list[bytes]:
+    """An MCAP file of JSON messages, and one whose messages are described in ROS's words."""
+    from mcap.writer import Writer
+
+    made = []
+    for encoding, schema, body in (
+        ("jsonschema", b'{"type": "object"}', lambda k: json.dumps({"p": 0.1 * k, "roll": 0.01 * k}).encode()),
+        (
+            "ros2msg",
+            b"uint64 timestamp\nfloat32[3] gyro_rad\n",
+            lambda k: b"\0\1\0\0" + struct.pack("<Q3f", k, 0.1, 0.2, 0.3),
+        ),
+    ):
+        stream = io.BytesIO()
+        writer = Writer(stream)
+        writer.start(profile="ros2" if encoding == "ros2msg" else "")
+        number = writer.register_schema("px4_msgs/msg/SensorCombined", encoding, schema)
+        channel = writer.register_channel("/imu", "json" if encoding == "jsonschema" else "cdr", number)
+        for k in range(200):
+            writer.add_message(channel, 10**18 + 50_000_000 * k, body(k), 10**18 + 50_000_000 * k)
+        writer.finish()
+        made.append(stream.getvalue())
+    return made

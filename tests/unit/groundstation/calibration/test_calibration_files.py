@@ -46,7 +46,7 @@ def test_instrument_twice_is_an_error() -> None:
 
 
 def test_missing_directory_names_what_is_built_in(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="built in: cdfp"):
+    with pytest.raises(CalibrationError, match="built in: autopilot, cdfp"):
         load_calibration(tmp_path / "nowhere")
     with pytest.raises(CalibrationError, match="no calibration file"):
         load_calibration(tmp_path)

@@ -169,3 +169,50 @@ def test_names_are_read_as_browsers_write_them() -> None:
     assert single_request(b"GET / HTTP/1.1\r\nConnection: keep-alive\r\nHost: a\r\n\r\nx") == (
         b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\nx"
     )
+
+
+UPGRADE = b"Upgrade: h2c\r\nHTTP2-Settings: AAMAAABkAAQAAP__\r\n"
+FRAMES = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+
+
+def spoken(port: int, head: bytes, body: bytes = b"") -> bytes:
+    """All that a connection answers within two seconds."""
+    with socket.create_connection(("127.0.0.1", port), 5) as client:
+        client.sendall(head + b"\r\n" + body)
+        client.settimeout(2.0)
+        answer = b""
+        with contextlib.suppress(OSError):
+            while piece := client.recv(4096):
+                answer += piece
+        return answer
+
+
+@pytest.mark.parametrize("host", [b"127.0.0.1", b"evil.example"])
+@pytest.mark.parametrize("connection", [b"Connection: Upgrade, HTTP2-Settings\r\n", b"connection: upgrade\r\n", b""])
+def test_a_request_does_not_become_http2_on_its_way(view: tuple[LiveView, int], host: bytes, connection: bytes) -> None:
+    head = b"GET " + READ.encode() + b" HTTP/1.1\r\nHost: " + host + b"\r\n" + connection + UPGRADE
+    answer = spoken(view[1], head, FRAMES)
+    assert not answer.startswith(b"HTTP/1.1 101")
+    assert answer.startswith(b"HTTP/1.1 421") or host == b"127.0.0.1"
+    assert b"SECRET" not in answer
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"X: a\nUpgrade: h2c",
+        b"X: a\rUpgrade: h2c",
+        b"Upgrade : h2c",
+        b" Upgrade: h2c",
+        b"X: a\x00",
+        b"X: a\r\n\tUpgrade: h2c",
+    ],
+)
+def test_lines_that_two_programs_read_differently_are_refused(view: tuple[LiveView, int], line: bytes) -> None:
+    head = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n" + line + b"\r\n"
+    assert spoken(view[1], head).startswith(b"HTTP/1.1 400")
+
+
+def test_headers_of_the_connection_are_not_passed_on() -> None:
+    head = b"GET / HTTP/1.1\r\nHost: a\r\nConnection: Upgrade\r\n" + UPGRADE + b"Keep-Alive: timeout=9\r\n\r\n"
+    assert single_request(head) == b"GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"

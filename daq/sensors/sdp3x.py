@@ -1,0 +1,76 @@
+"""SDP31, SDP32, SDP33: differential pressure of the pitot tube by the heat that a flow through the sensor carries away.
+
+Sensirion datasheet SDP3x-Digital version 0.8: command 0x3615 measures continuously, differential pressure, averaged until read; a
+read gives pressure, temperature (200 counts a kelvin) and scale (60, 240 or 20 counts a pascal), each with a CRC-8 (polynomial
+0x31, begun with 0xFF). As ArduPilot's and PX4's drivers have it. Recorded is the signed count plus 32768.
+The sensor counts molecules: at an ambient pressure p it shows p / 966 hPa of what there is (section "Altitude correction"),
+which the ground takes out by the static pressure (`calibrated_pa`). Hoses longer than a metre weaken it further.
+
+Self-test: CRCs, scale as of the configured chip. Plausibility: CRC of each read, counts at the ends; a chip that lost power does
+not acknowledge a read until it is told to measure.
+"""
+
+import errno
+from collections.abc import Callable, Generator
+
+import fastcrc
+
+from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.scan import SensorState
+from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, signed
+from daq.sensors.bus import read_raw, write_raw
+from daq.sensors.ms4525do import SDP_COUNTS_PER_PA, PitotConfig, nominal_transfer
+from daq.utilities.constants import ZERO_CELSIUS
+
+MEASURE, STOP = b"\x36\x15", b"\x3f\xf9"
+CALIBRATED_PA = 96_600.0
+MIDDLE, COUNTS_PER_KELVIN = 32768, 200.0
+_ENDS = (-32768, 32767)
+
+crc8: Callable[[bytes], int] = fastcrc.crc8.nrsc_5
+"""CRC-8 with polynomial 0x31 begun with 0xFF."""
+
+
+def words_of(data: bytes) -> list[int]:
+    """16-bit words of a read, each followed by its checksum. Raises OSError for a wrong one."""
+    for i in range(0, len(data), 3):
+        if crc8(data[i : i + 2]) != data[i + 2]:
+            raise OSError(errno.EBADMSG, "SDP3x: checksum of a word is wrong")
+    return [int.from_bytes(data[i : i + 2], "big") for i in range(0, len(data), 3)]
+
+
+class Sdp3x(Driver):
+    """Differential pressure [counts from the middle of 16 bits] and temperature [counts of the channel table]."""
+
+    name, groups, precedence = "sdp3x", ("pitot",), 2
+    _config: PitotConfig
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        write_raw(self._bus, self._address, STOP)
+        yield MS  # 0.5 ms until the next command
+        write_raw(self._bus, self._address, MEASURE)
+        yield 20 * MS  # first result after 8 ms
+        scale = words_of(read_raw(self._bus, self._address, 9))[2]
+        if scale != SDP_COUNTS_PER_PA[self._config.chip]:
+            chips = {counts: chip for chip, counts in SDP_COUNTS_PER_PA.items()}
+            raise SelfTestError(
+                f"pitot sensor has {scale} counts a pascal: a {chips.get(scale, 'chip that is no SDP3x').upper()}, not an"
+                f" {self._config.chip.upper()}; correct sensors.pitot.chip"
+            )
+
+    def read(self) -> Reading:
+        raw, warmth = (signed(w, 16) for w in words_of(read_raw(self._bus, self._address, 6)))
+        row = CHANNEL_BY_NAME["pitot_temperature"]
+        kelvin = warmth / COUNTS_PER_KELVIN + ZERO_CELSIUS
+        values = {
+            "pitot_pressure": raw + MIDDLE,
+            "pitot_temperature": max(0, round((kelvin - row.offset) / (row.scale or 1.0))),
+        }
+        if raw in _ENDS:
+            return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")
+        return Reading(values)
+
+    def metadata(self) -> dict[str, str]:
+        scale, offset = nominal_transfer(self._config)
+        facts = {"chip": self._config.chip.upper(), "calibrated_pa": repr(CALIBRATED_PA), "filter_delay_s": "0.0005"}
+        return {**facts, "scale_pa": repr(scale), "offset_pa": repr(offset)}
