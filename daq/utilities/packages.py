@@ -51,8 +51,12 @@ def missing(error: ImportError, what: str = "this") -> MissingPackageError:
         return MissingPackageError(
             f"{what} needs {root!r}, which Python has not got on this system; run it on Linux", name=module
         )
-    command = f"pip install 'sideslip[{extra}]'" if extra else f"pip install {root}"
-    return MissingPackageError(f"{what} needs the package {root!r}, which is not installed; {command}", name=module)
+    if extra is None:
+        return MissingPackageError(
+            f"{what} needs the package {root!r}, which is not installed; pip install {root}", name=module
+        )
+    text = f"{what} needs the package {root!r}, which is not installed; pip install 'sideslip[{extra}]'"
+    return MissingPackageError(text, name=module)
 
 
 def optional(module: str, what: str) -> Any:

@@ -40,5 +40,5 @@ class MissingColumnError(FlightError):
                 f"; if it is there by another name ({examples}), 'sideslip import' with --map gives it its own"
             )
         super().__init__(
-            f"{flight}: column{plural} {names} missing{one_of}, needed for {purpose}; add the column{plural}{alternatives}{near}"
+            f"{flight}: column{plural} {names} missing, needed for {purpose}{one_of}; add the column{plural}{alternatives}{near}"
         )
