@@ -58,12 +58,14 @@ def test_each_configuration_identifies(tmp_path: Path) -> None:
     wrong = {}
     for config, parameters in found.items():
         for name, p in parameters.items():
+            if name not in truth:  # a delay of a channel, not of the aircraft
+                continue
             off = abs(p["estimate"] - truth[name]) / p["std_coloured"]
             if not name.endswith("_0") and p["identifiable"] and off > BELIEVED:
                 wrong[config, name] = (p["estimate"], truth[name], p["std_coloured"])
     assert not wrong
     for name, p in found["autopilot"].items():
-        if not name.endswith("_0"):
+        if not name.endswith("_0") and name in found["cdfp"] and name in truth:
             best = found["cdfp"][name]["std_coloured"]
             largest = max(abs(truth[n]) for n in truth if n[:2] == name[:2] and not n.endswith("_0"))
             assert p["std_coloured"] <= max(WIDER * best, SMALL * largest), name

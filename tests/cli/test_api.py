@@ -60,7 +60,7 @@ class TestEstimate:
         from matplotlib import pyplot as plt
 
         axes = result.plot()
-        assert "Cl_p" in [t.get_text() for t in axes.get_xticklabels()]
+        assert "$C_{l_{p}}$" in [t.get_text() for t in axes.get_yticklabels()]
         assert result.plot(ax=axes) is axes
         plt.close("all")
 
@@ -131,6 +131,8 @@ def test_checks_and_matches_draw_measured_beside_computed(result: Estimates, tmp
 def test_figures_are_those_of_the_page(result: Estimates, tmp_path: Path) -> None:
     figures = result.figures()
     assert set(figures) == {
+        "forest",
+        "strips",
         "figure8",
         "figure9_cdfp_ld4",
         "residuals_cdfp_ld4",

@@ -60,8 +60,9 @@ def test_lost_frames_are_exactly_the_damaged_ones(
     damage: Callable[[bytes, np.random.Generator], bytes], share: float, noise: bool
 ) -> None:
     # Seeded by name: a frame that ends in 0xFD and loses that byte is whole again with the next one's first, and the
-    # next is the lost one. No decoder can tell; one random stream in a hundred has it.
-    rng = np.random.default_rng(zlib.crc32(f"{damage.__name__} {share}".encode()) if noise else 3)
+    # next is the lost one. No decoder can tell; one random stream in a hundred has it. So it is with a damaged frame whose
+    # checksum of 16 bits comes right by chance, as one has with seed 3.
+    rng = np.random.default_rng(zlib.crc32(f"{damage.__name__} {share}".encode()) if noise else 4)
     sent = stream(2000, noise=noise)
     hit = rng.random(len(sent)) < share
     on_air = [damage(f, rng) if h else f for f, h in zip(sent, hit, strict=True)]

@@ -359,7 +359,7 @@ class TestSdp3x:
         data = word + bytes([sdp3x.crc8(word)]) + warm + bytes([sdp3x.crc8(warm)])
         for chip, pascal in (("sdp33", 150.0), ("sdp31", 50.0), ("sdp32", 12.5)):
             reading = self.reading(data.hex(), chip)
-            scale, offset = nominal_transfer(PitotConfig(driver="sdp3x", chip=chip))  # type: ignore[arg-type]
+            scale, offset = nominal_transfer(PitotConfig(driver="sdp3x", chip=chip, address=0x21))  # type: ignore[arg-type]
             assert reading.values["pitot_pressure"] * scale + offset == pytest.approx(pascal)
             assert reading.values["pitot_temperature"] * 200 / 2047 - 50 == pytest.approx(25.0, abs=0.06)
 

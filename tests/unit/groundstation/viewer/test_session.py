@@ -50,7 +50,8 @@ def test_a_port_taken_later_moves_the_picture_and_a_dead_page_comes_back() -> No
             (page,) = views._windows
             assert isinstance(page, WebPage)
             assert page.address != f"http://127.0.0.1:{chosen.web_port}/"
-            assert said == [f"aircraft 1: {page.url}"]
+            assert said[0].startswith("the page opens with the first aircraft heard, at http://127.0.0.1:")
+            assert said[1:] == [f"aircraft 1: {page.url}"]
         page._wait_for_answer(page.address)
         first = page.pid
         os.kill(first, signal.SIGKILL)
