@@ -15,7 +15,7 @@ from tests.support.paths import ROOT
 CONFIGS = ROOT / "daq" / "configs"
 BELIEVED = 3.0
 """Corrected bounds that a derivative may be off by: of 15 in three flights none is further with a chance of 0.9."""
-WIDER = 3.0
+WIDER = 4.0
 """Bounds of an autopilot alone against those of all sensors."""
 SMALL = 0.05
 """Or so much of the largest derivative of a coefficient: angles without vanes are known to so much of their scale."""

@@ -20,7 +20,8 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
-from estimation.prepare.flight_data import FlightData, Preparation
+from estimation.prepare.flight_data import FlightData
+from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
 from estimation.signals.denoise import noise_level
@@ -166,7 +167,7 @@ def prepare_flights(
     records: list[FlightRecord] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
-        data = prepare(probe, flight, Preparation(every_axis=True))
+        data = prepare(probe, flight)
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
         parts = [p for part in data.segments for p in _stretches(part, data.states, controls, criteria)]
@@ -237,9 +238,10 @@ def quick_length(count: int) -> int:
 def _raw_steps(
     base: Model, flight: Flight, first: int, inputs: dict[str, Array], noise: Mapping[str, float], criteria: Criteria
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
-    """Put the measured values of the controls by their steps into `inputs`; where that was, and the noise that is left there."""
+    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
+    the noise that is left there."""
     masks, levels = {}, {}
-    for signal in base.inputs:
+    for signal in base.inputs if has_pitch_rate(base) else ():
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]

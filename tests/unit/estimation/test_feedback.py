@@ -83,29 +83,3 @@ def test_only_where_the_model_pitches(draws: int) -> None:
             assert np.array_equal(usual.errors[:, at], smooth.errors[:, at]) != (changes and draws > 0)
         others = [i for i in range(len(model.inputs)) if i != at]
         assert np.array_equal(usual.segments[0].u[:, others], smooth.segments[0].u[:, others])
-
-
-def test_asked_of_any_model_an_aileron_keeps_what_follows_the_bank() -> None:
-    """As the gap workflow asks: without it the aileron of a wing leveller is off by what de-noising takes of its holding."""
-    rng = np.random.default_rng(4)
-    values, true, phi = control(rng, GAIN)
-    still = np.zeros(TIME.size)
-    small = {
-        n: 1e-3 * rng.standard_normal(TIME.size) for n in ("beta", "p", "q", "r", "theta", "alpha", "ax", "ay", "az")
-    }
-    flight = Flight.build("made", TIME, {
-        **small, "phi": phi + 1e-3 * rng.standard_normal(TIME.size), "V": still + 17.0, "rho": still + 1.2,
-        "delta_a": values, "delta_r": still,
-    })  # fmt: skip
-    model = load_model("lateral", "cdfp")
-    at = model.input_names.index("delta_a")
-    usual, asked = (prepare(model, flight, Preparation(every_axis=e)) for e in (False, True))
-    lost, left = (float((d.segments[0].u[:, at] - true) @ phi / (phi @ phi)) for d in (usual, asked))
-    assert lost < -0.1 * GAIN
-    assert abs(left) < 0.05 * GAIN
-    assert usual.follows is None
-    assert asked.follows is not None
-    assert float(asked.follows[:, at] @ phi / (phi @ phi)) == pytest.approx(GAIN, rel=0.15)
-    steps = np.abs(np.diff(true, prepend=true[0])) > 0.02
-    assert np.array_equal(asked.segments[0].u[steps, at], values[steps])
-    assert not np.array_equal(usual.segments[0].u[steps, at], values[steps])

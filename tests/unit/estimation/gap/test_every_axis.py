@@ -130,7 +130,7 @@ def test_records_keep_the_elevator_as_measured_by_its_steps_and_nulls_its_noise(
     assert known.left["delta_e"].mean() == pytest.approx(np.mean(errors**2), rel=0.3)
     assert known.left["delta_e"].size == len(record) // 2 + 1
     (sideways,) = prepare_flights(LATERAL, (), [flight], (), AS_SET).records
-    assert not any(mask.any() for mask in sideways.raw.values())  # of controls that hold the bank, and make no step
+    assert not sideways.raw
 
 
 def test_the_spectrum_of_random_courses_is_smooth_and_keeps_their_colour() -> None:
@@ -153,8 +153,8 @@ def test_the_noise_of_a_control_is_told_between_its_steps(flown: dict[str, list[
     assert rough > 1.1 * np.radians(0.07)
 
 
-def filtered(theta_error: float, gain: float = 1.0) -> list[FlightRecord]:
-    """A record whose pitch attitude integrates a noisy rate, with a slow error of some size."""
+def filtered(theta_error: float, gain: float = 1.0, white: float = 0.0) -> list[FlightRecord]:
+    """A record whose pitch attitude integrates a noisy rate, with a slow error of some size; white: noise of its own."""
     t = np.arange(601) / 20.0
     q = 0.3 * np.sin(1.5 * t)
     theta = 0.1 + 0.2 * (1 - np.cos(1.5 * t)) * gain + theta_error * np.sin(0.8 * t)
@@ -162,7 +162,7 @@ def filtered(theta_error: float, gain: float = 1.0) -> list[FlightRecord]:
         [
             np.full(601, 17.0),
             np.full(601, 0.09),
-            theta,
+            theta + white * RNG.standard_normal(601),
             q + 0.007 * RNG.standard_normal(601),
             np.zeros(601),
             np.zeros(601),
@@ -178,8 +178,8 @@ def test_what_is_wrong_with_a_filtered_pitch_attitude_is_seen_against_the_integr
     assert wider[2] == pytest.approx(0.01 / np.sqrt(2.0), rel=0.25)
     np.testing.assert_array_equal(np.delete(wider, 2), np.delete(scatter, 2))
     independent = scatter.copy()
-    independent[2] = 0.005  # noisier from sample to sample than one step of the gyro: no filter
-    assert pitch_error(filtered(0.01), names, independent, AS_SET) is independent
+    independent[2] = 0.005  # noisier from sample to sample than one step of the gyro, and white: no filter
+    assert pitch_error(filtered(0.01, white=0.005), names, independent, AS_SET) is independent
     assert pitch_error(filtered(0.01), LATERAL.output_names, scatter, AS_SET) is scatter
 
 
