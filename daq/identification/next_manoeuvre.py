@@ -147,7 +147,7 @@ def predicted_columns(
     surfaces = _surfaces(((candidate.aileron, AILERON), (candidate.rudder, RUDDER)), airframe)
     states = _response(A, B, surfaces)
     largest = max(np.abs(states[:, 0]).max() / MOST_SIDESLIP, np.abs(states[:, 3]).max() / MOST_BANK)
-    share = 1.0 / largest if largest > 1.0 else 1.0
+    share = 1.0 / max(1.0, largest)
     stride = max(1, round(ROW / STEP))
     pressure = 0.5 * sample.rho * sample.V**2
     rate = airframe.span / (2.0 * sample.V)
@@ -169,7 +169,7 @@ def predicted_pitch_columns(
     surfaces = _surfaces(((candidate.elevator, ELEVATOR),), airframe)
     states = _response(A, B, surfaces)
     largest = np.abs(states[:, 0]).max() / MOST_ALPHA
-    share = 1.0 / largest if largest > 1.0 else 1.0
+    share = 1.0 / max(1.0, largest)
     pressure, rate = 0.5 * sample.rho * sample.V**2, airframe.chord / (2.0 * sample.V)
     d = {n: values.get(n, 0.0) for n in ("CL_alpha", "CL_q", "CL_de")}
     level = airframe.mass * GRAVITY * math.cos(sample.theta) / (pressure * airframe.area)

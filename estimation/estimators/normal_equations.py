@@ -20,6 +20,14 @@ times that is noise for certain, and a direction a million times weaker than ano
 """
 
 
+def _eliminated(
+    information: Array, coupling: Array, inverse: Array, gradient: Array, gradient_beside: Array
+) -> tuple[Array, Array]:
+    """Information (n, n) and gradient (n,) of what stays, with what it is coupled to (k, of that `inverse`) eliminated."""
+    lever = coupling @ inverse
+    return information - lever @ coupling.T, gradient - lever @ gradient_beside
+
+
 @dataclass
 class SegmentBlocks:
     """Information of one segment about parameters t (n) and its initial states x (free ones): blocks and gradients."""
@@ -38,8 +46,7 @@ class SegmentBlocks:
         """Information and gradient about the parameters with the initial states eliminated."""
         if not self.xx.size:
             return self.tt, self.gt
-        lever = self.tx @ self.xx_inverse
-        return self.tt - lever @ self.tx.T, self.gt - lever @ self.gx
+        return _eliminated(self.tt, self.tx, self.xx_inverse, self.gt, self.gx)
 
     def states(self, change: Array) -> Array:
         """Change of the initial states that goes with a change of the parameters."""
@@ -74,8 +81,7 @@ class FlightBlocks:
     def reduced(self) -> tuple[Array, Array]:
         if not self.ll.size:
             return self.ss, self.gs
-        lever = self.sl @ self.ll_inverse
-        return self.ss - lever @ self.sl.T, self.gs - lever @ self.gl
+        return _eliminated(self.ss, self.sl, self.ll_inverse, self.gs, self.gl)
 
     def local(self, change: Array) -> Array:
         return self.ll_inverse @ (self.gl - self.sl.T @ change)

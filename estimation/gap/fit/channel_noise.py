@@ -7,10 +7,11 @@ import numpy as np
 from estimation.compatibility.records import attitude_rates
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
-from estimation.gap.records.attitudes import integral, white_share
+from estimation.gap.records.attitudes import white_share
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.signals.denoise import noise_level
+from groundstation.flight.arrays import integral
 
 KNOWN = 0.2  # of the steps from sample to sample, for what is seen of them to stand for the rest
 QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all

@@ -4,7 +4,6 @@
 hypotheses; then one tab per flight with its channels, their residuals and the noise floor. Angles are in degrees.
 """
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.utilities.durable import make_directories
+from daq.utilities.packages import installed
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import GapResult, Histories
 from estimation.gap.errors import GapError
@@ -31,7 +31,7 @@ UNDRAWN = re.compile("[^\n -~¡-¬®-ňŊ-ſΑ-ΡΣ-Ωα-ωА-я\u0302\u0307ḣ�
 
 def available() -> bool:
     """Whether rerun is installed."""
-    return importlib.util.find_spec("rerun") is not None
+    return installed(["rerun"])
 
 
 def shown_unit(unit: str) -> tuple[str, float]:

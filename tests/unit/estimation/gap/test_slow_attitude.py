@@ -5,8 +5,9 @@ import pytest
 
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
-from estimation.gap.records.attitudes import integral, white_share, with_attitudes_between
+from estimation.gap.records.attitudes import white_share, with_attitudes_between
 from groundstation.flight import Flight
+from groundstation.flight.arrays import integral
 
 DEG = np.pi / 180
 TIME = 0.02 * np.arange(1500)
