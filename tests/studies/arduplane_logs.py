@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt
 
 from tests.unit.groundstation.importers.autopilots import Table, dataflash
 
@@ -59,6 +59,8 @@ AEROPLANES = {
     "stiff": Aeroplane(1.9, 0.45, 0.24, 2.1, (0.11, 0.15, 0.24, 0.01), 26.0),
 }  # fmt: skip
 WIND = (3.2, -2.1)
+ATTITUDE_ERROR = 0.004
+"""[rad] of an EKF's attitude, which comes and goes."""
 LAUNCH = 22.0
 """Time since boot [s] at which the log begins, in flight."""
 
@@ -187,20 +189,31 @@ def flown(aeroplane: Aeroplane, legs: int = 12, size: float = 1.0) -> dict[str, 
     return dict(zip(names, np.array(rows).T, strict=True))
 
 
+def slow_noise(rng: np.random.Generator, count: int, seconds: float = 20.0) -> np.ndarray:
+    """Of unit spread, that lasts so long."""
+    keep = np.exp(-STEP / seconds)
+    white = rng.standard_normal(count) * np.sqrt(1 - keep**2)
+    white[0] = rng.standard_normal()
+    return np.asarray(lfilter([1.0], [1.0, -keep], white))
+
+
 def smoothed(values: np.ndarray, hz: float) -> np.ndarray:
     """The second-order low-pass of ArduPilot's sensors, running since before the log."""
     sos = butter(2, hz, fs=1 / STEP, output="sos")
     return np.asarray(sosfilt(sos, values - values[0])) + values[0]
 
 
-def log(aeroplane: Aeroplane, seed: int = 1, hz: float = 25.0, **options: float) -> bytes:
-    """The dataflash log of a flight. hz: of surfaces and attitude."""
+def log(aeroplane: Aeroplane, seed: int = 1, hz: float = 25.0, old: bool = False, **options: float) -> bytes:
+    """The dataflash log of a flight. hz: of surfaces and attitude; old: as of `tables`."""
     rng = np.random.default_rng(seed)
     f = flown(aeroplane, **options)  # type: ignore[arg-type]
-    return dataflash(tables(f, aeroplane, rng, hz))
+    return dataflash(tables(f, aeroplane, rng, hz, old))
 
 
-def tables(f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Generator, hz: float) -> dict[str, Table]:
+def tables(
+    f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Generator, hz: float, old: bool = False
+) -> dict[str, Table]:
+    """Messages of a flight. old: of firmware whose ARSP is smoothed as CTUN is."""
     time, n = f["time"], f["time"].size
     every = round(1 / hz / STEP)
 
@@ -222,7 +235,7 @@ def tables(f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Gen
     rates = [noisy(smoothed(f[c], 40.0), imu, 0.003) for c in "pqr"]
     forces = [noisy(smoothed(f[c], 20.0), imu, 0.05) for c in ("ax", "ay", "az")]
     out["IMU"] = ("Bffffff", "I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", time[imu] + LAUNCH, [0 * time[imu], *rates, *forces])
-    wander = [np.cumsum(rng.standard_normal(n)) * 0.0025 * 0.02 for _ in range(3)]
+    wander = [ATTITUDE_ERROR * slow_noise(rng, n) for _ in range(3)]
     attitude = [np.unwrap(f[c]) + w for c, w in zip(("phi", "theta", "psi"), wander, strict=True)]
     degrees = [a[med] / DEG for a in attitude]
     out["ATT"] = ("fff", "Roll,Pitch,Yaw", time[med] + LAUNCH, [degrees[0], degrees[1], degrees[2] % 360])
@@ -230,9 +243,10 @@ def tables(f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Gen
     pressure = aeroplane.rho / 1.225 * speed**2 / 2.0  # as the ratio of 2 makes of the airspeed, not Bernoulli's
     seen = noisy(pressure, ten, 1.5)
     raw = np.sqrt(np.maximum(seen, 0) * 2.0)
-    shown = raw.copy()
-    for i in range(1, shown.size):
-        shown[i] = 0.7 * shown[i - 1] + 0.3 * raw[i]
+    late = raw.copy()
+    for i in range(1, late.size):
+        late[i] = 0.7 * late[i - 1] + 0.3 * raw[i]
+    shown = late if old else raw
     none = 0 * time[ten]
     out["ARSP"] = (
         "BfffBBB",
@@ -241,7 +255,7 @@ def tables(f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Gen
         [none, shown, seen, none, none + 1, none + 1, none],
     )
     ratio = np.sqrt(1.225 / aeroplane.rho)
-    eas = np.interp(time[med], time[ten], shown)
+    eas = late[np.searchsorted(time[ten], time[med], side="right") - 1]
     out["CTUN"] = ("fBf", "As,AsT,E2T", time[med] + LAUNCH, [eas, 0 * eas + 1, 0 * eas + ratio])
     static = aeroplane.rho * 287.05 * 290.0
     out["BARO"] = (
@@ -250,8 +264,8 @@ def tables(f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Gen
         time[ten] + LAUNCH,
         [noisy(f["altitude"], ten, 0.1), noisy(static - 11 * (f["altitude"] - 120), ten, 2.0), none + 31.0],
     )
-    late = slice(0, n - 40, 80)  # a fix is a tenth of a second old when it is logged
-    north, east, down = (noisy(f[c], late, 0.05) for c in ("vn", "ve", "vd"))
+    before = slice(0, n - 40, 80)  # a fix is a tenth of a second old when it is logged
+    north, east, down = (noisy(f[c], before, 0.05) for c in ("vn", "ve", "vd"))
     size = min(north.size, time[five].size)
     north, east, down = north[:size], east[:size], down[:size]
     fix = [0 * north + 3, np.hypot(north, east), np.arctan2(east, north) / DEG % 360, down]
@@ -267,11 +281,11 @@ def tables(f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Gen
     return out
 
 
-def written(name: str, folder: Path, seed: int, hz: float) -> tuple[Path, Path, Path]:
+def written(name: str, folder: Path, seed: int, hz: float, old: bool = False) -> tuple[Path, Path, Path]:
     """Log, map and aircraft file."""
     aeroplane = AEROPLANES[name]
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.bin").write_bytes(log(aeroplane, seed, hz))
+    (folder / f"{name}.bin").write_bytes(log(aeroplane, seed, hz, old))
     (folder / f"{name}_map.toml").write_text(surfaces(aeroplane.lag))
     ixx, iyy, izz, ixz = aeroplane.inertia
     text = f'name = "{name}"\n[geometry]\nspan = {aeroplane.span}\narea = {aeroplane.area}\nchord = {aeroplane.chord}\n[mass]\n'
@@ -320,11 +334,12 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=list(AEROPLANES))
     parser.add_argument("--hz", type=float, default=25.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--old", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("arduplane_logs"))
     words = parser.parse_args()
     for name in words.names or list(AEROPLANES):
-        folder = words.out / f"{name}_{words.hz:g}_{words.seed}"
-        path, mapping, aircraft = written(name, folder, words.seed, words.hz)
+        folder = words.out / f"{name}_{words.hz:g}_{words.seed}{'_old' * words.old}"
+        path, mapping, aircraft = written(name, folder, words.seed, words.hz, words.old)
         found = ss.analyse(path, mapping=mapping, aircraft=str(aircraft), output=folder / "analysis")
         print(judged(json.loads(json.dumps(found.to_json())), name), flush=True)
 
