@@ -59,6 +59,8 @@ AEROPLANES = {
     "stiff": Aeroplane(1.9, 0.45, 0.24, 2.1, (0.11, 0.15, 0.24, 0.01), 26.0),
 }  # fmt: skip
 WIND = (3.2, -2.1)
+PHASES = (0.013, 0.031, 0.002, 0.024, 0.037, 0.009, 0.018)
+"""[s] by which a pilot moves off the clock of the log, turn by turn."""
 ATTITUDE_ERROR = 0.004
 """[rad] of an EKF's attitude, which comes and goes."""
 LAUNCH = 22.0
@@ -157,7 +159,7 @@ def flown(aeroplane: Aeroplane, legs: int = 12, size: float = 1.0) -> dict[str, 
             speed = float(np.sqrt(x[:3] @ x[:3]))
             throttle = float(np.clip(0.1 + 0.08 * (aeroplane.speed - speed), 0.0, 0.7)) if not by_hand else throttle
             if by_hand:
-                pulse = np.round(np.array([0.0, trimmed, 0.0]) + doublets(into - leg, int(turn), size))
+                pulse = np.round(np.array([0.0, trimmed, 0.0]) + doublets(into - leg - PHASES[int(turn) % len(PHASES)], int(turn), size))
             else:
                 bank = (0.5 if into < leg - 3.0 else 0.0) * (1 if int(turn) % 4 < 2 else -1)
                 wanted = 0.05 + 0.02 * float(np.clip(120.0 + x[12], -8, 8))
