@@ -22,7 +22,7 @@ To add one: [gap.md](gap.md#an-effect-of-your-own).
 
 Each entry: equation; parameters with usual size and [possible range]; effects it can be confused with; what isolates it.
 Physics, source and signature: `estimation/gap/effects/*.toml`. Sizes are those of an aircraft of 3.5 kg and 1.5 m span; they
-[scale](gap-details.md#aircraft-of-any-size). An effect *carried by* derivatives, which absorb it whole, is listed and never named.
+[scale](gap-details.md#aircraft-of-any-size). An effect *carried by* derivatives, which absorb it, is never named.
 """
 CRITERIA_HEAD = """# Numbers that decide in the gap workflow
 
