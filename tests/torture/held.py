@@ -95,11 +95,10 @@ class _Holder:
         os.write(self.answers, json.dumps(answer).encode() + b"\n")
 
     def hook(self, event: str, args: tuple[Any, ...]) -> None:
-        """An audit hook: it sees every file that is opened, Python's own way."""
-        if not self.active or event != "open" or not isinstance(args[0], str | bytes) or not (args[2] or 0) & WRITING:
-            return
-        path = Path.cwd() / os.fsdecode(args[0])
-        if self.here not in path.parents or path.name.startswith(PROBE):
+        """An audit hook: it sees every file that is opened, and every folder that is looked through, Python's own way."""
+        if not self.active or not (
+            (event == "open" and self._opens(*args)) or (event == "os.scandir" and _clears_before_a_write())
+        ):
             return
         self.active = False
         self.tell(held=True)
@@ -107,6 +106,12 @@ class _Holder:
             if self._fork(**json.loads(line)):
                 return
         os._exit(0)
+
+    def _opens(self, name: object, _: object, flags: int | None) -> bool:
+        if not isinstance(name, str | bytes) or not (flags or 0) & WRITING:
+            return False
+        path = Path.cwd() / os.fsdecode(name)
+        return self.here in path.parents and not path.name.startswith(PROBE)
 
     def _fork(self, count: int, environment: dict[str, str]) -> bool:
         """True in a child that is to go on; False when all have ended."""
@@ -129,6 +134,14 @@ class _Holder:
         os.chdir(self.here)
         words = os.open(self.here.with_name(f"words.{os.getpid()}"), os.O_WRONLY | os.O_CREAT, 0o600)
         os.dup2(words, 2)
+
+
+def _clears_before_a_write() -> bool:
+    """Whether `durable` looks for leftovers, as it does before it draws a hidden name: each child has its own then."""
+    clearing = sys._getframe(2)
+    caller = clearing.f_back
+    writes = caller is not None and caller.f_code.co_name in ("replacing", "replacing_folder")
+    return clearing.f_code.co_name == "clear_leftovers" and writes
 
 
 def _begin_anew() -> None:
