@@ -137,7 +137,7 @@ class _Holder:
 
 
 def _clears_before_a_write() -> bool:
-    """Whether `durable` looks for leftovers, as it does before it draws a hidden name: each child has its own then."""
+    """Whether `durable` looks for leftovers, as it does before it draws a hidden name."""
     clearing = sys._getframe(2)
     caller = clearing.f_back
     writes = caller is not None and caller.f_code.co_name in ("replacing", "replacing_folder")
