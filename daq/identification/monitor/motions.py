@@ -21,7 +21,7 @@ LONGEST_STEP = 0.026  # s; as in `simulated_motion`
 
 
 class Inputs(NamedTuple):
-    """What is measured for rolling and yawing, (flights,) each: pitch rate, attitude, angle of attack, airspeed, density, surfaces."""
+    """What is measured for rolling and yawing, (flights,) each: attitude, airspeed, density, surfaces."""
 
     q: Array
     theta: Array
