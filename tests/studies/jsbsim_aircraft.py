@@ -307,9 +307,9 @@ def recorded(flown: Flown, name: str, seed: int) -> Flight:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What `estimate` made of a flight. errors, strict: derivative that can be told -> bounds from its range, from its mean slope;
-    untold: those of which it says it cannot tell; recommended: method, with `auto` where --structure auto was asked for; lacks: what it
-    says the model lacks where nothing is recommended."""
+    """What `estimate` made of a flight. errors, strict: derivative that is told -> bounds from its range, from its mean slope;
+    untold: those it cannot tell; recommended: method, with `auto` where --structure auto was asked for;
+    lacks: what it says the model lacks where nothing is recommended."""
 
     name: str
     plane: str
@@ -332,7 +332,8 @@ class Outcome:
         craft, speed = self.flown.craft, float(np.mean(self.flown.columns["V"]))
         return (
             f"| {self.name} | {craft.mass:.0f} | {speed:.0f} | {self.plane} | {100 * self.flown.nonlinear:.1f} | "
-            f"{len(self.errors)} | {len(self.untold)} | {inside} | {worst[0]} {worst[1]:+.1f} | {self.recommended or 'none'} | {self.lacks} |"
+            f"{len(self.errors)} | {len(self.untold)} | {inside} | {worst[0]} {worst[1]:+.1f} "
+            f"| {self.recommended or 'none'} | {self.lacks} |"
         )
 
 
