@@ -80,7 +80,7 @@ def test_a_fin_that_sticks_stands_where_it_stood_and_an_engine_that_stops_has_no
     assert plain.thrust > 0.5
     stopped, _ = seen("engine_out", SINCE)
     assert stopped.thrust == 0.0
-    assert plain.X - stopped.X == pytest.approx(plain.thrust)
+    assert pytest.approx(plain.thrust) == plain.X - stopped.X
     assert seen("engine_out", BEGINS_S - 0.1)[0].thrust == plain.thrust
 
 
