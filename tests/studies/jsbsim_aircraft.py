@@ -5,7 +5,7 @@
 Each aircraft glides with its engine off at a lift coefficient of 0.4. Its motion is linearised by central differences of JSBSim's
 own accelerations, and manoeuvres are made for that: pulses of the pace of the mode that they excite, as large as a few degrees of
 flow angles allow. One flight is of aileron and rudder, one of the elevator, sampled with the noise of flight-test instruments.
-`estimate` is given the flight, mass, inertia and geometry, and nothing else.
+`estimate --structure auto` is given the flight, mass, inertia and geometry, and nothing else.
 
 Truth: slopes of JSBSim's forces and moments at fifteen places of the flight, by central differences of states that it has stepped
 on by 20 microseconds, so that what goes with the rate of the angle of attack is in them as it is in a flight: the models here
@@ -308,8 +308,8 @@ def recorded(flown: Flown, name: str, seed: int) -> Flight:
 @dataclass(frozen=True)
 class Outcome:
     """What `estimate` made of a flight. errors, strict: derivative that is told -> bounds from its range, from its mean slope;
-    untold: those it cannot tell; recommended: method, with `auto` where --structure auto was asked for;
-    lacks: what it says the model lacks where nothing is recommended."""
+    untold: those it cannot tell; added: to the model, as the flight asked; recommended: method; lacks: what it says the model
+    lacks, or what else is wrong, where nothing is recommended."""
 
     name: str
     plane: str
@@ -317,6 +317,7 @@ class Outcome:
     errors: Mapping[str, float]
     strict: Mapping[str, float]
     untold: tuple[str, ...]
+    added: tuple[str, ...]
     recommended: str
     lacks: str
 
@@ -333,40 +334,35 @@ class Outcome:
         return (
             f"| {self.name} | {craft.mass:.0f} | {speed:.0f} | {self.plane} | {100 * self.flown.nonlinear:.1f} | "
             f"{len(self.errors)} | {len(self.untold)} | {inside} | {worst[0]} {worst[1]:+.1f} "
-            f"| {self.recommended or 'none'} | {self.lacks} |"
+            f"| {', '.join(self.added)} | {self.recommended or 'none'} | {self.lacks} |"
         )
 
 
 HEAD = (
-    "| aircraft | kg | m/s | model | curved, % | told | not told | inside 95 % | farthest, bounds | recommended | because |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|"
+    "| aircraft | kg | m/s | model | curved, % | told | not told | inside 95 % | farthest, bounds "
+    "| added | recommended | because |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
 def identified(name: str, plane: Plane, folder: Path, seed: int) -> Outcome:
-    """Fly it and hand it to `estimate`; where that recommends nothing for what the model lacks, add it as it says."""
+    """Fly it and hand it to `estimate --structure auto`."""
     flown = fly(name, plane, folder, seed)
     model, flight = load_model(plane.model, flown.craft), recorded(flown, name, seed)
-    for wish in (StructureWish.TEST, StructureWish.AUTO):
-        session = runner.estimate(model, [flight], flown.craft, ("ml",), structure=wish)
-        one = session.flights[0]
-        assert one.verdict is not None
-        recommendation = one.verdict.recommended
-        if recommendation.method != "none" or not recommendation.lacks:
-            break
-    result = one.results["ml"]
+    session = runner.estimate(model, [flight], flown.craft, ("ml",), structure=StructureWish.AUTO)
+    one = session.flights[0]
+    assert one.verdict is not None
+    assert one.structure is not None
+    result, recommendation = one.results["ml"], one.verdict.recommended
     estimates = {n: e for n, e in result.parameters.items() if n in flown.along}
     told = {n: e for n, e in estimates.items() if e.identifiable and result.converged}
     by_range = {n: flown.error(n, e.estimate) / e.std_coloured for n, e in told.items()}
     by_mean = {n: flown.error_of_mean(n, e.estimate) / e.std_coloured for n, e in told.items()}
-    method = "" if recommendation.method == "none" else recommendation.method
-    because = (
-        "" if method else ", ".join(recommendation.lacks) or recommendation.why.split(":")[1].split(",")[0].strip()
-    )
-    auto = " auto" if method and wish is StructureWish.AUTO else ""
+    recommended = recommendation.method != "none"
+    because = "" if recommended else ", ".join(recommendation.lacks) or reason_of(recommendation.why)
     return Outcome(
-        name, plane.model, flown, by_range, by_mean, tuple(sorted(set(estimates) - set(told))), method + auto, because
-    )
+        name, plane.model, flown, by_range, by_mean, tuple(sorted(set(estimates) - set(told))),
+        one.structure.added, recommendation.method if recommended else "", because,
+    )  # fmt: skip
 
 
 def reason_of(why: str) -> str:
