@@ -10,7 +10,16 @@ from markupsafe import Markup
 from estimation.compatibility.reconstruction import Compatibility, FactorEstimate, ReconstructedFlight
 from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
-from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, save_figure, styled
+from estimation.report.drawing.figures import (
+    ABOVE,
+    MEASURED,
+    Picture,
+    broken_at_gaps,
+    grid,
+    picture,
+    save_figure,
+    styled,
+)
 from estimation.report.drawing.marks_drawn import aligned_figures, draw_marks
 from estimation.report.flight_tables import collected, flight_card, notes_table, provenance_table
 from estimation.report.names import face, literal, tex
@@ -260,13 +269,11 @@ def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[Recons
 
 def motion_figure(flights: Sequence[ReconstructedFlight], number: int, marked: Sequence["Flight"] = ()) -> Picture:
     """One part of Figure 7, the number-th from 0; flights: the flights beside each other; marked: whose marks are drawn."""
-    from matplotlib.figure import Figure
 
     by_name = {flight.name: flight for flight in marked}
     names = flights[0].outputs
     with styled():
-        figure = Figure(figsize=(11.6, 1.25 * len(names) + 0.7), layout="constrained")
-        axes = figure.subplots(len(names), len(flights), squeeze=False, sharex="col")
+        figure, axes = grid(len(names), len(flights), 1.25, own_scales=True, sharex="col")
         for column, flight in enumerate(flights):
             for row, name in enumerate(names):
                 axis = axes[row][column]

@@ -41,25 +41,28 @@ def motion(t: np.ndarray, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Level S-turns at 20 m/s in wind, under the names that the fields have in either log, with noise."""
     phi, rate = 0.4 * np.sin(0.5 * t), 0.2 * np.cos(0.5 * t)
     turn = 9.80665 * np.tan(phi) / 20.0
-    psi = 9.80665 / 20.0 * 0.8 * np.sin(0.25 * t) ** 2  # integral of the turn, the tangent for its angle
+    psi = 9.80665 / 20.0 * 1.6 * np.sin(0.25 * t) ** 2  # integral of the turn, the tangent for its angle
     north, east = 20.0 * np.cos(psi) + 3.0, 20.0 * np.sin(psi) - 2.0
     body = [rate, turn * np.sin(phi), turn * np.cos(phi), 0 * t, 0 * t, -9.80665 / np.cos(phi)]
     seen = [b + s * rng.standard_normal(t.size) for b, s in zip(body, [0.003] * 3 + [0.05] * 3, strict=True)]
     names = {n: seen[i] for i, n in enumerate(("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"))}
     names |= {f"{k}{i}": seen[i + 3 * (k == "a")] for k in "ga" for i in range(3)}
     cf, sf, cp, sp = np.cos(phi / 2), np.sin(phi / 2), np.cos(psi / 2), np.sin(psi / 2)
-    names |= {"q0": cf * cp, "q1": sf * cp, "q2": -sf * sp * 0 + sf * sp, "q3": cf * sp}
+    names |= {"q0": cf * cp, "q1": sf * cp, "q2": sf * sp, "q3": cf * sp}
     pulse = np.round(1500 + 80 * np.cos(0.5 * t))
     names |= {f"C{i}": pulse if i == 1 else 1500 + 0 * t for i in range(1, 9)}
     names |= {f"o{i}": pulse if i == 0 else 1500 + 0 * t for i in range(8)}
     speed = 20.0 + 0.2 * rng.standard_normal(t.size)
+    static = 95_700.0 + 8 * rng.standard_normal(t.size)
     eas = speed * np.sqrt(1.15 / 1.225)
     return names | {
-        "I": 0 * t, "U": 0 * t + 1, "H": 0 * t + 1, "AsT": 0 * t + 1, "Status": 0 * t + 3, "fix_type": 0 * t + 3, "airspeed_source": 0 * t + 1,
+        "I": 0 * t,
+        **dict.fromkeys(("U", "H", "AsT", "airspeed_source"), 0 * t + 1),
+        **dict.fromkeys(("Status", "fix_type"), 0 * t + 3),
         "Roll": np.degrees(phi), "Pitch": 0 * t, "Yaw": np.degrees(psi) % 360, "As": eas, "E2T": 0 * t + np.sqrt(1.225 / 1.15),
-        "Airspeed": eas, "DiffPress": 0.5 * 1.225 * eas**2, "Alt": 0 * t + 80.0, "Press": 95_700.0 + 8 * rng.standard_normal(t.size),
+        "Airspeed": eas, "DiffPress": 0.5 * 1.225 * eas**2, "Alt": 0 * t + 80.0, "Press": static,
         "Temp": 0 * t + 17.0, "Spd": np.hypot(north, east), "GCrs": np.degrees(np.arctan2(east, north)) % 360, "VZ": 0 * t,
-        "true_airspeed_m_s": speed, "baro_pressure_pa": 95_700.0 + 8 * rng.standard_normal(t.size), "rho": 0 * t + 1.15,
+        "true_airspeed_m_s": speed, "baro_pressure_pa": static, "rho": 0 * t + 1.15,
         "vel_n_m_s": north, "vel_e_m_s": east, "vel_d_m_s": 0 * t,
     }  # fmt: skip
 
@@ -81,18 +84,19 @@ def records(messages: Sequence[Message], head: Mapping[str, list[tuple[str, str,
     return out.tobytes()
 
 
+def _letters(kind: str) -> str:
+    return {"u1": "B", "<f4": "f", "<u2": "H"}[kind]
+
+
 def dataflash(path: Path, seconds: float) -> Path:
-    """An ArduPilot log of so many seconds of flight, 12 kB each."""
-    letters = {"u1": "B", "<f4": "f", "<u2": "H"}
-    head = {
-        n: [("a", "u1", 0xA3), ("b", "u1", 0x95), ("id", "u1", 150 + k), ("time", "<u8", 0.0)]
-        for k, (n, _, _) in enumerate(ARDUPILOT)
-    }
+    """An ArduPilot log of so many seconds of flight, 9.5 kB each."""
+    head: dict[str, list[tuple[str, str, float]]] = {}
     text = [_fmt(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")]
-    for k, (name, _, fields) in enumerate(ARDUPILOT):
+    for number, (name, _, fields) in enumerate(ARDUPILOT, start=150):
+        head[name] = [("a", "u1", 0xA3), ("b", "u1", 0x95), ("id", "u1", number), ("time", "<u8", 0.0)]
         size = 11 + sum(np.dtype(t).itemsize for _, t in fields)
-        layout = "Q" + "".join(letters[t] for _, t in fields)
-        text.append(_fmt(150 + k, size, name, layout, ",".join(["TimeUS", *(f for f, _ in fields)])))
+        layout = "Q" + "".join(_letters(t) for _, t in fields)
+        text.append(_fmt(number, size, name, layout, ",".join(["TimeUS", *(f for f, _ in fields)])))
     path.write_bytes(b"".join(text) + records(ARDUPILOT, head, round(seconds / PERIOD)))
     return path
 
@@ -102,7 +106,7 @@ def _fmt(kind: int, size: int, name: str, letters: str, labels: str) -> bytes:
 
 
 def ulog(path: Path, seconds: float) -> Path:
-    """A PX4 log of so many seconds of flight, 15 kB each."""
+    """A PX4 log of so many seconds of flight, 13 kB each."""
     head = {}
     start = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000), _message(b"B", bytes(40))]
     start += [_message(b"F", f"{name}:uint64_t timestamp;{fields}".encode()) for name, fields in TOPICS.items()]
