@@ -27,11 +27,11 @@ _LOW_PASSED = (
 second order, Butterworth (ArduPilot and PX4: LowPassFilter2p); attitude, GYR, ACC and sensor_combined are not."""
 SLOWEST_FILTER = 2.0
 """[Hz] below which the parameter is none of such a filter, or the filter no mere delay of the motion."""
-FEWEST_SPEEDS = 50
+FEWEST_SPEEDS = 200
 """Samples of either from which it can be told."""
 LATENESS = np.arange(0.0, 0.81, 0.04)
 """[s] by which CTUN.As is looked for behind ARSP.Airspeed, which the autopilot smooths with some quarter second."""
-BETTER = 0.7
+BETTER = 0.9
 """Spread of their difference, over that at the same time, from which one is seen to be later than the other."""
 SAME_SPEED = 0.03
 """Between their medians: more is no smoothing, and whom to believe is not settled by it."""
