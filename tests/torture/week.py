@@ -45,7 +45,7 @@ class WeekSampler(FakeSampler):
 
 @dataclass(frozen=True)
 class Week:
-    """Counts of scans; files on the card; grown: resident bytes at the end less those after the warm-up; open_files: as many more."""
+    """Counts of scans; files on the card; grown: resident bytes since the warm-up; open_files: as many more."""
 
     scans: int
     missed: int
