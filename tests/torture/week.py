@@ -1,4 +1,4 @@
-"""A logger over a week of simulated time, a scan a second: what its memory, its files and its counts do.
+"""A logger over a week of simulated time, a scan every four seconds: what its memory, its files and its counts do.
 
 Run: python -m tests.torture.week [DAYS]. The last result is kept in docs/threat-model.md."""
 
@@ -22,7 +22,7 @@ from tests.unit.daq.synthetic import START_UTC_NS, make_info
 from tests.unit.daq.test_logger import FakeSampler
 
 DAY_S = 86_400
-RATE_HZ = 1.0
+RATE_HZ = 0.25
 WARM = 0.1  # of the time
 
 
