@@ -245,14 +245,15 @@ def ground_killed(times: int, rng: random.Random) -> Tally:
         command = [sys.executable, "-m", "sideslip"]
         quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "cwd": here}
         flying = subprocess.Popen(
-            [*command, "fly", "quiet", "--port", f"udp:127.0.0.1:{port}", "--out", "a", "--speed", "1"], **quiet
+            [*command, "fly", "long_flight", "--port", f"udp:127.0.0.1:{port}", "--out", "a", "--speed", "1"], **quiet
         )
         try:
-            for _ in range(times):
+            for n in range(times):
                 station = subprocess.Popen(
                     [*command, "ground", "g.toml", "--out", "s"], stdin=subprocess.DEVNULL, **quiet
                 )
-                time.sleep(rng.uniform(2.5, 6.0))
+                _listening(here / "s" / "ground.log", n + 1, station)
+                time.sleep(rng.uniform(0.0, 4.0))
                 tally.judge(f"ground: ended by itself: {station.poll()}", station.poll() is not None)
                 station.kill()
                 _, said = station.communicate()
@@ -265,7 +266,24 @@ def ground_killed(times: int, rng: random.Random) -> Tally:
                     log.close()
                 tally.judge(f"ground: {held} scans in the journals, {before} before", held < before)
                 before = held
+            last = subprocess.run(
+                [*command, "ground", "g.toml", "--out", "s", "--duration", "5", "--json", "g.json"],
+                check=False,
+                **quiet,
+            )
+            on_disk = json.loads((here / "g.json").read_text())["scans_on_disk"]
+            tally.judge(f"ground: in the end status {last.returncode}: {last.stderr[-200:]!r}", last.returncode != 0)
+            tally.judge(f"ground: {on_disk} scans on the disk in the end, {before} before", on_disk < before)
         finally:
             flying.kill()
             flying.communicate()
     return tally
+
+
+def _listening(log: Path, times: int, station: "subprocess.Popen[bytes]") -> None:
+    """Wait until so many ground stations have said, in the log that they share, that they listen."""
+    until = time.monotonic() + LIMIT_S
+    while time.monotonic() < until and station.poll() is None:
+        if log.is_file() and log.read_bytes().count(b"listening") >= times:
+            return
+        time.sleep(0.05)
