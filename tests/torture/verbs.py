@@ -39,6 +39,10 @@ VERBS: Mapping[str, str] = {
     "ground --replay": "ground --replay TLOG --speed max --out session --json out.json",
 }
 NEW_ONLY = ("recover", "aircraft new")  # refuse a name that is there
+OWN_ONLY = ("export neutral",)  # replaces what it wrote itself, and no file of another's
+CUT_AT_AN_END = (
+    "truth.csv",
+)  # of a simulated flight that Ctrl-C or SIGTERM ends early: all its lines, and they are whole
 GROWING = (".journal", ".tlog", ".log", ".lock")
 """Endings of what is read while it grows: kept whole as far as it goes, not whole or not at all."""
 
