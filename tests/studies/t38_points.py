@@ -4,8 +4,8 @@
 
 t38.json is what `estimate --each-segment --json` made of the record (docs/validation/t38.md). Derivatives of its stretches are
 taken as straight lines in Mach number; what they scatter about the lines (fuel, CG, nonlinear terms that the model lacks) is in
-the bounds, for a published point was flown on another day at a fuel that nobody states. Speed and density of a point follow from its
-Mach number and dynamic pressure in the standard atmosphere.
+the bounds, for a published point was flown on another day at a fuel that nobody states. Speed and density of a point follow from
+its Mach number and dynamic pressure in the standard atmosphere.
 
 A point is not predicted above Mach 0.95 (MACH): no stretch flew there, and the aerodynamic centre moves aft by a quarter chord.
 """
@@ -43,8 +43,8 @@ STRETCHES = (0.70, 0.88, 0.69, 0.49, 0.68)
 
 @dataclass(frozen=True)
 class Line:
-    """A derivative as a line in Mach number. coefficients: (2,) value at Mach 0.7 and slope; covariance: theirs; between: variance of a
-    stretch about it."""
+    """A derivative as a line in Mach number. coefficients: (2,) value at Mach 0.7 and slope, with covariance; between: variance
+    of a stretch about it."""
 
     coefficients: Array
     covariance: Array
