@@ -4,6 +4,7 @@ The records themselves are not here. Truth is a short period of the same build-u
 """
 
 import csv
+import json
 import math
 import shutil
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from tests.cli.docs.blocks import commands_of
 from tests.cli.docs.follow import follow
+from tests.studies import t38_points
 from tests.unit.estimation.campaign.running import ROOT
 
 PAGES = ROOT / "docs" / "validation"
@@ -111,6 +113,36 @@ def test_short_periods_of_the_page_on_the_t38(tmp_path: Path, rng: np.random.Gen
             value, bound = map(float, row[column].split(" ± "))
             assert abs(value - truth) < 3 * bound + 0.005 * truth, (column, speed, truth)
             assert bound < 0.2 * truth
+    points = list(t38_points.table(json.loads((tmp_path / "t38.json").read_text())))
+    assert len([p for p in points if p.startswith("| ")]) == 1 + len(t38_points.PUBLISHED)
+    assert sum("above the Mach numbers flown" in p for p in points) == 3
+
+
+def test_a_line_through_stretches_holds_what_they_scatter(rng: np.random.Generator) -> None:
+    """Bounds of half the scatter: 95 % of what further flights have lies inside all the same."""
+    inside, count = 0, 300
+    for _ in range(count):
+        mach = np.array(t38_points.STRETCHES)
+        values = -0.6 - 0.5 * (mach - 0.7) + 0.06 * rng.standard_normal(5)
+        line = t38_points.Line.through(mach, values, np.full(5, 0.03))
+        other = -0.6 - 0.5 * (0.8 - 0.7) + 0.06 * rng.standard_normal()
+        low, high = np.quantile(line.draw(0.8, rng, 2000), [0.025, 0.975])
+        inside += low < other < high
+    assert 0.90 < inside / count < 0.995
+
+
+def test_the_short_period_of_a_point_is_the_closed_form() -> None:
+    """At the speed and density of the standard atmosphere that go with Mach number and dynamic pressure."""
+    pressure, mach = 101325.0, 0.6  # sea level: 340.3 m/s of sound
+    derivatives = {n: np.array([TRUTH[n]]) for n in t38_points.NAMES}
+    frequency, damping = t38_points.short_period(0.7 * pressure * mach**2, mach, derivatives)
+    speed, density = mach * 340.294, 1.225
+    lift = 0.5 * density * speed * AREA * TRUTH["CL_alpha"] / MASS
+    moment = 0.5 * density * speed**2 * AREA * CHORD / IYY
+    spin = -moment * TRUTH["Cm_q"] * CHORD / (2 * speed)
+    omega = math.sqrt(-moment * TRUTH["Cm_alpha"] + lift * spin)
+    assert float(frequency[0]) == pytest.approx(omega / (2 * math.pi), rel=2e-3)
+    assert float(damping[0]) == pytest.approx((lift + spin) / (2 * omega), rel=2e-3)
 
 
 def dutch_roll(damped: bool, rng: np.random.Generator) -> list[dict[str, str]]:
