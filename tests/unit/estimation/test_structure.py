@@ -14,7 +14,7 @@ from estimation.session.sanity_checks import DoubtKind
 from estimation.session.session import EstimationSession
 from estimation.session.structured import StructureWish
 from estimation.structure.candidates import GRAVITY_OFF, Candidate, CandidateKind, structure_candidates
-from estimation.structure.score_test import Tested
+from estimation.structure.score_test import Tested as Score
 from groundstation.flight import Flight
 from tests.studies.random_aeroplanes import Aeroplane, Situation, fly
 
@@ -137,7 +137,7 @@ def test_a_large_yaw_by_aileron_is_named_beside_another_ixz() -> None:
 def test_gravity_is_no_scale_of_an_accelerometer(scale: float, lacking: bool) -> None:
     """0.3 % is what gravity differs by at 10 km; 6 % is a calibration."""
     candidate = Candidate("scale_az", CandidateKind.SCALE, null=1.0, channel="az", least=GRAVITY_OFF["az"])
-    assert Tested(candidate, -12.0, scale, {}).significant is lacking
+    assert Score(candidate, -12.0, scale, {}).significant is lacking
     (offered,) = [
         c for c in structure_candidates(load_model("longitudinal", craft_and_file()[1])) if c.name == "scale_az"
     ]
