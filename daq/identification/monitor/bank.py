@@ -30,10 +30,10 @@ class MonitoredPlane:
     """What is predicted and named of one plane.
 
     regression: whose derivatives these are. channels: outputs of the predictor, whose innovations are looked at: states, that of
-    the vane first, then forces; equations: where an innovation of each belongs. delays: effects that make each of the regression's
-    controls late. constants, least: steps of the constants, and least steps of a derivative by coefficient, for those believed to
-    be about zero; other derivatives are stepped by a tenth. levels: standard deviation of the constants: trim and offsets drift.
-    weak: what an estimate of a good flight leaves open by 5 % and not 1. missing: what the model does not have.
+    the vane first, then forces; equations: where an innovation of each belongs. delays: effects that make each of the controls
+    late. constants, least: steps of the constants, and least steps of a derivative by coefficient, for those believed to be about
+    zero; other derivatives are stepped by a tenth. levels: standard deviation of the constants: trim and offsets drift. weak:
+    what an estimate of a good flight leaves open by 5 % and not 1. missing: what the model does not have.
     """
 
     regression: PlaneRegression
