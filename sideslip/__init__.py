@@ -13,13 +13,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sideslip.api import (
         analyse,
+        campaign,
         check,
+        check_aircraft,
         design,
         estimate,
+        export,
         frequency,
         gap,
         import_log,
         match,
+        new_aircraft,
         open,
         performance,
         reconstruct,
@@ -31,10 +35,10 @@ if TYPE_CHECKING:
     from sideslip.chain import fly_scenario
     from sideslip.cli import software_version
     from sideslip.entry import main
-    from sideslip.records import calibrate, info, recover, verify
+    from sideslip.records import bench, calibrate, info, recover, verify
 
 _HOMES = {
-    **dict.fromkeys(("calibrate", "info", "recover", "verify"), "sideslip.records"),
+    **dict.fromkeys(("bench", "calibrate", "info", "recover", "verify"), "sideslip.records"),
     "Flown": "sideslip.chain",
     "fly_scenario": "sideslip.chain",
     "main": "sideslip.entry",
@@ -42,9 +46,9 @@ _HOMES = {
 }
 _RENAMED = {"frequency_response": "frequency", "Flown": "ChainFlight"}
 __all__ = [
-    "Flown", "analyse", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response",
-    "gap", "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
-    "simulate", "software_version", "verify", "watch",
+    "Flown", "analyse", "bench", "calibrate", "campaign", "check", "check_aircraft", "design", "estimate", "export",
+    "fly_scenario", "frequency", "frequency_response", "gap", "import_log", "info", "main", "match", "new_aircraft", "open",
+    "performance", "reconstruct", "recover", "simulate", "software_version", "verify", "watch",
 ]  # fmt: skip
 
 

@@ -38,16 +38,18 @@ from estimation.answers.performances import Performance
 from estimation.answers.reconstruction import Reconstruction
 from estimation.answers.responses import Response
 from estimation.answers.watching import Watching
-from sideslip import analysis
+from sideslip import aircraft_files, analysis, campaigns, exports
+from sideslip.campaigns import CampaignAnswer
 
 if TYPE_CHECKING:
     from estimation.resolve import AnyAircraft, AnyModel
     from groundstation.flight import Flight
 
 __all__ = [
-    "Answer", "Check", "DesignAnswer", "Estimates", "Figures", "GapAnswer", "Match", "Performance", "Reconstruction", "Response",
-    "Watching", "analyse", "check", "design", "estimate", "frequency", "gap", "import_log", "match", "open",
-    "performance", "reconstruct", "simulate", "watch",
+    "Answer", "CampaignAnswer", "Check", "DesignAnswer", "Estimates", "Figures", "GapAnswer", "Match", "Performance",
+    "Reconstruction", "Response", "Watching", "analyse", "campaign", "check", "check_aircraft", "design", "estimate",
+    "export", "frequency", "gap", "import_log", "match", "new_aircraft", "open", "performance", "reconstruct",
+    "simulate", "watch",
 ]  # fmt: skip
 
 P = ParamSpec("P")
@@ -106,6 +108,10 @@ performance = _opening(performances.performance)
 reconstruct = _opening(reconstruction.reconstruct)
 design = _asking(designs.design)
 analyse = _asking(analysis.analyse)
+campaign = _asking(campaigns.campaign)
+export = _asking(exports.export)
+new_aircraft = _asking(aircraft_files.new_aircraft)
+check_aircraft = _asking(aircraft_files.check_aircraft)
 
 
 @_asking

@@ -1,4 +1,4 @@
-"""Recordings in Python: what `info`, `verify`, `recover` and `calibrate` do, with answers of the one kind."""
+"""Recordings in Python: what `info`, `verify`, `recover`, `calibrate` and `bench` do, with answers of the one kind."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -6,36 +6,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from estimation.answers.answer import Answer, Rows
+from estimation.answers.files import FileAnswer, bars
 
 if TYPE_CHECKING:
+    from datetime import date
+
     from groundstation.flight import Flight
 
 
-def info(file: str | Path) -> "RecordAnswer":
+def info(file: str | Path) -> "FileAnswer":
     """What is in a raw recording, the directory of its segments, a flight, or a .tlog."""
     from sideslip.verbs.info import content_of, lines_of
 
     file = Path(file)
     content = content_of(file)
-    return RecordAnswer(content, tuple(lines_of(file, content)))
+    return FileAnswer(content, tuple(lines_of(file, content)))
 
 
-def verify(recording: str | Path) -> "RecordAnswer":
+def verify(recording: str | Path) -> "FileAnswer":
     """Every byte and every scan of a recording; `passed` is False where something is wrong."""
     from daq.commands import verify_lines
     from daq.contract.recordings.accounting import verify as checked
 
     verification = checked(recording)
-    return RecordAnswer(verification.to_dict(), tuple(verify_lines(Path(recording), verification)), verification.ok)
+    return FileAnswer(verification.to_dict(), tuple(verify_lines(Path(recording), verification)), verification.ok)
 
 
-def recover(recording: str | Path, out: str | Path) -> "RecordAnswer":
+def recover(recording: str | Path, out: str | Path) -> "FileAnswer":
     """Save everything undamaged in a recording to a new and sound one; `passed` is False where the original is not sound."""
     from daq.contract.recordings.recovery import recover as salvage
 
     salvaged = salvage(recording, out)
     content = salvaged.to_dict()
-    return RecordAnswer(content, (content["text"],), salvaged.verification.ok)
+    return FileAnswer(content, (content["text"],), salvaged.verification.ok)
 
 
 def calibrate(
@@ -61,39 +64,25 @@ def calibrate(
     return Calibrated(flight, str(output or flight.name))
 
 
-@dataclass(frozen=True, repr=False)
-class RecordAnswer(Answer):
-    """What there is to say of a recording. content: as the verb's --json has it; sentences: as it prints them."""
+def bench(
+    raw: str | Path,
+    plan: str | Path,
+    output: str | Path,
+    *,
+    calibration: str | Path | None = None,
+    day: "date | None" = None,
+) -> "FileAnswer":
+    """Fit calibration files from a bench recording and write them, with the rest of the set, to the folder `output`.
 
-    content: Mapping[str, Any]
-    sentences: tuple[str, ...]
-    sound: bool = True
+    plan: a TOML file of what was set, and when. calibration: directory to refine, or `cdfp`, instead of the embedded set. day:
+    of the bench, where the recording carries none.
+    """
+    from groundstation.cli.data import fit_and_write
 
-    @property
-    def passed(self) -> bool:
-        """Whether the recording is sound, where that was asked."""
-        return self.sound
-
-    def to_json(self) -> dict[str, Any]:
-        return dict(self.content)
-
-    def lines(self) -> tuple[str, ...]:
-        return self.sentences
-
-    def headline(self) -> str:
-        return self.sentences[0]
-
-    def numbers(self) -> dict[str, int]:
-        """Samples of each channel; of a check, its counts."""
-        if "channels" in self.content:
-            return {c["name"]: c["samples"] for c in self.content["channels"]}
-        return {n: v for n, v in self.content.items() if isinstance(v, int) and not isinstance(v, bool)}
-
-    def rows(self) -> Rows:
-        return ("", "number"), [(n, str(v)) for n, v in self.numbers().items()]
-
-    def plot(self, ax: Any = None) -> Any:
-        return _bars(self.numbers(), ax)
+    content, sentences = fit_and_write(
+        Path(raw), Path(plan), Path(output), None if calibration is None else Path(calibration), day
+    )
+    return FileAnswer(content, sentences)
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,7 +114,7 @@ class Calibrated(Answer):
         return ("column", "samples"), [(n, str(v)) for n, v in self.numbers().items()]
 
     def plot(self, ax: Any = None) -> Any:
-        return _bars(self.numbers(), ax)
+        return bars(self.numbers(), ax)
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """The flight as .mcap, .csv or .parquet, what is said of it as .json."""
@@ -133,12 +122,3 @@ class Calibrated(Answer):
 
         flights = dict.fromkeys((".mcap", ".csv", ".parquet"), lambda path: write_flight(self.flight, path))
         return {**super().writers(), **flights}
-
-
-def _bars(numbers: Mapping[str, int], ax: Any) -> Any:
-    from estimation.answers.answer import panels
-
-    (axes,) = panels(ax, 1, (7.0, 0.6 + 0.22 * len(numbers)))
-    axes.barh(list(numbers), list(numbers.values()))
-    axes.invert_yaxis()
-    return axes

@@ -1,9 +1,9 @@
 """Where a surface was between the samples of its record, as unknowns of a fit.
 
 A servo that lags takes some share of its way within the first interval after an edge. Where edges come at any time of an
-interval that share scatters from nothing to all that the servo can do; where a sequencer steps on the sampling clock, or what
-is logged is a command, it is the same at every edge, does not average out, and cannot be read off the samples
-(`clocked_controls`).
+interval that share scatters from nothing to all that the servo can do; where a sequencer steps on the sampling clock it is the
+same at every edge, does not average out, and cannot be read off the samples; nor can it where what is logged is a command, whatever
+its edges look like (`clocked_controls`).
 
 There two numbers a control stand for what the record does not say: how much later than its samples the surface acts (earlier,
 where negative: a command that was logged up to one logging interval after it was given), and how far beyond the straight line it
@@ -35,14 +35,15 @@ LONGEST = 8  # samples that one edge takes at most
 
 
 def clocked_controls(model: Model, flights: Sequence[FlightData]) -> tuple[str, ...]:
-    """Controls of a model whose edges are alike at the samples of these flights."""
+    """Controls of a model that are recorded commands, or whose edges are alike at the samples of these flights."""
     clocked = []
+    commands = {n for f in flights for n in f.commands}
     for i, signal in enumerate(model.inputs):
         if not signal.control:
             continue
         noise = max((f.noise.get(signal.name, (0.0, 0.0))[0] for f in flights), default=0.0)
         edges = np.concatenate([_edges_from_rest(s.u[:, i], noise) for f in flights for s in f.segments])
-        if _alike(edges):
+        if signal.name in commands or _alike(edges):
             clocked.append(signal.name)
     return tuple(clocked)
 
@@ -78,7 +79,7 @@ def _edges_from_rest(u: Array, noise: float) -> Array:
 
 
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this
-INTERVALS = 0.5  # of a sample interval: what an edge on the clock leaves open
+INTERVALS = 0.5  # of an interval of samples, or of a command's records: what an edge on the clock leaves open
 HALF_WAY = (
     0.2  # of a step: .12 for a servo as slow as the interval, .38 for one four times as fast, both of either sign
 )
@@ -114,7 +115,8 @@ class InputPath:
 def with_paths(model: Model, flights: Sequence[FlightData]) -> Model:
     """The model with two unknowns for each control whose way between samples is open; itself where there is none."""
     step = float(np.median(np.concatenate([np.diff(s.time) for f in flights for s in f.segments])))
-    size = float(np.hypot(SERVO, INTERVALS * step))
+    interval = max((i for f in flights for i in f.commands.values()), default=0.0)
+    size = float(np.hypot(SERVO, INTERVALS * max(step, interval)))
     if not model.free_names:
         return model
     busy = {

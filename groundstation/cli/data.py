@@ -1,7 +1,7 @@
 """Command line of the data side: `sideslip calibrate` and `bench`, and what `import` shares with them."""
 
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -167,6 +167,16 @@ def bench(
 
     Example: sideslip bench bench/vanes --plan bench/vanes.toml -o calibration/
     """
+    content, sentences = fit_and_write(raw, plan, output, calibration, day.date() if day else None)
+    for sentence in sentences:
+        click.echo(sentence)
+    write_json(report, content)
+
+
+def fit_and_write(
+    raw: Path, plan: Path, output: Path, calibration: Path | None, day: date | None
+) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
+    """Write the fitted set to the folder `output`; gives what --json has and what is printed of it."""
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.bench import fit_bench, fitted_set
     from groundstation.calibration.bench_plan import load_plan
@@ -175,17 +185,13 @@ def bench(
 
     bench_plan = load_plan(plan)
     base = load_calibration(calibration) if calibration else embedded_calibration(read_recording(raw))
-    fits = fit_bench(raw, bench_plan, base, today=day.date() if day else None)
+    fits = fit_bench(raw, bench_plan, base, today=day)
     output.mkdir(parents=True, exist_ok=True)
     for name, text in fitted_set(base, fits).texts.items():
         write_text(output / name, text)
-    for fit in fits:
-        click.echo(fit.text)
-    click.echo(f"{output}: {len(fits)} of {len(base.instruments)} calibration files fitted, the others taken over")
-    write_json(
-        report,
-        [
-            {"text": fit.text, **fit.instrument.model_dump(mode="json", exclude_none=True, exclude_defaults=True)}
-            for fit in fits
-        ],
-    )
+    content = [
+        {"text": fit.text, **fit.instrument.model_dump(mode="json", exclude_none=True, exclude_defaults=True)}
+        for fit in fits
+    ]
+    counts = f"{output}: {len(fits)} of {len(base.instruments)} calibration files fitted, the others taken over"
+    return content, (*(fit.text for fit in fits), counts)

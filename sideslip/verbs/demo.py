@@ -1,17 +1,29 @@
 """The verb `demo`: the whole chain in one go, told as a story."""
 
+import os
+import subprocess
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from daq.utilities.durable import whole, write_text
 from daq.utilities.errors import UserError
 from daq.utilities.outputs import tried_folder
-from sideslip.chain import fly_scenario
+from sideslip.chain import ChainFlight, fly_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
 DEMO_HIDDEN = ("Cn_da", 1.0)
 DEMO_SEED = 20
+DEMO_SPEEDS = (14.5, 19.0)  # [m/s] of the flights that the gap workflow learns from; CampaignFlights holds one more out
+WORKERS = 2  # processes that fly: two cores are what the demo is timed on
 DEMO_RADIO = {"drop": 0.05}
 
 
@@ -33,37 +45,17 @@ def demo(out: Path) -> int:
     click.echo(
         "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
     )
-    flights = [_demo_flight(name, out) for name in DEMO_FLIGHTS]
+    plain, hidden = _fly_all(out)
+    for line in map(_delivered, DEMO_FLIGHTS, plain):
+        click.echo(line)
+    flights = [_named_copy(flight.onboard, out, name) for name, flight in zip(DEMO_FLIGHTS, plain, strict=True)]
+    *train, holdout = [_named_copy(flight.onboard, out, f"hidden_{i}") for i, flight in enumerate(hidden)]
 
-    click.echo(
-        "\n2  Do accelerations, rates, attitude and air data tell the same story? Instrument factors are found and taken out\n"
-    )
-    corrected = out / "corrected"
-    _run("check", *flights, "--json", report / "check.json", "--report", report / "check", "--write", corrected)
-    flights = [corrected / path.name for path in flights]
-
-    click.echo(
-        "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
-    )
-    saved = ("--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")
-    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief", *saved)
-
-    click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
-    _run(
-        "match",
-        out / "model.toml",
-        *flights,
-        "--free",
-        "CY_0,Cl_0,Cn_0",
-        "--json",
-        report / "match.json",
-        "--figure",
-        report / "match.svg",
-    )
-
-    click.echo("\n5  Four flights with something hidden in the aircraft; the gap workflow is not told what\n")
-    train, holdout = _demo_hidden(out)
-    _run("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
+    gap = ("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
+    with _beside(*gap) as gap_words:
+        _estimates(flights, out)
+        click.echo("\n5  Three flights with something hidden in the aircraft; the gap workflow is not told what\n")
+        click.echo(gap_words())
 
     from estimation.report.front import write_front_page
 
@@ -128,18 +120,81 @@ def _run(verb: str, *arguments: object) -> None:
         raise UserError(f"demo: sideslip {verb} ended with status {status}")
 
 
-def _demo_flight(name: str, out: Path) -> Path:
+def _estimates(flights: list[Path], out: Path) -> None:
+    """Stages 2 to 4: check, estimate and match of the four flights."""
+    report, corrected = out / "report", out / "corrected"
+    click.echo(
+        "\n2  Do accelerations, rates, attitude and air data tell the same story? Instrument factors are found and taken out\n"
+    )
+    _run("check", *flights, "--json", report / "check.json", "--report", report / "check", "--write", corrected)
+    flights = [corrected / path.name for path in flights]
+
+    click.echo(
+        "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
+    )
+    saved = ("--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")
+    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief", *saved)
+
+    click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
+    proof = ("--json", report / "match.json", "--figure", report / "match.svg")
+    _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", *proof)
+
+
+@contextmanager
+def _beside(*arguments: object) -> "Iterator[Callable[[], str]]":
+    """A verb in a process of its own; yields what waits for its end and returns its words."""
+    text = [str(a) for a in arguments]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sideslip", "--quiet", *text],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+    )
+
+    def words() -> str:
+        printed, _ = process.communicate()
+        if process.returncode not in (0, 1):
+            raise UserError(f"demo: sideslip {text[0]} ended with status {process.returncode}: {printed.strip()}")
+        return f"$ sideslip {' '.join(text)}\n\n{printed.rstrip()}"
+
+    try:
+        yield words
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _fly_all(out: Path) -> tuple[list[ChainFlight], list[ChainFlight]]:
+    """The four flights, and those of an aircraft with one hidden effect, the held out one last; two at a time."""
+    from firmware_sim.runs.campaign import CampaignFlights
     from firmware_sim.world.scenario import load_scenario
     from sideslip.verbs.delivery import Progress
 
-    scenario = load_scenario(name).altered(radio=DEMO_RADIO)
-    with Progress(f"flying {name}") as bar:
-        chain_flight = fly_scenario(scenario, out / name, tell=bar)
-    s = chain_flight.summary
+    hidden_flights = CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED, training_speeds=DEMO_SPEEDS)
+    with (
+        ProcessPoolExecutor(min(WORKERS, os.cpu_count() or 1), mp_context=get_context("spawn")) as workers,
+        Progress("flying") as bar,
+    ):
+        plain = [
+            workers.submit(fly_scenario, load_scenario(name).altered(radio=DEMO_RADIO), out / name)
+            for name in DEMO_FLIGHTS
+        ]
+        hidden = [
+            workers.submit(fly_scenario, scenario, out / f"hidden_{number}", seed=seed, backfill=False)
+            for number, (scenario, seed) in enumerate(hidden_flights.scenarios())
+        ]
+        for done, flight in enumerate(as_completed([*plain, *hidden]), 1):
+            flight.result()
+            bar(done / len([*plain, *hidden]))
+        return [f.result() for f in plain], [f.result() for f in hidden]
+
+
+def _delivered(name: str, flight: ChainFlight) -> str:
+    s = flight.summary
     lost_scans = sum(b - a + 1 for a, b in s["scans_lost"])
-    agree = "air and ground agree" if chain_flight.agreed else "air and ground DO NOT agree"
-    click.echo(f"{name}: {s['scans_received']} scans came down, {lost_scans} lost on the radio; after backfill {agree}")
-    return _named_copy(chain_flight.onboard, out, name)
+    agree = "air and ground agree" if flight.agreed else "air and ground DO NOT agree"
+    return f"{name}: {s['scans_received']} scans came down, {lost_scans} lost on the radio; after backfill {agree}"
 
 
 def _named_copy(flight: Path, out: Path, name: str) -> Path:
@@ -151,16 +206,3 @@ def _named_copy(flight: Path, out: Path, name: str) -> Path:
     with whole(target) as new:
         shutil.copyfile(flight, new)
     return target
-
-
-def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
-    """Three flights to learn from and one to hold out, all of one aircraft with one hidden effect."""
-    from firmware_sim.runs.campaign import CampaignFlights
-    from sideslip.verbs.delivery import Progress
-
-    paths = []
-    for number, (scenario, seed) in enumerate(CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
-        with Progress(f"flying hidden_{number}") as bar:
-            chain_flight = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
-        paths.append(_named_copy(chain_flight.onboard, out, f"hidden_{number}"))
-    return paths[:-1], paths[-1]

@@ -12,6 +12,7 @@ from daq.utilities.options import (
     json_option,
     model_option,
     path_option,
+    report_option,
     seed_option,
 )
 from daq.utilities.outputs import tried_model
@@ -40,15 +41,22 @@ EXAMPLE = "Example: sideslip design --model lateral --aircraft cdfp --kind multi
 @path_option("-o", "--output", text="Manoeuvre file to write (.toml).", tried=tried_model, required=True)
 @json_option("Write everything as JSON.")
 @figure_option("Draw inputs, spectra, motion, bounds.")
+@report_option("Write an HTML page.")
 def design(
-    output: Path, duration: float, band: str, json_path: Path | None, figure_path: Path | None, **options: Any
+    output: Path,
+    duration: float,
+    band: str,
+    json_path: Path | None,
+    figure_path: Path | None,
+    report_folder: Path | None,
+    **options: Any,
 ) -> int:
     """Design the inputs of a manoeuvre of --time seconds, under limits, and say what it will tell."""
     from estimation.answers import designs
     from sideslip.verbs.delivery import deliver
 
     answer = designs.design(time=duration, band=_band(band), **options)
-    return deliver(answer, json_path, figure_path, written=[f"manoeuvre: {answer.save(output)}"])
+    return deliver(answer, json_path, figure_path, report_folder, written=[f"manoeuvre: {answer.save(output)}"])
 
 
 def _band(text: str) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from daq.utilities.options import (
     flights_argument,
     histories_option,
     json_option,
+    report_option,
     segments_option,
     simulation_option,
 )
@@ -38,12 +39,14 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 @simulation_option()
 @json_option("Write the fit as JSON.")
 @figure_option("Write a figure of measured and predicted histories.")
+@report_option("Write an HTML page.")
 def match(
     model: Path,
     flights: tuple[Path, ...],
     histories_folder: Path | None,
     json_path: Path | None,
     figure_path: Path | None,
+    report_folder: Path | None,
     **options: Any,
 ) -> int:
     """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
@@ -52,4 +55,4 @@ def match(
 
     answer = matches.match(model, flights, **options)
     history_lines = () if histories_folder is None else beside_lines(answer.write_histories(histories_folder))
-    return deliver(answer, json_path, figure_path, written=history_lines)
+    return deliver(answer, json_path, figure_path, report_folder, written=history_lines)

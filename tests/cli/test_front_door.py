@@ -4,6 +4,7 @@ import inspect
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 import sideslip as ss
 from daq.utilities.errors import UserError
 from daq.utilities.outputs import write_json
+from estimation import aircraft as aircraft_room
 from estimation.aircraft import unknown_aircraft
 from estimation.models import load_model, write_model
 from estimation.session import runner
@@ -22,6 +24,21 @@ from sideslip.cli import cli
 from tests.support.paths import RECORDINGS
 
 RAW = RECORDINGS / "cdfp_ld2_raw.mcap"
+AIRCRAFT = Path(aircraft_room.__file__).with_name("cdfp.toml")
+PLAN = """format = 1
+[[fit]]
+instrument = "alpha_vane"
+procedure = "static_points"
+method = "turned by hand"
+reference_uncertainty = 0.01
+degree = 1
+dwell = [
+    { start = 2.0, stop = 3.0, reference = 0.10 },
+    { start = 6.0, stop = 7.0, reference = 0.09 },
+    { start = 12.0, stop = 13.0, reference = 0.11 },
+    { start = 20.0, stop = 21.0, reference = 0.08 },
+]
+"""
 
 
 @dataclass(frozen=True)
@@ -35,6 +52,7 @@ class Files:
     truth: Path
     estimate: Path
     other: Path
+    plan: Path
 
 
 @dataclass(frozen=True)
@@ -124,6 +142,24 @@ CASES = {
     "info": Case(f"info {RAW}", lambda _: ss.info(RAW)),
     "info, a flight": Case("info {other}", lambda f: ss.info(f.other)),
     "verify": Case(f"verify {RAW}", lambda _: ss.verify(RAW)),
+    "export": Case("export {other} -o {estimate}.parquet", lambda f: ss.export(f.other, f"{f.estimate}.parquet")),
+    "export, a simulator's": Case(
+        f"export {AIRCRAFT} --to neutral -o {{estimate}}.neutral.json --force",
+        lambda f: ss.export(AIRCRAFT, f"{f.estimate}.neutral.json", target="neutral", force=True),
+    ),
+    "bench": Case(
+        f"bench {RAW} --plan {{plan}} -o {{estimate}}-set --date 2026-03-01",
+        lambda f: ss.bench(RAW, f.plan, f"{f.estimate}-set", day=date(2026, 3, 1)),
+    ),
+    "campaign": Case(
+        "campaign {first} {second} --out {estimate}-campaign --aircraft cdfp --method ls --serial --no-report --check none",
+        lambda f: ss.campaign(
+            [f.first, f.second], f"{f.estimate}-again", aircraft="cdfp", methods="ls", serial=True, no_report=True,
+            check="none",
+        ),
+        LONG,
+    ),
+    "aircraft check": Case("aircraft check cdfp", lambda _: ss.check_aircraft("cdfp")),
     "calibrate": Case(f"calibrate {RAW} -o {{estimate}}.mcap", lambda f: ss.calibrate(RAW, f"{f.estimate}.mcap")),
 }  # fmt: skip
 
@@ -133,7 +169,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     folder = tmp_path_factory.mktemp("front_door")
     whole = ss.open(RECORDINGS / "cdfp_ld4.mcap")
     half = float(whole.time[0] + whole.time[-1]) / 2.0
-    made = Files(*(folder / n for n in ("a.mcap", "b.mcap", "w.mcap", "own.toml", "truth.json", "e.json", "o.csv")))
+    made = Files(
+        *(folder / n for n in ("a.mcap", "b.mcap", "w.mcap", "own.toml", "truth.json", "e.json", "o.csv", "plan.toml"))
+    )
     for path, keep in (
         (made.first, whole.time < half),
         (made.second, whole.time >= half),
@@ -143,6 +181,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
     write_flight(whole.part(whole.time < half, "o"), made.other)
     model = load_model("lateral", "cdfp").with_starts({"Cl_p": -0.45, "Cn_beta": 0.03})
     write_model(model, made.model)
+    made.plan.write_text(PLAN)
     made.truth.write_text(json.dumps({"Cl_p": -0.4, "Cn_r": -0.05}))
     ss.estimate(whole, method="ls").save(made.estimate)
     return made
@@ -172,13 +211,15 @@ def test_verb_and_function_give_the_same_json(name: str, files: Files, tmp_path:
         answer = answer.with_models(tmp_path / "verb-models")
     write_json(answer.to_json(), tmp_path / "python.json")
     verb, python = (json.loads((tmp_path / f"{door}.json").read_text()) for door in ("verb", "python"))
+    if name == "campaign":
+        assert verb.pop("wall_s") > 0.0 < python.pop("wall_s")
     assert list(differences(verb, python)) == []
     assert ended.value.code == (0 if answer.passed else 1)
 
 
 WRITES = {
     "json_path", "report_folder", "figure_path", "histories_folder", "model_path", "stretch_path", "folder", "brief", "split",
-    "progress",
+    "progress", "notice",
 }  # fmt: skip
 """What a verb writes or prints, and a function hands over as an answer; and how far the work is."""
 VALUES = {"design": {"values", "noise"}}
@@ -200,6 +241,9 @@ RENAMED = {"control": "input", "duration": "time", "recording": "recording", "re
         "calibrate",
         "verify",
         "performance",
+        "export",
+        "bench",
+        "campaign",
     ],
 )
 def test_a_function_takes_what_its_verb_takes(name: str) -> None:
@@ -217,6 +261,9 @@ def test_a_difference_in_the_last_bit_is_seen() -> None:
 
 
 ANSWERS = (
+    "aircraft check",
+    "bench",
+    "export",
     "estimate, each stretch",
     "check, findings",
     "match",

@@ -13,7 +13,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
 from estimation.gap.pages.figures import AFTER, BEFORE, residual_maps
-from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, grid, picture, styled
 from estimation.report.flight_tables import notes_table
 from estimation.report.names import axis_label, face
 from estimation.report.page import Page, Part, Section, box, paragraph
@@ -157,12 +157,10 @@ def typeset(equation: str) -> Markup:
 
 def history_figure(h: Histories, result: GapResult) -> Picture:
     """Measured, before and after of every channel of one flight, and what is left."""
-    from matplotlib.figure import Figure
 
     units = {s.name: s.unit for s in result.model_before.outputs}
     with styled():
-        figure = Figure(figsize=(11.6, 1.45 * len(result.outputs) + 0.6), layout="constrained")
-        axes = figure.subplots(len(result.outputs), 2, sharex=True, squeeze=False)
+        figure, axes = grid(len(result.outputs), 2, 1.45, own_scales=True, sharex=True)
         for c, name in enumerate(result.outputs):
             k, unit = face(name, units[name])
             courses_axis, residual_axis = axes[c]

@@ -13,12 +13,14 @@ from estimation.report.drawing.figures import (
     MEASURED,
     Picture,
     broken_at_gaps,
+    grid,
     legend_above,
     look,
     panels,
     picture,
     styled,
 )
+from estimation.report.drawing.marks_drawn import draw_marks
 from estimation.report.estimate_tables import is_published
 from estimation.report.names import axis_label, face, literal, tex
 from groundstation.flight import Array
@@ -95,7 +97,6 @@ def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
 
 def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
     """Figure 9: measured and estimated histories with the controls below. of_paper: the caption says so."""
-    from matplotlib.figure import Figure
 
     model = next(iter(f.results.values())).model  # without the outputs that this flight does not measure
     fits = {m: r.flights[0] for m, r in f.results.items() if r.flights and r.model.output_names == model.output_names}
@@ -103,8 +104,8 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
     controls = [s for s in model.inputs if s.control and f.flight.measured(s.source)]
     rows = len(model.outputs) + (1 if controls else 0)
     with styled():
-        figure = Figure(figsize=(11.6, 1.45 * rows + 0.6), layout="constrained")
-        axes = figure.subplots(rows, 1, squeeze=False, sharex=True)[:, 0]
+        figure, axes = grid(rows, 1, 1.45, sharex=True)
+        axes = axes[:, 0]
         _channels(axes, model, first, {m: fit.outputs for m, fit in fits.items()})
         for signal, style in zip(controls, ("-", "--", ":"), strict=False):
             factor, unit = face(signal.name, signal.unit)
@@ -115,6 +116,7 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
             axes[-1].set_ylabel(f"controls [{unit}]" if unit else "controls")
         if controls:
             axes[-1].legend(loc="upper right", ncols=3)
+        draw_marks(axes, f.flight)
         axes[-1].set_xlabel("time [s]")
         figure.align_ylabels()
     points = first.time.size * rows * (1 + len(fits))
@@ -170,12 +172,10 @@ def correlation_figure(result: Result, whose: str) -> Picture:
 def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of_paper: bool) -> Picture:
     """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof);
     refitted: what was not; of_paper: the caption says so."""
-    from matplotlib.figure import Figure
 
     rows = max(len(proof.outputs) for _, proof in proofs)
     with styled():
-        figure = Figure(figsize=(11.6, 1.25 * rows + 0.8), layout="constrained")
-        axes = figure.subplots(rows, len(proofs), squeeze=False, sharex="col")
+        figure, axes = grid(rows, len(proofs), 1.25, own_scales=True, sharex="col")
         for j, (donor, proof) in enumerate(proofs):
             _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
             axes[0][j].set_title(literal(f"{proof.name} predicted by {donor}"), loc="left")

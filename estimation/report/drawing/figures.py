@@ -35,6 +35,11 @@ STYLE: dict[str, Any] = {
     "lines.linewidth": 1.1, "mathtext.fontset": "dejavusans", "axes.formatter.useoffset": False,
 }  # fmt: skip
 
+WIDTH = 11.6  # inches of a figure as wide as the page; the margins of a grid's axes follow, in inches
+SIDES = (0.82, 0.12)  # a name and numbers of five digits; half a number
+ABOVE_ROWS, BELOW_ROWS = 0.32, 0.5  # a title or a legend; numbers and a name
+BETWEEN, BESIDE, BESIDE_SCALES = 0.16, 0.18, 0.72  # rows; columns, which write no numbers or write them
+
 ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
 """Where a legend stands clear of the curves."""
 
@@ -85,11 +90,39 @@ def panels(count: int, across: int, height: float, margin: float) -> "tuple[Figu
     from matplotlib.figure import Figure
 
     rows = -(-count // across)
-    figure = Figure(figsize=(11.6, height * rows + margin), layout="constrained")
+    figure = Figure(figsize=(WIDTH, height * rows + margin), layout="constrained")
     axes = figure.subplots(rows, across, squeeze=False).ravel().tolist()
     for spare in axes[count:]:
         spare.set_visible(False)
     return figure, axes[:count]
+
+
+def grid(
+    rows: int,
+    columns: int,
+    height: float,
+    *,
+    own_scales: bool = False,
+    sides: tuple[float, float] = SIDES,
+    **shared: Any,
+) -> "tuple[Figure, Any]":
+    """(figure, (rows, columns) axes) a page wide. height: of a row [inches]; own_scales: each axes writes its own ordinate, else
+    the first of a row does; sides: margins left and right [inches]; shared: of matplotlib's `subplots`.
+
+    Margins are lengths, so that nothing need be laid out: matplotlib's layouts draw every letter three times before it is drawn,
+    half of the time of a report.
+    """
+    from matplotlib.figure import Figure
+
+    size = WIDTH, rows * height + ABOVE_ROWS + BELOW_ROWS
+    across, down = BESIDE_SCALES if own_scales else BESIDE, BETWEEN
+    width = (size[0] - sum(sides) - (columns - 1) * across) / columns
+    figure = Figure(figsize=size)
+    figure.subplots_adjust(
+        left=sides[0] / size[0], right=1.0 - sides[1] / size[0], bottom=BELOW_ROWS / size[1], top=1.0 - ABOVE_ROWS / size[1],
+        wspace=across / width, hspace=down / (height - down * (rows - 1) / rows),
+    )  # fmt: skip
+    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
 
 
 def legend_above(figure: "Figure", axes: Iterable[Any], columns: int) -> None:

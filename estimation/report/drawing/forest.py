@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimation.report.drawing.figures import MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.drawing.figures import MEASURED, Picture, broken_at_gaps, grid, picture, styled
 from estimation.report.names import axis_label, face, literal, tex
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ MARKS = (
     ("truth", "*", TRUTH, "truth"),
 )
 STRIP, ROW = 0.46, 0.25  # inches of a channel, and of a derivative
+BESIDE_STRIP = (1.15, 0.62)  # inches, for a channel's name that lies and its r2
 
 
 def draw_forest(axis: Any, rows: "Sequence[AnswerRow]") -> Any:
@@ -68,14 +69,13 @@ def forest_figure(rows: "Sequence[AnswerRow]") -> Picture | None:
 
 def strips_figure(result: "Result") -> Picture | None:
     """Measured and estimated motion of the first flight of a result, one low strip a channel, with r2 at its end."""
-    from matplotlib.figure import Figure
 
     fit, outputs = result.flights[0], result.model.outputs
     if not outputs:
         return None
     with styled():
-        figure = Figure(figsize=(11.6, STRIP * len(outputs) + 0.55), layout="constrained")
-        axes = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)[:, 0]
+        figure, axes = grid(len(outputs), 1, STRIP, sides=BESIDE_STRIP, sharex=True)
+        axes = axes[:, 0]
         for i, (axis, signal) in enumerate(zip(axes, outputs, strict=True)):
             factor, unit = face(signal.name, signal.unit)
             axis.plot(fit.time, factor * fit.measured[:, i], ".", color=MEASURED, ms=2.0)

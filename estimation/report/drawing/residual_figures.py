@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimation.estimators.result import FlightFit, Result
-from estimation.report.drawing.figures import LARGE, Picture, broken_at_gaps, look, picture, styled
+from estimation.report.drawing.figures import LARGE, Picture, broken_at_gaps, grid, look, picture, styled
 from estimation.report.names import axis_label, face, tex
 from estimation.signals.goodness_of_fit import autocorrelation
 from groundstation.flight import Array
@@ -18,18 +18,16 @@ AGAINST = ("alpha", "beta", "delta_e", "delta_a", "delta_r")
 BINS = 10  # equally filled: enough to show a bend, and each mean is over a tenth of the flight
 FEWEST = 8  # samples from which a spectrum, a correlation or a bin says anything
 SPECTRUM = 256  # samples of a stretch of Welch's estimate: 0.08 Hz apart at 20 Hz
+ROW = 1.3  # inches of a channel
 MOVED = 1e-6  # of a quantity that stands still nothing is shown
 
 
 def residual_figure(model: "Model", result: Result) -> Picture:
     """Residuals of one flight, their autocorrelation and their spectrum, with what white noise would show."""
-    from matplotlib.figure import Figure
-
     fit = result.flights[0]
     colour = look(result.method).colour
     with styled():
-        figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
-        axes = figure.subplots(len(model.outputs), 3, squeeze=False, width_ratios=(2.0, 1, 1), sharex="col")
+        figure, axes = grid(len(model.outputs), 3, ROW, own_scales=True, width_ratios=(2.0, 1, 1), sharex="col")
         step = float(np.nanmedian(np.diff(fit.time)))
         for i, signal in enumerate(model.outputs):
             factor, unit = face(signal.name, signal.unit)
@@ -95,8 +93,6 @@ def _spectrum(axis: Any, residual: Array, step: float, colour: str) -> None:
 def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture | None:
     """Residuals of one flight against incidence, sideslip and the surfaces that moved, with means of equally filled bins;
     None where none of these was measured."""
-    from matplotlib.figure import Figure
-
     fit = result.flights[0]
     moved_columns = moved_quantities(result, flight)
     if not moved_columns:
@@ -104,8 +100,7 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     colour = look(result.method).colour
     points = fit.time.size * len(model.outputs) * len(moved_columns)
     with styled():
-        figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
-        axes = figure.subplots(len(model.outputs), len(moved_columns), squeeze=False, sharex="col", sharey="row")
+        figure, axes = grid(len(model.outputs), len(moved_columns), ROW, sharex="col", sharey="row")
         for i, signal in enumerate(model.outputs):
             factor, unit = face(signal.name, signal.unit)
             for j, column in enumerate(moved_columns):

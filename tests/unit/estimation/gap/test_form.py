@@ -191,7 +191,7 @@ def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: li
     assert "The part of Cn without a name" in page
 
 
-@pytest.mark.long
+@pytest.mark.study
 def test_an_effect_with_a_name_is_found_beside_a_shape_that_stood_over_it(tmp_path: Path) -> None:
     hidden = truth.Hidden("Cl", lambda s: 0.3 * s["beta"] ** 2)  # six times as plain as the adverse yaw
     flown = [

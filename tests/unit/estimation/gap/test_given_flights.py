@@ -305,7 +305,7 @@ def test_nothing_is_compared_where_a_control_moves_unseen() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("lost", ["elevator", "rows"])
+@pytest.mark.parametrize("lost", [pytest.param("elevator", marks=pytest.mark.study), "rows"])
 def test_a_third_of_an_elevators_samples_lost_is_nothing(lost: str) -> None:
     """Straight lines across them had made it swing, or late."""
     made = []

@@ -151,7 +151,7 @@ def test_an_effect_with_a_state_of_its_own_is_fitted_afresh(right: Baseline) -> 
     assert by_regression(again.problem) == {}
 
 
-@pytest.mark.long
+@pytest.mark.study
 def test_of_two_bases_as_good_the_one_whose_motion_dies_away_is_taken() -> None:
     """A play of the rudder bends the base into positive yaw damping; another is as good: 0.4 of the log-likelihood behind, or 15
     with noise that differs in its third digit. The nulls of the first run away: nothing could be told from them

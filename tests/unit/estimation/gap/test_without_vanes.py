@@ -90,7 +90,9 @@ def test_an_attitude_with_times_of_its_own_may_be_late_by_a_share_of_its_own_int
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("hidden", "named"), [((), []), (("Cl_beta3",), ["Cl_beta3"])])
+@pytest.mark.parametrize(
+    ("hidden", "named"), [pytest.param((), [], marks=pytest.mark.study), (("Cl_beta3",), ["Cl_beta3"])]
+)
 def test_sideslip_nobody_measured_is_not_missed(hidden: tuple[str, ...], named: list[str]) -> None:
     given = flights(truth.fly(requests(dict.fromkeys(hidden, 1.0), 51001, 0.15, "rich")))
     blind = [replace(f, columns={c: v for c, v in f.columns.items() if c != "beta"}) for f in given]
@@ -105,17 +107,18 @@ def test_sideslip_nobody_measured_is_not_missed(hidden: tuple[str, ...], named: 
 @pytest.mark.parametrize(
     ("model", "seed", "hidden", "named"),
     [
-        ("lateral", 954, (), []),
+        pytest.param("lateral", 954, (), [], marks=pytest.mark.study),
         pytest.param(
             "lateral",
             958,
             ("rudder_delay",),
             ["rudder_delay"],
-            marks=pytest.mark.xfail(
-                reason="held servo outputs leave a rest in roll beside it, which outweighs the name"
-            ),
+            marks=[
+                pytest.mark.study,
+                pytest.mark.xfail(reason="held servo outputs leave a rest in roll beside it, which outweighs the name"),
+            ],
         ),
-        ("longitudinal", 955, (), []),
+        pytest.param("longitudinal", 955, (), [], marks=pytest.mark.study),
         ("longitudinal", 957, ("elevator_lag",), ["elevator_lag"]),
     ],
 )

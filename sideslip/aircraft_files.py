@@ -1,0 +1,42 @@
+"""Files of aircraft in Python: what `aircraft new` and `aircraft check` do."""
+
+from pathlib import Path
+
+from estimation.answers.files import FileAnswer
+
+
+def new_aircraft(name: str, output: str | Path | None = None) -> Path:
+    """Write a commented file for aircraft `name`, every key explained, to `output` (by default NAME.toml); gives its path.
+
+    Raises AircraftError for a name that is no word, and where a file is there already.
+    """
+    from daq.utilities.outputs import check_file, write_text
+    from estimation.aircraft.template import template
+    from estimation.errors import AircraftError
+
+    if not name.strip() or not name.isprintable() or any(c in name for c in "/\\"):
+        raise AircraftError(f"aircraft name {name!r}: give one word, like glider")
+    target = Path(output or f"{name}.toml")
+    if target.suffix != ".toml":
+        raise AircraftError(f"--output {target}: an aircraft is written as TOML; end the name in .toml")
+    if target.exists():
+        raise AircraftError(f"{target} is there already; remove it, or give -o another name")
+    check_file("--output", target)
+    write_text(template(name, str(target)), target)
+    return target
+
+
+def check_aircraft(file: str | Path) -> FileAnswer:
+    """What in an aircraft file (or a built-in aircraft) is missing, doubtful, or enough for which method; `passed` is False
+    where it says something impossible, or is not enough for any model."""
+    from estimation.aircraft import load_aircraft
+    from estimation.session.aircraft_review import review_aircraft
+
+    aircraft = load_aircraft(str(file))
+    notes = review_aircraft(aircraft)
+    impossible = any(n.verdict == "fail" and not n.check.startswith("model ") for n in notes)
+    usable = any(n.verdict != "fail" for n in notes if n.check.startswith("model "))
+    passed = usable and not impossible
+    content = {"version": 1, "aircraft": aircraft.name, "ok": passed, "notes": [n.to_json() for n in notes]}
+    title = f"aircraft {aircraft.name}{': ' + aircraft.title if aircraft.title else ''}"
+    return FileAnswer(content, (title, *(f"  {n.verdict:<5}{n.check}: {n.text}" for n in notes)), passed)

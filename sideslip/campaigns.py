@@ -1,0 +1,179 @@
+"""Many flights in Python: what `campaign` and `ss.campaign` do."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from estimation.answers.answer import Answer, Rows, panels
+
+if TYPE_CHECKING:
+    from estimation.campaign.plan import CampaignPlan
+    from estimation.campaign.run import CampaignEngine, CampaignOutcome
+
+SHOWN = 20  # sentences on failed flights, and on groups, that are printed; the tables hold all
+Names = str | Sequence[str] | None
+
+
+def campaign(
+    flights: str | Path | Sequence[str | Path],
+    out: str | Path,
+    *,
+    methods: Names = None,
+    model: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    groups: Names = None,
+    check: str | None = None,
+    joint: bool | None = None,
+    envelope: bool | None = None,
+    match: bool | None = None,
+    bootstrap: int | None = None,
+    each_segment: bool | None = None,
+    seed: int | None = None,
+    time_limit: float | None = None,
+    workers: int | None = None,
+    scheduler: str = "",
+    serial: bool = False,
+    retry: str | None = None,
+    dashboard: bool = False,
+    no_report: bool = False,
+    trust_code: bool = False,
+    progress: Callable[..., None] | None = None,
+    notice: Callable[[str], None] = lambda sentence: None,
+) -> "CampaignAnswer":
+    """Estimate many flights into the data set in the folder `out`; what lies there already is not done again.
+
+    flights: files, patterns, folders, URLs, or one PLAN.toml, which the other arguments go before. methods to time_limit: as of
+    a plan; None: the plan's, or its default. workers: processes of this machine, all processors by default; scheduler: the
+    address of a dask scheduler instead; serial: in this process. retry: `failed` tries again what failed. progress: told words
+    and the share done; notice: told what a person must know before the work. Raises CampaignError for a plan that is none.
+    """
+    from daq.utilities.plain_words import comma_separated
+    from estimation.campaign.run import Campaign
+    from estimation.campaign.sources import entries_of
+    from estimation.campaign.store import Store
+    from estimation.campaign.work_list import work_list
+    from sideslip.simulated import simulator
+
+    begin = time.monotonic()
+    options = {
+        "methods": comma_separated(methods) if isinstance(methods, str) else methods,
+        "groups": comma_separated(groups) if isinstance(groups, str) else groups,
+        "model": None if model is None else str(model), "aircraft": None if aircraft is None else str(aircraft),
+        "check": check, "joint": joint, "envelope": envelope, "match": match, "bootstrap": bootstrap,
+        "each_segment": each_segment, "seed": seed, "time_limit": time_limit,
+    }  # fmt: skip
+    sources = [str(f) for f in ([flights] if isinstance(flights, str | Path) else flights)]
+    plan, folder = _plan(sources, {k: v for k, v in options.items() if v is not None}, trust_code, notice)
+    out = Path(out)
+    with Store(out, time.monotonic) as store:
+        work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
+
+        def engine(pieces: int) -> "CampaignEngine":
+            return _engine(pieces, workers, scheduler, serial, dashboard, notice)
+
+        tell = progress or (lambda *words_and_share: None)
+        outcome = Campaign(plan, work, store, engine, tell).run(retry_failed=retry is not None)
+    page = None if no_report else _page(outcome, plan, out / "report")
+    return CampaignAnswer(outcome, out, page, time.monotonic() - begin)
+
+
+@dataclass(frozen=True, repr=False)
+class CampaignAnswer(Answer):
+    """What a campaign has done. folder: of the data set; page: of the report, where one was written; wall_s: how long it took."""
+
+    outcome: "CampaignOutcome"
+    folder: Path
+    page: Path | None
+    wall_s: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every flight was estimated."""
+        return not self.outcome.failed
+
+    def to_json(self) -> dict[str, Any]:
+        return self.outcome.to_json(self.wall_s)
+
+    def headline(self) -> str:
+        o = self.outcome
+        return (
+            f"{o.flights} flights: {o.done} estimated, {len(o.failed)} not"
+            f" ({o.skipped} were done before, {o.fitted} pieces of work now, {self.wall_s:.1f} s)"
+        )
+
+    def lines(self) -> Iterator[str]:
+        from estimation.campaign.groups import claims_of
+
+        o = self.outcome
+        yield self.headline()
+        yield from (f"  failed: {flight}: {reason}" for flight, reason in list(o.failed.items())[:SHOWN])
+        yield from (f"  left out: {flight}: the same bytes as {same}" for flight, same in o.duplicates[:SHOWN])
+        yield from (f"  set aside: {path}: cannot be read; its flights were done again" for path in o.damaged)
+        yield from (f"  {row['text']}" for row in claims_of(o.groups)[:SHOWN])
+        yield f"results: {self.folder / 'results'}, groups: {self.folder / 'groups'}, manifest: {self.folder / 'manifest.json'}"
+        if self.page is not None:
+            yield f"report: {self.page}"
+
+    def to_pandas(self) -> Any:
+        """The table of results, a row for each parameter of each flight and method."""
+        import pandas as pd
+
+        return pd.read_parquet(self.folder / "results")
+
+    def rows(self) -> Rows:
+        o = self.outcome
+        counts = {"flights": o.flights, "estimated": o.done, "failed": len(o.failed), "done before": o.skipped}
+        return ("", "number"), [(name, str(count)) for name, count in counts.items()]
+
+    def plot(self, ax: Any = None) -> Any:
+        """How many flights were estimated, and how many not."""
+        (axes,) = panels(ax, 1, (7.0, 1.6))
+        axes.barh(["estimated", "failed"], [self.outcome.done, len(self.outcome.failed)])
+        return axes
+
+
+def _plan(
+    flights: Sequence[str], options: dict[str, Any], trust_code: bool, notice: Callable[[str], None]
+) -> "tuple[CampaignPlan, Path]":
+    """The plan, and the folder its paths begin at. Options go before what a file says."""
+    from estimation.campaign.plan import named_programs, plan_from, read_plan
+
+    if len(flights) != 1 or not flights[0].endswith(".toml"):
+        return plan_from({"flights": tuple(flights), **options}, "of the command line"), Path()
+    path = Path(flights[0])
+    data = read_plan(path, trust_code=trust_code).model_dump(exclude_unset=True)
+    for program in named_programs(data):
+        notice(f"{path} names {program}: a program, which runs because of --trust-code")
+    for key in ("model", "aircraft"):  # a file named here is where the person is, not beside the plan
+        if str(options.get(key, "")).endswith(".toml"):
+            options[key] = str(Path.cwd() / options[key])
+    return plan_from({**data, **options}, str(path)), path.parent
+
+
+def _engine(
+    pieces: int, workers: int | None, scheduler: str, serial: bool, dashboard: bool, notice: Callable[[str], None]
+) -> "CampaignEngine":
+    import os
+
+    if serial:
+        from estimation.campaign.workers.in_process import SerialEngine
+
+        return SerialEngine()
+    from estimation.campaign.workers.cluster import Cluster
+
+    cluster = Cluster(min(pieces, workers or os.cpu_count() or 1), scheduler, dashboard=dashboard)
+    if cluster.dashboard:
+        notice(f"dashboard: {cluster.dashboard}")
+    return cluster
+
+
+def _page(outcome: "CampaignOutcome", plan: "CampaignPlan", folder: Path) -> Path:
+    """The page; drawn anew only where something is new."""
+    page = folder / "index.html"
+    if outcome.unchanged and page.is_file():
+        return page
+    from estimation.campaign.pages.page import write_campaign_page
+
+    return write_campaign_page(outcome, plan, folder)
