@@ -156,7 +156,7 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             break
         next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
         rivals = _rivals(scores, next_scores, taken_up, strongest, result)
-        if (derivative := _derivative_instead(scores, strongest, rivals, result)) is not None:
+        if (derivative := derivative_instead(scores, strongest, rivals, result)) is not None:
             strongest = derivative
             next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
             rivals = _rivals(scores, next_scores, taken_up, strongest, result)
@@ -185,7 +185,7 @@ def _rivals(
     ]
 
 
-def _derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequence[int], result: Result) -> int | None:
+def derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequence[int], result: Result) -> int | None:
     """A derivative that serves as well as a product of inertia: one that flights tell belongs to the model, an inertia to the
     aircraft file; the bounds span what the other would make of the estimates."""
     if scores[strongest].candidate.kind is not CandidateKind.INERTIA:
