@@ -25,20 +25,28 @@ from daq.sensors.base import (
     Surroundings,
 )
 from daq.sensors.bmp390 import Bmp390, StaticConfig
+from daq.sensors.bmp581 import Bmp581
 from daq.sensors.capture import Capture, CaptureConfig
+from daq.sensors.dlvr import Dlvr
 from daq.sensors.icm20948 import Icm20948, ImuConfig
+from daq.sensors.icm42688 import Icm42688
 from daq.sensors.ms4525do import Ms4525do, PitotConfig
+from daq.sensors.ms5525 import Ms5525
 from daq.sensors.nau7802 import Nau7802, ThrustConfig
 from daq.sensors.sdp3x import Sdp3x
 from daq.sensors.ublox import GnssConfig, Ublox
 
 CHIPS: tuple[type[Driver], ...] = (
     Icm20948,
+    Icm42688,
     Ak09916,
     Ads1115,
     Ms4525do,
     Sdp3x,
+    Dlvr,
+    Ms5525,
     Bmp390,
+    Bmp581,
     As5600,
     Nau7802,
     Capture,
@@ -181,8 +189,9 @@ class SensorsConfig(SensorConfigSection):
                 raise ValueError(f"extra.{group}: the channel table has no such group with channels")
             if getattr(self, group, None) is not None:
                 raise ValueError(f"extra.{group} and {group} both claim the group; keep one")
-        if self.mag is not None and self.mag.driver == "ak09916" and (self.imu is None or "imu" in self.from_sender):
-            raise ValueError("mag sits behind the imu; add [sensors.imu] or remove [sensors.mag]")
+        behind = self.imu is not None and self.imu.driver == "icm20948"
+        if self.mag is not None and self.mag.driver == "ak09916" and not behind:
+            raise ValueError("mag sits behind the imu, an ICM-20948; add that as [sensors.imu] or remove [sensors.mag]")
         self._check_autopilot()
         if "attitude" in self.derived and self.imu is None:
             raise ValueError("attitude needs the imu; add [sensors.imu] or remove [sensors.attitude]")

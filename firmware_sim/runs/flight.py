@@ -7,10 +7,9 @@ whoever runs the flight connects a ground station to it.
 
 import datetime as dt
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 from daq.acquisition.sampler import UnfinishedScan
@@ -21,12 +20,19 @@ from daq.config import LoggerConfig, parse_config
 from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPortCalls
-from daq.sensors.config import ExtraConfig
+from daq.sensors.config import SensorsConfig
 from daq.utilities.durable import write_text
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot
-from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, BoardWiring, addressed, build_board, laboratory_chips
+from firmware_sim.hardware.board import (
+    ONLY_WITH_SEQUENCER,
+    BoardWiring,
+    addressed,
+    build_board,
+    laboratory_chips,
+    sites,
+)
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
@@ -60,6 +66,10 @@ MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "later
 """Flown by them unless the configuration or `sideslip fly --manoeuvre` names another."""
 
 
+AS_USUAL = SensorsConfig()
+"""Every chip is the usual one."""
+
+
 @dataclass(frozen=True, slots=True)
 class SimulatedHardware:
     """The simulated hardware: everything that is not our code."""
@@ -83,17 +93,18 @@ def build_aircraft(
     faults: FaultSet,
     clock: SimulatedClock,
     seed: int,
-    extra: Mapping[str, ExtraConfig] = MappingProxyType({}),
+    sensors: SensorsConfig = AS_USUAL,
     cockpit: Cockpit | AutopilotCockpit | None = None,
 ) -> SimulatedHardware:
     """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
 
-    extra: sensors of a laboratory's own, of which installed packages may have simulated chips.
+    sensors: which chips are fitted; installed packages may have simulated ones of a laboratory's own.
     """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
-    board = build_board(BoardWiring(instruments, faults.bend, faults.quiet, cockpit))
-    chips, laboratory = addressed(board), laboratory_chips(extra, instruments)
+    board = build_board(BoardWiring(instruments, faults.bend, faults.quiet, cockpit, sensors=sensors))
+    faults.addresses = sites(sensors)
+    chips, laboratory = addressed(board, faults.addresses), laboratory_chips(sensors.extra, instruments)
     for address in laboratory.keys() & chips.keys():
         raise ScenarioError(
             f"sensors.extra: address 0x{address:02x} is taken by a chip of the aircraft; choose another"
@@ -243,7 +254,7 @@ def prepare_flight(
     clock = SimulatedClock(START_UTC_NS, speed=speed)
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")
-    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
+    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors, cockpit)
     if config.sensors.autopilot is not None:  # set up as docs/build.md asks for it
         aircraft.autopilot.connect(config.sensors.autopilot.baud, LOOP_HZ)
     radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
