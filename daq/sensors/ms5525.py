@@ -20,7 +20,8 @@ from daq.utilities.constants import PSI, ZERO_CELSIUS
 
 RESET, ADC, PROM = 0x1E, 0x00, 0xA0
 PRESSURE_2048, TEMPERATURE_1024 = 0x46, 0x54
-PRESSURE_TIME, TEMPERATURE_TIME = 4_600 * US, 2_300 * US
+PRESSURE_TIME = 4_540 * US  # at most; of temperature 2.28 ms
+PRESSURE_WAIT, TEMPERATURE_WAIT = 5_200 * US, 2_900 * US  # from before the command goes out, which takes a part of it
 COLDEST, WARMEST = ZERO_CELSIUS - 40.0, ZERO_CELSIUS + 125.0
 _ENDS = (0, 0xFFFF)
 
@@ -76,8 +77,8 @@ class Ms5525(Driver):
 
     def stages(self) -> Generator[Wait, None, Reading]:
         begun_ns = self._now()
-        pressure = yield from self._convert(PRESSURE_2048, PRESSURE_TIME)
-        temperature = yield from self._convert(TEMPERATURE_1024, TEMPERATURE_TIME)
+        pressure = yield from self._convert(PRESSURE_2048, PRESSURE_WAIT)
+        temperature = yield from self._convert(TEMPERATURE_1024, TEMPERATURE_WAIT)
         if not pressure or not temperature:
             return Reading(state=SensorState.STALE, detail="pitot sensor has no result")
         pascal, kelvin = compensate(self._prom, pressure, temperature)

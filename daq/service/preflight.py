@@ -21,6 +21,8 @@ from daq.recorder.storage import Storage, in_memory
 from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks, sender_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
+_FIX_3D = 3
+_CLOCK_WAIT_S = 10.0  # an autopilot tells the time twice a second, and its clock is believed after some of them
 _PROBE_BYTES = 64 * 1024
 _PROBE_WRITES = 8
 _BYTES_PER_SCAN = 480  # of an uncompressed recording, with its share of the index
@@ -89,12 +91,21 @@ def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: Sampler) -> t
     period = config.scan.period_ns
     start = clock.monotonic_ns() + period
     scans, lateness = [], []
-    for number in range(config.preflight.scans):
+    for number in count():
+        if number >= config.preflight.scans and not _clock_comes(scans, start):
+            break
         deadline = start + number * period
         clock.sleep_until(deadline)
         lateness.append((clock.monotonic_ns() - deadline) // 1000)
         scans.append(sampler.finish(sampler.take(number, deadline)))
     return scans, lateness
+
+
+def _clock_comes(scans: list[Scan], start_ns: int) -> bool:
+    """Whether a receiver with a fix is still about to tell the time."""
+    if scans[-1].time_utc_ns or scans[-1].time_monotonic_ns - start_ns > _CLOCK_WAIT_S * NS:
+        return False
+    return any(s.values.get("gnss_fix", 0) >= _FIX_3D for s in scans)
 
 
 def _sensor_checks(summary: HealthSummary, scans: list[Scan]) -> Iterable[PreflightCheck]:
@@ -225,7 +236,7 @@ def _sequencer_checks(
 def _calibration_check(config: LoggerConfig) -> PreflightCheck:
     if config.calibration is None:
         return PreflightCheck(
-            "calibration", PreflightVerdict.CAUTION, "no calibration files: the recording will not carry its own"
+            "calibration", PreflightVerdict.GO, "none is embedded (key calibration): the set at the ground station counts"
         )
     return PreflightCheck(
         "calibration", PreflightVerdict.GO, f"files of {config.calibration.name} will be embedded in every recording"
