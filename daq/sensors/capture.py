@@ -117,6 +117,10 @@ class Capture(Driver):
             return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now_ns, events)
         return Reading(values, time_ns=now_ns, events=events)
 
+    def intact(self) -> bool:
+        settings = self._bus.read_i2c_block_data(self._address, TIMEOUT, 2)
+        return list(settings) == [self._config.timeout_ms, self._config.debounce_ms]
+
     def _new_edges(self, edges: int, age_ms: int, now: int) -> tuple[int, ...]:
         """Times of switch edges since the last reading; only the newest one's is known, earlier ones share it."""
         last, self._edges = self._edges, edges

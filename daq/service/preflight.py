@@ -78,7 +78,7 @@ def run_preflight(
         *rest_checks(config, scans),
         *sender_checks(config, scans, sampler.refusals()),
         _timing_check(config, lateness_us),
-        _clock_check(config, clock, scans[-1]),
+        _clock_check(config, clock, scans[-1], int(sampler.metadata().get("gnss.rollovers", 0))),
         *(_card_checks(config, clock, storage)),
         _calibration_check(config),
         _radio_check(config, radio),
@@ -146,7 +146,7 @@ def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> PreflightChec
     return graded("timing", p99_ms <= limit, text)
 
 
-def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightCheck:
+def _clock_check(config: LoggerConfig, clock: Clock, last: Scan, rolled_over: int = 0) -> PreflightCheck:
     limit = config.preflight.time_accuracy_ms
     failure = PreflightVerdict.NO_GO if config.preflight.require_time else PreflightVerdict.CAUTION
     if not last.time_utc_ns:
@@ -159,6 +159,12 @@ def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightChe
             f"UTC is known to {accuracy:.2f} ms only (limit {limit:g} ms); wait, or connect the pulse-per-second line"
         )
         return PreflightCheck("clock", failure, text)
+    if rolled_over:
+        text = (
+            f"UTC known to {accuracy:.3g} ms; the receiver's own date is {rolled_over * 1024} weeks early, its week number has"
+            " rolled over: corrected in the recording; update its firmware"
+        )
+        return PreflightCheck("clock", PreflightVerdict.CAUTION, text)
     offset_s = (clock.utc_ns() - clock.monotonic_ns() + last.time_monotonic_ns - last.time_utc_ns) / NS
     if abs(offset_s) > 2:
         text = f"UTC known to {accuracy:.3g} ms; this computer's own clock is {offset_s:+.0f} s off, which file names will show"
