@@ -37,7 +37,8 @@ class CaptureConfig(SensorSection):
     """`[sensors.capture]`: PWM widths and digital inputs.
 
     driver `capture` is the co-processor on I2C; `mavlink_servo` listens to an autopilot's SERVO_OUTPUT_RAW on the
-    serial `device` instead (no digital inputs then). pwm_inputs: how many of the six are wired and must be alive.
+    serial `device` instead (no digital inputs then), `sbus` to a receiver's SBUS behind an
+    inverter. pwm_inputs: how many of the six are wired and must be alive.
     """
 
     driver: str = "capture"

@@ -15,7 +15,8 @@ from daq.clock import NS
 
 MS = 1_000_000
 EARLIEST_UTC_NS = 1_704_067_200 * NS
-"""2024-01-01, before this was written: an earlier UTC is a receiver that has no time yet, or whose week number rolled over (`rollovers`)."""
+"""2024-01-01, before this was written: an earlier UTC is a receiver that has no time yet, or whose week number
+rolled over (`rollovers`)."""
 ROLLOVER_NS = 1024 * 7 * 86_400 * NS
 
 

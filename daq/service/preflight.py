@@ -242,7 +242,9 @@ def _sequencer_checks(
 def _calibration_check(config: LoggerConfig) -> PreflightCheck:
     if config.calibration is None:
         return PreflightCheck(
-            "calibration", PreflightVerdict.GO, "none is embedded (key calibration): the set at the ground station counts"
+            "calibration",
+            PreflightVerdict.GO,
+            "none is embedded (key calibration): the set at the ground station counts",
         )
     return PreflightCheck(
         "calibration", PreflightVerdict.GO, f"files of {config.calibration.name} will be embedded in every recording"

@@ -38,12 +38,13 @@ from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
 from firmware_sim.hardware.faults import FaultEvents, FaultSet, parse_faults
 from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink
+from firmware_sim.hardware.registers.sbus import SbusReceiver
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.gnss import GnssReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments, TruthSource
 from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.hardware.sensing.truth_log import TruthFile
-from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
+from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial, Talker
 from firmware_sim.tables import ScenarioError, checked, merged, toml_text
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.world import World
@@ -264,9 +265,7 @@ def prepare_flight(
         aircraft.bus,
         gnss,
         "simulated",
-        autopilot=SimulatedSerial(aircraft.autopilot, clock.monotonic_ns)
-        if config.sensors.autopilot_port is not None
-        else None,
+        autopilot=_line(config.sensors, aircraft),
         pulse=aircraft.newest_pulse if models.gnss.pulse else None,
         radio=radio.air if config.downlink is not None else None,
         storage=SimulatedCard(faults, clock),
@@ -330,6 +329,17 @@ def _gnss_port(
     device = serial.Serial(terminal.path, 115_200, timeout=0)
     aircraft.clock.on_advance(terminal.pump)
     return device, [device.close, terminal.close]
+
+
+def _line(sensors: SensorsConfig, aircraft: SimulatedHardware) -> SimulatedSerial | None:
+    """The port to an autopilot, or to a receiver's SBUS; None where the logger listens to neither."""
+    if sensors.autopilot_port is None:
+        return None
+    talker: Talker = aircraft.autopilot
+    if sensors.has_sbus:
+        pulses = aircraft.instruments.inputs(*(f"pwm_{i}" for i in range(1, 7)))
+        talker = SbusReceiver(pulses, aircraft.clock.monotonic_ns())
+    return SimulatedSerial(talker, aircraft.clock.monotonic_ns)
 
 
 def logger_config(

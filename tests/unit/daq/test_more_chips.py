@@ -311,7 +311,7 @@ class TestIcm42688:
         chip.read_register = lambda register, now_ns: 0xEA  # type: ignore[method-assign]
         with pytest.raises(WrongChipError, match="ICM-42688-P"):
             bench.set_up()
-        with pytest.raises(ValidationError, match="accel_lowpass_hz must be one of 125, 100, 62.5"):
+        with pytest.raises(ValidationError, match=r"accel_lowpass_hz must be one of 125, 100, 62\.5"):
             ImuConfig(driver="icm42688", accel_lowpass_hz=11.5)
         with pytest.raises(ValidationError, match="mag sits behind the imu, an ICM-20948"):
             SensorsConfig.model_validate({"imu": {"driver": "icm42688"}, "mag": {}})
