@@ -84,8 +84,7 @@ class Sbus(Driver):
     def initialise(self) -> Generator[Wait, None, None]:
         self._newest, self._heard = None, False
         for _ in range(40):
-            self._poll()
-            if self._newest is not None:
+            if self._poll():
                 return
             yield 50 * MS
         what = "bytes that are no SBUS: is the signal inverted?" if self._heard else "no byte: check wiring and supply"

@@ -90,7 +90,8 @@ def run_preflight(
 def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: Sampler) -> tuple[list[Scan], list[int]]:
     period = config.scan.period_ns
     start = clock.monotonic_ns() + period
-    scans, lateness = [], []
+    scans: list[Scan] = []
+    lateness: list[int] = []
     for number in count():
         if number >= config.preflight.scans and not _clock_comes(scans, start):
             break

@@ -3,6 +3,7 @@
 import os
 import termios
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -68,9 +69,9 @@ class Line:
 
 
 @pytest.fixture
-def line() -> "Line":
+def line() -> Iterator[Line]:
     made = Line()
-    yield made  # type: ignore[misc]
+    yield made
     made.hardware.close()
     made.terminal.close()
 
