@@ -180,7 +180,10 @@ def assemble(
         if actuation is not None:
             actuation.link_s = link.uplink.silence_s
     if config.identification is not None:
-        logger.listen(_companion(config, config.identification, logger, link))
+        companion = _companion(config, config.identification, logger, link)
+        logger.listen(companion)
+        if actuation is not None:
+            actuation.known = companion.known
     return Assembly(logger, sampler, recorder, link, first, actuation)
 
 

@@ -103,6 +103,8 @@ class LoggerConfig(ConfigSection):
     @model_validator(mode="after")
     def _sequencer_is_served(self) -> "LoggerConfig":
         if self.sequencer is not None:
+            if self.sequencer.until and self.identification is None:
+                raise ValueError("sequencer.until goes by identification on board; add a section [identification]")
             check_sequencer(self.sequencer, self.sensors, self.scan.rate_hz)
         return self
 

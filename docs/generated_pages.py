@@ -4,11 +4,12 @@ They are not in git. `python docs/generated_pages.py` writes them beside this fi
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from estimation.gap.criteria import AS_SET, Criteria
-from estimation.gap.effects.base import Effect, EffectParameter, Group
+from estimation.gap.criteria import AS_SET, Criteria, Criterion
+from estimation.gap.effects.base import Effect, EffectParameter
 from estimation.gap.effects.catalogue import plane
 
 HERE = Path(__file__).parent
@@ -16,30 +17,24 @@ SENSITIVITY = HERE / "criteria_sensitivity.json"
 """Criterion -> what a study measured, in words; written by `python -m tests.studies.gap_sensitivity`."""
 EFFECTS_HEAD = """# Catalogue of candidate effects
 
-`sideslip gap` asks a model for the effects of the axes it has: a lateral one for those of the first part, `longitudinal` for
-those of the second, `six-dof` for all and for what couples the planes. Of these, every effect that applies is asked. A laboratory
-adds its own in one short file: see [gap.md](gap.md#an-effect-of-your-own).
+Reference: every effect that `sideslip gap` can name. A model is asked for the effects of its axes, `six-dof` for all.
+To add one: [gap.md](gap.md#an-effect-of-your-own).
 
-Two kinds are listed and never named. *Exactly carried*: the derivatives that are estimated anyway take the effect up whole (a
-wrong density, a wrong moment of inertia). *Without excitation*: what a flight does not move leaves nothing behind; with a
-throttle that never moves the tilt of the thrust line and the lag of thrust cannot be told, and its height, slipstream and size
-only a fifth as well.
-
-Sizes and limits are those of the reference aircraft (3.5 kg, 1.5 m of span). For another they grow with it: lengths with its
-span, masses with its mass, products of inertia and angular momenta with both, what gives way to the airstream with the inverse of
-its wing loading. Numbers without a dimension and times of instruments and servos stay.
+Each entry: equation; parameters with usual size and [possible range]; effects it can be confused with; what isolates it.
+Physics, source and signature: `estimation/gap/effects/*.toml`. Sizes are those of an aircraft of 3.5 kg and 1.5 m span; they
+[scale](gap-details.md#aircraft-of-any-size). An effect *carried by* derivatives, which absorb it, is never named.
 """
 CRITERIA_HEAD = """# Numbers that decide in the gap workflow
 
-Every number that would change an answer if another sensible value were taken, with what it means and where it comes from. What
-only changes rounding or working time is named where it is used. [gap-mutation.md](gap-mutation.md) shows which test notices when
-one is another number. Sensitivity: what the answers do at 0.7 and 1.4 times the value
-(`python -m tests.studies.gap_sensitivity`);
-empty where no study has moved it yet.
+Reference: every number of `estimation.gap.criteria.Criteria` that would change an answer; the reason for each stands there.
+[gap-mutation.md](gap-mutation.md) names the test that notices another value. *Changed*: answers that changed of up to 5 sets at
+0.7/1.4 times the number (`python -m tests.studies.gap_sensitivity`).
 
-| criterion | value | unit | meaning | origin | sensitivity |
-|---|---|---|---|---|---|
+| criterion | value | meaning [unit] | changed |
+|---|---|---|---|
 """
+_COUNTED = re.compile(r"0\.7: .*?, (\d+) answers other.*; 1\.4: .*?, (\d+) answers other.*")
+"""What `summed_up` of that study writes."""
 
 
 def effects_page(parts: Mapping[str, Sequence[Effect]] | None = None) -> str:
@@ -51,53 +46,47 @@ def effects_page(parts: Mapping[str, Sequence[Effect]] | None = None) -> str:
     }
     text, seen = [EFFECTS_HEAD], set[str]()
     for title, effects in (parts or built_in).items():
-        headings = {e.name: e.name if e.name not in seen else f"{e.name} ({title.lower()})" for e in effects}
-        seen |= set(headings)
-        text += [f"## {title}\n", *_groups(effects, headings), *_entries(effects, headings)]
+        text.append(f"## {title}")
+        for effect in effects:
+            repeated = f" ({title.lower()})" if effect.name in seen else ""
+            text.append(
+                f"\n### {effect.name}{repeated}\n\n**{effect.title}** ({effect.group.value})\n\n{_entry(effect)}"
+            )
+        seen |= {effect.name for effect in effects}
+        text.append("")
     return "\n".join(text).rstrip() + "\n"
 
 
-def _groups(effects: Sequence[Effect], headings: Mapping[str, str]) -> Iterator[str]:
-    yield "| group | effects |"
-    yield "|---|---|"
-    for group in Group:
-        links = [f"[`{e.name}`](#{_anchor(headings[e.name])})" for e in effects if e.group is group]
-        if links:
-            yield f"| {group.value} | {' '.join(links)} |"
-
-
-def _anchor(heading: str) -> str:
-    return heading.lower().replace(" ", "-").replace("(", "").replace(")", "")
-
-
-def _entries(effects: Sequence[Effect], headings: Mapping[str, str]) -> Iterator[str]:
-    for effect in effects:
-        yield f"\n### {headings[effect.name]}\n\n**{effect.title}** ({effect.group.value})\n\n{effect.physics}\n"
-        yield f"- equation: {effect.equation}"
-        for form in effect.forms:
-            equation = f", {form.equation}" if form.equation else ""
-            yield f"- {form.label}{equation}: " + "; ".join(_parameter(p) for p in form.parameters)
-        yield f"- source: {effect.source}\n- signature: {effect.signature}"
-        for other, difference in effect.confusions.items():
-            yield f"- can be mistaken for `{other}`: {difference}"
-        yield f"- isolated by: {effect.separate_by}"
-        if effect.tied_to:
-            yield f"- exactly carried by {', '.join(effect.tied_to)}: cannot be told from them in any flight of a linear model"
+def _entry(effect: Effect) -> str:
+    several = len(effect.forms) > 1
+    parts = [effect.equation]
+    parts += [(f"{f.label}: " if several else "") + ", ".join(map(_parameter, f.parameters)) for f in effect.forms]
+    if effect.confusions:
+        parts.append("confused with " + ", ".join(f"`{other}`" for other in effect.confusions))
+    parts.append(f"isolated by {effect.separate_by}")
+    if effect.tied_to:
+        parts.append(f"carried by {', '.join(effect.tied_to)}")
+    return "; ".join(parts) + "."
 
 
 def _parameter(p: EffectParameter) -> str:
-    none = "" if p.none == 0.0 else f", without effect {p.none}"
-    return f"`{p.name}` [{p.unit}] {p.meaning}, usually {p.typical:g}, possible {p.lower:g} to {p.upper:g}{none}"
+    none = "" if p.none == 0.0 else f", none: {p.none}"
+    unit = "" if p.unit == "1" else f" {p.unit}"
+    return f"`{p.name}` {p.typical:g}{unit} [{p.lower:g}, {p.upper:g}{none}]"
 
 
 def criteria_page(criteria: Criteria = AS_SET, sensitivity: Mapping[str, str] | None = None) -> str:
     """The criteria as Markdown. sensitivity: criterion -> words, by default what the study left."""
     words = json.loads(SENSITIVITY.read_text(encoding="utf-8")) if sensitivity is None else sensitivity
     rows = (
-        (f"`{c.name}`", f"{c.value:g}", c.unit, c.meaning, c.origin, words.get(c.name, ""))
+        (f"`{c.name}`", f"{c.value:g}", _meaning(c), _COUNTED.sub(r"\1/\2", words.get(c.name, "")))
         for c in criteria.described()
     )
     return CRITERIA_HEAD + "".join(map(_line, rows))
+
+
+def _meaning(c: Criterion) -> str:
+    return c.meaning if c.unit == "1" else f"{c.meaning} [{c.unit}]"
 
 
 def _line(cells: tuple[str, ...]) -> str:

@@ -18,7 +18,7 @@ NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")
 
 def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAircraft:
     """The aircraft of a name or file; text: that of the file which travelled with the recording; model: what is estimated, a
-    built-in model's name or the file of one; the gap monitor holds one of the lateral derivatives that is a file against flight.
+    built-in model's name or the file of one; the gap monitor holds one that is a file against flight.
 
     Raises AircraftError where there is no such aircraft, or where its file lacks geometry, mass or inertia, ModelError and
     EstimationError where the model cannot be read, or is not linear in its parameters.
@@ -32,7 +32,7 @@ def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAi
         return LiveAircraft(aircraft.name, airframe_of_file(aircraft, regressions), sources, None, regressions)
     modelled, regressions = airframe_of_model(model, aircraft)
     believed = airframe_of_file(aircraft, regressions)
-    return LiveAircraft(aircraft.name, believed, sources, modelled if regressions == (LATERAL,) else None, regressions)
+    return LiveAircraft(aircraft.name, believed, sources, modelled, regressions)
 
 
 def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[PlaneRegression, ...]]:

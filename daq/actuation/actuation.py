@@ -5,7 +5,7 @@ from the ground come through `ask`.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -52,7 +52,7 @@ def findings(config: SequencerConfig, devices: Devices, take_scan: Callable[[], 
     return ServoDriverTrial(config, devices.bus, devices.heartbeat, devices.clock, take_scan).findings()
 
 
-_ORDINARY = (Reason.NONE, Reason.COMPLETE)
+_ORDINARY = (Reason.NONE, Reason.COMPLETE, Reason.REACHED)
 
 
 class Reporter(Protocol):
@@ -94,7 +94,8 @@ def output_of(config: SequencerConfig, devices: Devices) -> Output:
 class Actuation:
     """Sequencer and output of one aircraft. period_s: of the scans, clock: theirs.
 
-    link_s: seconds since the ground was last heard at a time [ns], None for never; set where there is a link.
+    link_s: seconds since the ground was last heard at a time [ns], None for never; set where there is a link. known: derivative ->
+    estimate and bound, by identification on board, None where it has not told lately; set where there is one.
     """
 
     def __init__(
@@ -110,6 +111,8 @@ class Actuation:
         self._motion = MotionReader(config, sensors)
         self.sequencer = Sequencer(config, plan, servos_of(config), period_s, self._output.proof)
         self.link_s: Callable[[int], float | None] = lambda now_ns: None
+        self.known: Callable[[], Mapping[str, tuple[float, float]] | None] = lambda: None
+        self._wanted = config.wanted
         self._send_ns = round(NS / config.status_rate_hz) if config.status_rate_hz else 0
         self._next_send_ns = 0
         self._quiet = True  # the last frame was idle: nothing to record
@@ -135,9 +138,14 @@ class Actuation:
             output=output,
             recording=reporter.recording and self._recorded,
             link_s=self.link_s(now_ns),
+            reached=self._reached(),
         )
         frame = self.sequencer.decide_frame(observation)
         self._report(frame, self._output.put(frame, now_ns), observation, scan, reporter)
+
+    def _reached(self) -> bool | None:
+        known = self.known() if self._wanted is not None else None
+        return None if self._wanted is None or known is None else self._wanted.reached(known)
 
     def close(self) -> None:
         """Let go at the end of the recording."""

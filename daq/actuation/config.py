@@ -1,7 +1,10 @@
 """`[sequencer]`: servo driver, pilot's signals, limits and manoeuvre. Left out, nothing on board moves a control."""
 
+import math
+import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -96,6 +99,27 @@ class ServoOutputConfig(_SequencerTable):
 
 
 Range = tuple[float, float]
+_UNTIL = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]{0,9})\s+(\d{1,2}(?:\.\d{1,3})?)\s*%\s*")
+
+
+class WantedBound(NamedTuple):
+    """What a set is flown until: the bound (one standard deviation) of a derivative is this share of its estimate."""
+
+    name: str
+    share: float
+
+    @classmethod
+    def read(cls, text: str) -> "WantedBound":
+        """From `Cl_p 5 %`. Raises ValueError for anything else."""
+        match = _UNTIL.fullmatch(text)
+        if match is None or not float(match[2]) > 0.0:
+            raise ValueError(f'{text!r} is no bound to be reached; write a derivative and a share, such as "Cl_p 5 %"')
+        return cls(match[1], float(match[2]) / 100.0)
+
+    def reached(self, known: Mapping[str, tuple[float, float]]) -> bool:
+        """known: derivative -> estimate and bound."""
+        estimate, bound = known.get(self.name, (0.0, math.inf))
+        return bound <= self.share * abs(estimate)
 
 
 class EnvelopeConfig(_SequencerTable):
@@ -141,7 +165,9 @@ class SequencerConfig(_SequencerTable):
 
     manoeuvre: file of `sideslip design`. through: a servo driver of our own, or an autopilot. start: `switch`: it begins when
     the pilot switches to go; `ground`: it begins by a signed command while his switch is at go, which comes within wait_s.
-    ramp_s: the increments of an aborted manoeuvre fade in this time.
+    ramp_s: the increments of an aborted manoeuvre fade in this time. until: `Cl_p 5 %`; when identification on board has that
+    bound the set ends, and while it has not the set is flown again, most_sets times at most and not beyond longest_s. Empty: the
+    set is flown once, to its end.
     """
 
     manoeuvre: Path
@@ -149,6 +175,9 @@ class SequencerConfig(_SequencerTable):
     start: Literal["switch", "ground"] = "switch"
     wait_s: Annotated[float, Field(gt=0, le=120)] = 30.0
     ramp_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
+    until: str = ""
+    most_sets: Annotated[int, Field(ge=1, le=10)] = 1
+    longest_s: Annotated[float, Field(ge=1, le=600)] = 60.0
     chip: ChipConfig = ChipConfig()
     pilot: PilotConfig = PilotConfig()
     heartbeat: HeartbeatConfig = HeartbeatConfig()
@@ -158,8 +187,22 @@ class SequencerConfig(_SequencerTable):
     alpha_vane: VaneConfig = VaneConfig()
     status_rate_hz: NotNegative = 2.0  # SEQUENCER_STATUS to the ground while not idle: 52 bytes each with a signature
 
+    @field_validator("until")
+    @classmethod
+    def _bound(cls, text: str) -> str:
+        if text:
+            WantedBound.read(text)
+        return text
+
+    @property
+    def wanted(self) -> WantedBound | None:
+        """The bound that ends a set; None where none does."""
+        return WantedBound.read(self.until) if self.until else None
+
     @model_validator(mode="after")
     def _consistent(self) -> "SequencerConfig":
+        if self.most_sets > 1 and not self.until:
+            raise ValueError('most_sets is for a set that is flown until a bound is reached; set until = "Cl_p 5 %"')
         if not self.output:
             raise ValueError("output names no servo; add [sequencer.output.NAME]")
         if self.through == "px4":

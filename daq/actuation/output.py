@@ -32,7 +32,8 @@ class OutputObservation:
 class FrameObservation:
     """What is known in a frame.
 
-    late_ns: how late the frame began. link_s: since the ground was last heard, None where nobody listens.
+    late_ns: how late the frame began. link_s: since the ground was last heard, None where nobody listens. reached: whether the
+    bound that the set is flown until is reached; None where nobody asks, or nobody has told lately.
     """
 
     now_ns: int
@@ -41,6 +42,7 @@ class FrameObservation:
     output: OutputObservation
     recording: bool = True
     link_s: float | None = None
+    reached: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,6 +71,7 @@ class Sequencer:
         self._last: tuple[float, ...] = ()
         self._increments = STILL
         self._fading = STILL
+        self._sets = 1  # flown or being flown, of the manoeuvre under way
         self._put_out: deque[tuple[int, tuple[float, ...]]] = deque()
         self._followed_ns = 0
         self._handlers: Mapping[State, Callable[[FrameObservation], StateTransition | None]] = {
@@ -157,6 +158,7 @@ class Sequencer:
         if move.to is State.RUNNING:
             self._captured = self._last = tuple(median(c) for c in zip(*self._sticks, strict=True))
             self._watched = seen.output.watched
+            self._sets = 1
             self._put_out.clear()
             self._followed_ns = seen.now_ns
         if move.to is State.RAMPING:
@@ -228,9 +230,22 @@ class Sequencer:
         if interruption is not None:
             next_state = State.RAMPING if interruption.reason.exit is Exit.RAMP else State.RELEASED
             return StateTransition(next_state, interruption.reason, interruption.detail)
-        if self._seconds(seen.now_ns) >= self.plan.duration_s:
-            return StateTransition(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
-        return None
+        return self._end_of_set(seen)
+
+    def _end_of_set(self, seen: FrameObservation) -> StateTransition | None:
+        """The set ends early when its bound is reached, and is flown again while that is known not to be, within the limits."""
+        elapsed, length = self._seconds(seen.now_ns), self.plan.duration_s
+        if seen.reached:
+            return StateTransition(State.RAMPING, Reason.REACHED, f"{self._config.until} after {elapsed:.1f} s")
+        if elapsed < self._sets * length:
+            return None
+        once_more = (self._sets + 1) * length <= self._config.longest_s and self._sets < self._config.most_sets
+        if seen.reached is False and once_more:
+            self._sets += 1
+            return None
+        sets = f"{self._sets} sets, " if self._sets > 1 else ""
+        unreached = f", {self._config.until} not reached" if self._config.until else ""
+        return StateTransition(State.RELEASED, Reason.COMPLETE, f"{sets}{elapsed:.1f} s{unreached}")
 
     def _ramping(self, seen: FrameObservation) -> StateTransition | None:
         interruption = self._interruption(seen)
@@ -352,7 +367,7 @@ class Sequencer:
 
     def _wanted(self, elapsed_s: float) -> Increments:
         if self.state is State.RUNNING:
-            return self.plan.at(elapsed_s)
+            return self.plan.at(elapsed_s - (self._sets - 1) * self.plan.duration_s)
         share = max(0.0, 1.0 - elapsed_s / self._config.ramp_s)
         return tuple(share * value for value in self._fading)
 

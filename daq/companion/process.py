@@ -1,5 +1,6 @@
 """The companion as the logger's loop sees it: scans in, answers out, nothing waits, and its end is said once."""
 
+import math
 import os
 import subprocess
 import sys
@@ -31,6 +32,7 @@ class IdentificationConfig(BaseModel):
 
 NAME = "identification"
 BACKLOG = 1 << 20  # bytes that wait for the pipe: two minutes at 20 Hz, while the process starts or swaps
+STALE = 3.0  # times the time between two answers, and no sequencer goes by the last one any more
 END_S = 3.0  # it is given so long to answer for the last time
 
 Say = Callable[[LogLevel, str, str], None]
@@ -48,6 +50,8 @@ class Companion:
         self._waiting = bytearray()
         self._heard = b""
         self._broken = ""
+        self._scan_time = math.nan  # of the last scan it was given
+        self._answer = CompanionReply()
         self.dropped = 0
 
     def start(self, details: Mapping[str, str]) -> None:
@@ -80,6 +84,7 @@ class Companion:
         if self._process is None:
             return
         for scan in scans:
+            self._scan_time = scan.time
             data = frame(encode_scan(scan))
             if len(self._waiting) + len(data) > BACKLOG:
                 self.dropped += 1
@@ -92,6 +97,11 @@ class Companion:
         except OSError as error:
             self._broken = error.strerror or str(error)
         self._listen()
+
+    def known(self) -> Mapping[str, tuple[float, float]] | None:
+        """Derivative -> estimate and bound, of its last answer; None where that is too old to go by."""
+        age = self._scan_time - self._answer.time
+        return self._answer.values if self._process is not None and age <= STALE * self._config.every_s else None
 
     def close(self) -> None:
         """Let it answer for the last time, then end it."""
@@ -151,6 +161,7 @@ class Companion:
             if process is not None:
                 _ended(process)
             return
+        self._answer = answer
         if answer.values:
             self._say(LogLevel.INFO, NAME, answer.record)
         for name, (estimate, bound) in answer.values.items():

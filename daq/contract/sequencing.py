@@ -50,6 +50,7 @@ class Reason(IntEnum):
     SWITCH = 2, "pilot's switch"
     STICK = 3, "pilot moved a stick"
     GROUND = 4, "stopped from the ground", Exit.RAMP
+    REACHED = 5, "wanted bound reached", Exit.RAMP
     BANK = 10, "bank limit", Exit.RAMP
     LOAD_FACTOR = 11, "load factor limit", Exit.RAMP
     AIRSPEED = 12, "airspeed limit", Exit.RAMP

@@ -148,6 +148,14 @@ def replacing_folder(path: Path) -> Iterator[Path]:
         sync_directory(path.parent)
 
 
+def try_folder(folder: Path) -> None:
+    """Raise OSError where a folder takes no new entry. Like every hidden file, what a kill leaves of it is cleared later."""
+    clear_leftovers(folder)
+    new, descriptor = _hidden(folder / "probe")
+    os.close(descriptor)
+    new.unlink()
+
+
 class FolderInUseError(Exception):
     """Another process writes into a folder."""
 

@@ -86,6 +86,13 @@ def segments_option(text: str = STRETCHES) -> Option[Any]:
     return click.option("--segments", help=text)
 
 
+def align_option(text: str) -> Option[Any]:
+    """`--align [WAY]`; text: what is laid on what."""
+    ways = ("auto", "correlation", "input", "event", "start")
+    text = f"{text}: by likeness, by the first input, by an event that both have, or by their starts."
+    return click.option("--align", type=click.Choice(ways), is_flag=False, flag_value="auto", help=text)
+
+
 def histories_option(what: str) -> Option[Any]:
     """`--histories FOLDER` as `histories_folder`; what: is beside each flight."""
     text = f"Write each flight with what the model {what} beside it, for sideslip view."

@@ -64,10 +64,8 @@ def check_folder(option: str, folder: Path | None) -> None:
         existing = existing.parent
     if not existing.is_dir():
         raise OutputError(f"{option} {folder}: {existing} is a file, not a folder; choose another place")
-    probe = existing / f".sideslip-{os.getpid()}"
     try:
-        probe.touch()
-        probe.unlink()
+        durable.try_folder(existing)
     except OSError as error:
         raise OutputError(f"{option} {folder}: cannot be written ({error.strerror}); choose another place") from error
 

@@ -36,14 +36,17 @@ def check(
     aircraft: "AnyAircraft" = None,
     keep_held: bool = False,
     segments: str | None = None,
+    align: str | None = None,
     progress: Callable[..., None] | None = None,
 ) -> "Check":
     """Data compatibility and quality. factors: as of `--factors`, or a list of names; the standard ones where none is given.
 
     joint: also one set of factors that several flights share. aircraft: whose derivatives predict what each flight can tell.
+    align: the report draws further flights laid on the first in time: auto, correlation, input, event or start.
     """
     from estimation.compatibility.reconstruction import compatibility
     from estimation.compatibility.records import compared_measurements, left_out_findings
+    from estimation.errors import EstimationError
     from estimation.resolve import read_flights
     from groundstation.flight.quality.report import quality_report
 
@@ -51,6 +54,8 @@ def check(
     free_factors, fixed_factors = wanted_factors(text)
     tell = progress or (lambda *_: None)
     read = read_flights(flights, segments)
+    if align is not None and len(read) < 2:
+        raise EstimationError("--align lays flights on one another in time: give two or more")
     quality = {
         f.name: (
             *quality_report(f),
@@ -69,7 +74,7 @@ def check(
     if joint and several:
         tell("checking all together")
         shared = compatibility(read, free_factors, known=fixed_factors, keep_held=keep_held)
-    return Check(results, quality, tuple(read), shared)
+    return Check(results, quality, tuple(read), shared, align)
 
 
 def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ...]":
@@ -114,12 +119,14 @@ def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]
 
 @dataclass(frozen=True, repr=False)
 class Check(Answer):
-    """What `check` found. results, quality: factors and findings by flight; joint: factors that all flights share."""
+    """What `check` found. results, quality: factors and findings by flight; joint: factors that all flights share; align: how the
+    report lays further flights on the first in time."""
 
     results: "Mapping[str, Compatibility]"
     quality: "Mapping[str, tuple[Finding, ...]]"
     flights: "tuple[Flight, ...]"
     joint: "Compatibility | None" = None
+    align: str | None = None
 
     @property
     def named(self) -> "list[tuple[str, Compatibility]]":
@@ -200,13 +207,15 @@ class Check(Answer):
         from estimation.report.check_page import motion_figure, motion_pairs
 
         pairs = motion_pairs([self.results[f.name].flights[0] for f in self.flights])
-        return Figures({f"figure7_{i + 1}": partial(motion_figure, pair, i) for i, pair in enumerate(pairs)})
+        return Figures(
+            {f"figure7_{i + 1}": partial(motion_figure, pair, i, self.flights) for i, pair in enumerate(pairs)}
+        )
 
     def report(self, folder: str | Path) -> Path:
         from estimation.report.check_page import write_check_report
 
         quality = [self.quality[f.name] for f in self.flights]
-        return write_check_report(self.flights, quality, self.named, Path(folder))
+        return write_check_report(self.flights, quality, self.named, Path(folder), self.align)
 
     def writers(self) -> Mapping[str, Callable[[Path], Any]]:
         """Everything as .json, the table of factors as .csv, measured and reconstructed motion as a picture."""

@@ -1,16 +1,14 @@
 """`estimate`: aerodynamic parameters of flights, with bounds, and what a person reads of them."""
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.utilities.input_files import read_text
 from daq.utilities.packages import optional
 from daq.utilities.plain_words import comma_separated, meant
 from estimation.answers.answer import Answer, Figures, Rows, panels, picture_writers, rounded_texts
-from estimation.errors import EstimationError, UnknownNameError
+from estimation.errors import UnknownNameError
 from estimation.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -123,39 +121,6 @@ def _mean_lines(session: "EstimationSession") -> Iterator[str]:
             yield f"  {name:<12}{s.mean:11.4g}{scatter:>10}{s.bound:11.2g}{s.count:9d}{true}  {s.text}".rstrip()
 
 
-def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
-    """Derivatives by name from a JSON file: {"Cl_p": ...}, {"derivatives": {...}}, a manifest of recordings, or a key of
-    sets of flights, where each flight is found by its name.
-
-    Raises EstimationError for a file that cannot be read, or that has no truth or different ones for these flights.
-    """
-    try:
-        data = json.loads(read_text(path, error=EstimationError))
-    except (ValueError, RecursionError):
-        raise EstimationError(f'{path}: not JSON; write derivatives by name, like {{"Cl_p": -0.495}}') from None
-    truths = [_of_flight(data, name) for name in flights]
-    truth = next((f for f in truths if f), None)
-    if truth is None:
-        raise EstimationError(f"{path}: no derivatives there for {', '.join(flights)}")
-    if any(f != truth for f in truths):
-        raise EstimationError(f"{path}: the truth of these flights is not one: give flights of one aircraft")
-    return truth
-
-
-def _of_flight(data: Any, flight: str) -> dict[str, float]:
-    """Numbers by derivative name, empty where the file tells nothing of this flight."""
-    if not isinstance(data, Mapping):
-        return {}
-    entry: Any = data
-    if isinstance(data.get("recordings"), list):
-        entry = next((r for r in data["recordings"] if isinstance(r, Mapping) and r.get("name") == flight), {})
-    elif "derivatives" not in data:
-        sets = [k for k, v in data.items() if isinstance(v, Mapping) and flight.startswith(k)]
-        entry = data[max(sets, key=len)] if sets else data
-    table = entry.get("derivatives", entry)
-    return {k: float(v) for k, v in table.items() if isinstance(v, int | float) and not isinstance(v, bool)}
-
-
 @single_threaded
 def estimate(
     flights: "Flights",
@@ -198,6 +163,7 @@ def estimate(
         result = ss.estimate("ld1.mcap", "lateral", "ml")
         print(result.summary())
     """
+    from estimation.answers.truth import read_truth
     from estimation.estimators.estimator import Extras
     from estimation.resolve import resolve
     from estimation.session import runner

@@ -29,7 +29,7 @@ def watch(
     hours: float = 2.5,
     seed: int = 1,
 ) -> "Watching":
-    """When a model of the lateral derivatives stopped describing the aircraft, as it would have been said in flight.
+    """When a linear model (of rolling and yawing, pitching, or both) stopped describing the aircraft, as it would have been said.
 
     rate: false alarms allowed in an hour of manoeuvring; hours: of simulated manoeuvring that thresholds come from. Raises a
     UserError for another model, a missing column, or less than ten seconds of manoeuvring.

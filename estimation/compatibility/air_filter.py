@@ -27,6 +27,9 @@ STATES = 19
 INTERVAL = 0.2
 """Time between nodes [s]: several to a gust of 50 m, and to the time in which an attitude error changes."""
 
+UPDRAUGHT_S = 60.0
+"""[s] over which an updraught lasts, at most: a kilometre at the speeds of small aircraft, the width of a thermal and its sink."""
+
 PASSES = 3
 """Runs about the last result; the air velocity moves by less than 1 mm/s in the fourth (checked on simulated flights)."""
 
@@ -37,8 +40,8 @@ class Assumptions:
 
     trim_sideslip [rad]: mean sideslip of a symmetric aircraft whose pilot or autopilot coordinates (propeller, rigging);
     it matters where the heading hardly changes, for there crosswind and sideslip look alike. manoeuvre_sideslip [rad] over
-    manoeuvre_s: sideslip about it. vertical_wind [m/s]: mean updraught of a flight. wind [m/s]: either way, about
-    the first guess. wind_drift [m/s per root second]: 1 m/s in 20 minutes. airspeed_scale: position error and calibration
+    manoeuvre_s: sideslip about it. vertical_wind [m/s]: mean updraught over UPDRAUGHT_S; over a longer flight it averages out by
+    the root of the time. wind [m/s]: either way, about the first guess. wind_drift [m/s per root second]: 1 m/s in 20 minutes. airspeed_scale: position error and calibration
     factor of the pitot (PX4 and ArduPilot start from 1 and find a few per cent). bias [m/s2]: accelerometer of an autopilot
     after its own calibration. fix [m/s]: horizontal, vertical noise of a GNSS velocity. fix_age [s]: of it when logged.
     airspeed_age [s]: of an airspeed (tubes, and the mean of a few samples that autopilots log); not looked for, it shows as a
@@ -165,6 +168,7 @@ class _Chain:
         self._fixes = np.concatenate([s.fixes for s in stretches])
         self._airspeed = np.concatenate([s.airspeed for s in stretches])
         speed = np.nanmedian(self._airspeed)
+        self._seconds = max(INTERVAL, sum(float(s.time[-1] - s.time[0]) for s in stretches))
         self._gust_s = assumed.gust_length / float(speed)
         self._phi, self._q = self._steps(stretches)
 
@@ -213,7 +217,7 @@ class _Chain:
         sigma[VELOCITY] = 30.0  # nothing is known before the first fix
         sigma[ATTITUDE] = n.level, n.level, n.heading
         sigma[BIAS] = a.bias
-        sigma[WIND] = a.wind, a.wind, a.vertical_wind
+        sigma[WIND] = a.wind, a.wind, a.vertical_wind * min(1.0, np.sqrt(UPDRAUGHT_S / self._seconds))
         sigma[GUST] = self._gust
         sigma[[SCALE, TRIM, AGE, AIRSPEED_AGE]] = a.airspeed_scale, a.trim_sideslip, a.fix_age, a.airspeed_age
         x = np.zeros(STATES)

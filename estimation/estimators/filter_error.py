@@ -234,7 +234,7 @@ def _by_free_gain(model: Model, data: list[FlightData], options: OutputErrorOpti
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
     result = _without_gains(fit_result(problem, outcome, "fem"), model, names)
-    if result.converged and any(e.identifiable for e in result.parameters.values()):
+    if result.converged and result.informative:
         return result
     return _by_process_noise(model, data, first, options).with_method("fem")
 

@@ -5,7 +5,7 @@ every point, so its gradient is that of 1/2 sum r' R^-1 r with R from the residu
 Unknowns: shared parameters, local ones flight by flight, then the initial states segment by segment.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -19,6 +19,7 @@ from estimation.estimators.normal_equations import FlightBlocks, SegmentBlocks, 
 from estimation.models.base import Model
 from estimation.prepare.flight_data import FlightData
 
+BoolArray = NDArray[np.bool_]
 Noise = Literal["diagonal", "full"]
 LARGEST_SLOPE = 1e60  # of an output with respect to an unknown
 DEFINITELY_ZERO = 1e-9  # of the range of an output: smaller residuals are exact fits, and R must not vanish
@@ -294,15 +295,21 @@ def whiten(residual: Array, R: Array) -> tuple[Array, float]:
         return np.where(measured, residual, 0.0) / sigma, float(np.sum(measured * 2.0 * np.log(sigma)))
     result = np.zeros_like(residual)
     logdet = 0.0
-    for pattern in np.unique(measured, axis=0):
-        rows = np.all(measured == pattern, axis=1)
-        index = np.flatnonzero(pattern)
-        if not index.size:
-            continue
+    for rows, index in _measured_together(measured):
         L = np.linalg.cholesky(R[np.ix_(index, index)])
         result[np.ix_(rows, index)] = np.linalg.solve(L, residual[np.ix_(rows, index)].T).T
-        logdet += 2.0 * float(np.sum(np.log(np.diag(L)))) * int(rows.sum())
+        logdet += 2.0 * float(np.sum(np.log(np.diag(L)))) * rows.size
     return result, logdet
+
+
+def _measured_together(measured: BoolArray) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Rows that share what is measured, and the outputs measured there; measured: (N, ny)."""
+    if measured.all():  # nearly always: sorting rows would take longer than weighing them
+        yield np.arange(len(measured)), np.arange(measured.shape[1])
+        return
+    for pattern in np.unique(measured, axis=0):
+        if pattern.any():
+            yield np.flatnonzero(np.all(measured == pattern, axis=1)), np.flatnonzero(pattern)
 
 
 def whiten_all(dy: Array, residual: Array, R: Array) -> tuple[Array, Array]:
@@ -314,11 +321,7 @@ def whiten_all(dy: Array, residual: Array, R: Array) -> tuple[Array, Array]:
         weight = measured / np.sqrt(np.diag(R))
         return (dy * weight[:, :, None]).reshape(count * ny, n), w.ravel()
     J = np.zeros_like(dy)
-    for pattern in np.unique(measured, axis=0):
-        rows = np.flatnonzero(np.all(measured == pattern, axis=1))
-        index = np.flatnonzero(pattern)
-        if not index.size:
-            continue
+    for rows, index in _measured_together(measured):
         L = np.linalg.cholesky(R[np.ix_(index, index)])
         J[np.ix_(rows, index)] = np.linalg.solve(L, dy[np.ix_(rows, index)])
     return J.reshape(count * ny, n), w.ravel()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.gauss_newton import Status
-from estimation.models.base import Model
+from estimation.models.base import Model, ParameterRole
 from estimation.signals.goodness_of_fit import ChannelFit
 from groundstation.flight.findings import Finding
 
@@ -173,6 +173,12 @@ class Result:
     @property
     def converged(self) -> bool:
         return self.status.usable
+
+    @property
+    def informative(self) -> bool:
+        """Whether it can tell any derivative, or any parameter where the model has no derivatives free."""
+        names = self.model.free_of(ParameterRole.DERIVATIVE) or tuple(self.parameters)
+        return any(self.parameters[n].identifiable for n in names if n in self.parameters)
 
     @property
     def correlation(self) -> Array:

@@ -30,9 +30,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     text = str(which)
     if text in BUILDERS:
         craft = _named(aircraft, f"model {text}")
-        built = BUILDERS[text](craft)
-        extended = stated_terms(built, craft) if text in WHOLE else built
-        return _with_known_constants(extended, craft, f"model {text}")
+        built = _with_known_constants(BUILDERS[text](craft), craft, f"model {text}")
+        return stated_terms(built, craft) if text in WHOLE else built
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:

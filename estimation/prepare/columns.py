@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.utilities.constants import GRAVITY
 from estimation.aircraft import unknown_aircraft
 from estimation.errors import DataError
 from estimation.models.base import Model
@@ -29,6 +30,20 @@ def bridge_gaps(values: Array) -> Array:
 def denoised_slope(time: Array, values: Array) -> Array:
     """Derivative of a signal from its de-noised curve, by central differences. time, values: (N,)."""
     return np.gradient(denoise(bridge_gaps(values), order=2).values, time)
+
+
+def alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -> Array:
+    """(n,) rate of alpha [rad/s]: by the equation of motion from accelerometers and attitude where the flight has them, for a
+    slope of a vane between samples misses what steps of the elevator do; else that slope."""
+    columns = ("ax", "az", "theta")
+    if not all(flight.measured(n) for n in columns):
+        return np.gradient(x["alpha"], time)
+    ax, az, theta = (bridge_gaps(flight[n][s]) for n in columns)
+    phi = bridge_gaps(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
+    gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
+    c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
+    rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))
+    return denoise(rate, order=2).values
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """A flight as the engine needs it: inputs without noise, measured outputs, initial states, cut at every gap."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -52,7 +52,8 @@ class FlightData:
     where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs; errors:
     (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, or of the noise
     that was left in; zero outside the segments), or None where nothing is known of it; follows: (samples, nu) what of each
-    control follows the motion, where that was looked for."""
+    control follows the motion, where that was looked for; commands: controls that are recorded commands -> interval of the
+    record [s]."""
 
     name: str
     samples: int
@@ -63,6 +64,7 @@ class FlightData:
     absent_outputs: tuple[str, ...]
     errors: NDArray[np.float32] | None = None
     follows: Array | None = None
+    commands: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def used(self) -> int:

@@ -187,8 +187,19 @@ def _flight_data(state: PreparationState) -> FlightData:
             " measured"
         )
     notes = without_repeats(state.notes)
+    intervals = {s.name: flight.held(s.source) for s in state.model.inputs if s.control}
+    commands = {n: interval for n, interval in intervals.items() if interval is not None}
     return FlightData(
-        flight.name, len(flight), segments, state.states, state.noise, notes, state.absent, state.errors, state.follows
+        flight.name,
+        len(flight),
+        segments,
+        state.states,
+        state.noise,
+        notes,
+        state.absent,
+        state.errors,
+        state.follows,
+        commands,
     )
 
 

@@ -20,6 +20,7 @@ from estimation.report.drawing.figures import (
     save_figure,
     styled,
 )
+from estimation.report.drawing.marks_drawn import aligned_figures, draw_marks
 from estimation.report.flight_tables import collected, flight_card, notes_table, provenance_table
 from estimation.report.names import face, literal, tex
 from estimation.report.page import Page, Section, box, coloured, free_table
@@ -131,10 +132,12 @@ def write_check_report(
     quality: Sequence[Sequence["Finding"]],
     results: Sequence[tuple[str, Compatibility]],
     folder: Path,
+    align: str | None = None,
 ) -> Path:
     """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page.
 
-    results: one a flight, in the order of `flights`, then the joint one where there is one.
+    results: one a flight, in the order of `flights`, then the joint one where there is one. align: how further flights are laid
+    on the first in time; None: they are not.
     """
     reconstructed = [r.flights[0] for _, r in results[: len(flights)]]
     counts = [finding.severity for findings in quality for finding in findings]
@@ -146,9 +149,12 @@ def write_check_report(
         Section(
             "motion",
             "Measured and reconstructed motion",
-            [*motion_figures(reconstructed), _fit_table(reconstructed)],
+            [*motion_figures(reconstructed, flights), _fit_table(reconstructed)],
             "Motion",
         ),
+        Section("aligned", "Laid on one another in time", aligned_figures(flights, align), "Aligned")
+        if align
+        else None,
         Section("quality", "Data quality", [*_findings(flights, quality), notes], "Quality"),
         Section("provenance", "Provenance", [provenance_table(flights)], "Provenance"),
     ]
@@ -251,9 +257,9 @@ def _fit_table(flights: Sequence[ReconstructedFlight]) -> ReportTable:
     )
 
 
-def motion_figures(flights: Sequence[ReconstructedFlight]) -> list[Picture]:
-    """Figure 7: measured and reconstructed motion, two flights beside each other."""
-    return [motion_figure(pair, i) for i, pair in enumerate(motion_pairs(flights))]
+def motion_figures(flights: Sequence[ReconstructedFlight], marked: Sequence["Flight"] = ()) -> list[Picture]:
+    """Figure 7: measured and reconstructed motion, two flights beside each other. marked: the flights whose marks are drawn."""
+    return [motion_figure(pair, i, marked) for i, pair in enumerate(motion_pairs(flights))]
 
 
 def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[ReconstructedFlight]]:
@@ -261,9 +267,10 @@ def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[Recons
     return [flights[start : start + COLUMNS] for start in range(0, len(flights), COLUMNS)]
 
 
-def motion_figure(flights: Sequence[ReconstructedFlight], number: int) -> Picture:
-    """One part of Figure 7, the number-th from 0; flights: the flights beside each other."""
+def motion_figure(flights: Sequence[ReconstructedFlight], number: int, marked: Sequence["Flight"] = ()) -> Picture:
+    """One part of Figure 7, the number-th from 0; flights: the flights beside each other; marked: whose marks are drawn."""
 
+    by_name = {flight.name: flight for flight in marked}
     names = flights[0].outputs
     with styled():
         figure, axes = grid(len(names), len(flights), 1.25, own_scales=True, sharex="col")
@@ -277,6 +284,8 @@ def motion_figure(flights: Sequence[ReconstructedFlight], number: int) -> Pictur
                 reconstructed = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
                 axis.plot(flight.time, reconstructed, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
                 axis.set_ylabel(f"${tex(name)}$ [{unit}]")
+            if flight.name in by_name:
+                draw_marks(axes[:, column], by_name[flight.name])
             axes[0][column].set_title(literal(flight.name), loc="left")
             axes[-1][column].set_xlabel("time [s]")
         axes[0][0].legend(ncols=2, **ABOVE)

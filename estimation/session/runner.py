@@ -82,15 +82,15 @@ def estimate(
 def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:
     """Every method over every flight, and over all of them together where `joint`."""
     flights = task.flights
+    base_model = None if task.plain is None else joint_model(task.plain)
+    together = replace(task, number=len(flights), model=joint_model(task.model), plain=base_model) if joint else task
     outcomes_by_method = {e.name: _with_limits_of_records(_each(e, task), [[f] for f in flights]) for e in estimators}
     for flight, outcomes in zip(flights, zip(*outcomes_by_method.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     joint_outcomes: dict[str, Outcome] = {}
     for e in estimators if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        base_model = None if task.plain is None else joint_model(task.plain)
-        joined = _tried(e, replace(task, number=len(flights), model=joint_model(task.model), plain=base_model))
-        joint_outcomes[e.name] = _with_limits_of_records([joined], [flights])[0]
+        joint_outcomes[e.name] = _with_limits_of_records([_tried(e, together)], [flights])[0]
     estimates = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in outcomes_by_method.items()})

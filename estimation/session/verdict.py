@@ -152,8 +152,8 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
     for doubt in doubts_of(result):
         if doubt.kind in (DoubtKind.SIGN, DoubtKind.CHANNEL_SIGN, DoubtKind.UNIT):
             case.against.setdefault(method, doubt.text)
-    if not any(e.identifiable for e in result.parameters.values()):
-        case.against.setdefault(method, "it can tell none of the parameters")
+    if not result.informative:
+        case.against.setdefault(method, "it can tell none of the derivatives")
 
 
 # ------------------------------------------------------------------------------------------------------------ the choice

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.utilities.constants import GRAVITY
 from estimation.models.base import Model, Signal
-from estimation.prepare.columns import bridge_gaps
+from estimation.prepare.columns import alpha_rate
 from estimation.prepare.flight_data import FlightData, Preparation
 from estimation.prepare.pipeline import prepare
-from estimation.signals.denoise import denoise
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from groundstation.flight import Flight
 
@@ -148,7 +146,7 @@ def motion(
             )
         moved_values = flight[ALPHA_RATE][s] if not preparation.denoise and flight.measured(ALPHA_RATE) else None
         x = {n: v[s] for n, v in values.items()}
-        values[ALPHA_RATE][s] = _alpha_rate(flight, s, segment.time, x) if moved_values is None else moved_values
+        values[ALPHA_RATE][s] = alpha_rate(flight, s, segment.time, x) if moved_values is None else moved_values
     if not (values["V"][usable] > 0.0).all():
         raise SimulationError(
             f"{flight.name}: V is not above zero everywhere; cut the flight to where it flies (--segments)"
@@ -156,20 +154,6 @@ def motion(
     unmeasured = {v for v in VARIABLES if not flight.measured(v)}
     usable_values = {n: values[n][usable] for n in VARIABLES}
     return States(usable_values, values["rho"][usable], values[ALPHA_RATE][usable]), usable, unmeasured
-
-
-def _alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -> Array:
-    """(n,) rate of alpha [rad/s]: by the equation of motion from accelerometers and attitude where the flight has them, for a
-    slope of a vane between samples misses what steps of the elevator do; else that slope."""
-    columns = ("ax", "az", "theta")
-    if not all(flight.measured(n) for n in columns):
-        return np.gradient(x["alpha"], time)
-    ax, az, theta = (bridge_gaps(flight[n][s]) for n in columns)
-    phi = bridge_gaps(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
-    gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
-    c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
-    rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))
-    return denoise(rate, order=2).values
 
 
 def _course(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> Array:

@@ -16,6 +16,9 @@ from estimation.models.expressions import names_in, products_in
 LATE_OUTPUTS = ("alpha", "beta", "phi", "theta", "ax", "ay", "az")
 """Columns that instruments with a lag of their own show: vanes swing, attitudes come out of a filter."""
 SMALL_FLOW = ("alpha", "beta")
+GRAVITY_OFF = {"ax": 0.005, "ay": 0.005, "az": 0.005}
+"""Part by which gravity in flight differs from the standard value of the models: 0.3 % between pole and equator, 0.3 % at 10 km,
+0.3 % at 200 m/s along the equator. A scale of an accelerometer as near to one as this is gravity, not the instrument."""
 
 
 class CandidateKind(Enum):
@@ -42,7 +45,8 @@ UNITS = {
 @dataclass(frozen=True)
 class Candidate:
     """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term:
-    what is added to which line; channel: the input or output concerned; phrase: as a sentence has it."""
+    what is added to which line; channel: the input or output concerned; phrase: as a sentence has it; least: distance from the
+    null below which it says nothing."""
 
     name: str
     kind: CandidateKind
@@ -51,6 +55,7 @@ class Candidate:
     term: str = ""
     channel: str = ""
     phrase: str = ""
+    least: float = 0.0
 
     @property
     def parameter(self) -> Parameter:
@@ -191,7 +196,12 @@ def _sensors(model: Model) -> Iterator[Candidate]:
                 f"delay_{s.name}", CandidateKind.LATE_SENSOR, channel=s.name, phrase=f"a lag of the {s.name} sensor"
             )
         yield Candidate(
-            f"scale_{s.name}", CandidateKind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}"
+            f"scale_{s.name}",
+            CandidateKind.SCALE,
+            null=1.0,
+            channel=s.name,
+            phrase=f"a wrong scale of {s.name}",
+            least=GRAVITY_OFF.get(s.source, 0.0),
         )
     scaled = {t.input for t in model.transforms if t.kind == "scale"}
     for s in model.inputs:

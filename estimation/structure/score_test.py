@@ -62,8 +62,8 @@ class Tested:
 
     @property
     def significant(self) -> bool:
-        """Whether the residuals ask for it."""
-        return abs(self.score) > self.threshold
+        """Whether the residuals ask for it, and it is no less than what the model itself can be off."""
+        return abs(self.score) > self.threshold and abs(self.value - self.candidate.null) > self.candidate.least
 
     @property
     def worst(self) -> tuple[str, float]:
@@ -161,7 +161,7 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
             if k not in (*taken_up, strongest)
             and abs(t.score) > RIVAL * abs(scores[strongest].score)
             and abs(next_scores[k].score) < THRESHOLD
-            and _possible(t, result)
+            and _possible(t, result, as_rival=True)
         ]
         differs = _differences(linear, strongest, rivals, scores)
         apart = max(
@@ -202,14 +202,15 @@ def _strongest(scores: Sequence[Tested], taken_up: Sequence[int], result: Result
     return min(tied, key=lambda k: (LIKELIEST_FIRST.index(scores[k].candidate.kind), -abs(scores[k].score)))
 
 
-def _possible(tested: Tested, result: Result) -> bool:
-    """Whether a candidate of that size can be what it is called."""
+def _possible(tested: Tested, result: Result, *, as_rival: bool = False) -> bool:
+    """Whether a candidate of that size can be what it is called. as_rival: beside a likelier one, for a rolling tail or long
+    ailerons near the stall yaw by more than usual."""
     c = tested.candidate
     if c.kind is CandidateKind.SCALE:
         low, high = FACTORS.get(c.channel, FACTORS_ELSE)
         return low <= tested.value <= high
     roll = result.parameters.get("Cl_da")
-    if c.name == "Cn_da" and roll is not None:
+    if c.name == "Cn_da" and roll is not None and not as_rival:
         return abs(tested.value) <= ADVERSE * abs(roll.estimate)
     if c.kind is CandidateKind.INERTIA:
         Ixx, Izz = (result.model.constants.get(n, np.nan) for n in ("Ixx", "Izz"))

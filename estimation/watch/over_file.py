@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import DERIVATIVES, SIGNALS, Sample
-from daq.identification.monitor.bank import bank
-from daq.identification.monitor.monitor import Alarm, GapMonitor, MonitorState
+from daq.identification.airframe import Sample
+from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
+from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState
 from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration, calibrated
 from daq.identification.movement import ManoeuvreDetector
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
+from estimation.estimators.linear_terms import LinearTerms, linear_terms
 from estimation.estimators.recursive import airframe_of, samples_of, values_of
 from estimation.models.base import Model
 from estimation.prepare.columns import with_derived
@@ -26,7 +27,6 @@ Array = NDArray[np.float64]
 FLYING, FLYING_S = 9.0, 2.0  # m/s and s from which on the aircraft flies, as the ground station has them
 GRID_S, FINEST_S = 0.05, 0.045  # s between scans that are looked at, as on board; faster ones are left out in between
 FEWEST_S = 10.0  # s of manoeuvring below which nothing was watched to speak of
-NOISES = {"beta": "beta", "p": "p", "r": "r", "phi": "phi", "ay": "ay", "V": "V"}
 
 
 @dataclass(frozen=True)
@@ -72,27 +72,52 @@ def _alarm_json(a: Alarm) -> dict[str, Any]:
 def watch(
     model: Model, flight: Flight, aircraft: Aircraft, *, seed: int = 1, hours: float = 2.5, rate: float = 1.0
 ) -> Watched:
-    """Watch a flight with a model of the lateral derivatives; thresholds for `rate` false alarms an hour of manoeuvring.
+    """Watch a flight with a linear model of one plane or both; thresholds for `rate` false alarms an hour of manoeuvring.
 
     hours: of simulated manoeuvring they are taken from. Raises EstimationError for another model, or a flight with less than ten
     seconds of manoeuvring, MissingColumnError for one without the measured motion.
     """
-    airframe = airframe_of(model, aircraft)
-    if set(airframe.beliefs) != set(DERIVATIVES):
-        raise EstimationError(f"the gap monitor knows the derivatives of model lateral only, not those of {model.name}")
-    flight.require([s for s in SIGNALS if s != "rho"], "watch")
-    values, stds = values_of(model)
-    effects = bank(airframe, values, stds)
+    airframe, terms = airframe_of(model, aircraft), linear_terms(model)
+    planes = _planes(model, terms)
+    flight.require(list(terms.signals), "watch")
+    values, stds = ({terms.names[n]: v for n, v in numbers.items()} for numbers in values_of(model))
     derived = with_derived(flight, ["rho"])
-    samples, seconds = _manoeuvring(derived, grid_of(derived))
+    samples, seconds = _manoeuvring(derived, grid_of(derived), terms)
     _refuse_short(flight, seconds)
-    conditions = conditions_of(derived)
-    rng = np.random.default_rng([seed, len(effects)])
-    calibration = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, rate=rate)
-    monitor = GapMonitor(airframe, values, effects, calibration)
+    monitors, calibrations = [], []
+    for plane in planes:
+        stated = {n: v for n, v in values.items() if n in plane.parameters}
+        effects = bank(stated, stds, plane)
+        rng, conditions = np.random.default_rng([seed, len(effects)]), conditions_of(derived, plane)
+        each = rate / len(planes)
+        try:
+            calibration = calibrated(
+                airframe, stated, effects, conditions, rng=rng, hours=hours, rate=each, plane=plane
+            )
+        except (np.linalg.LinAlgError, ArithmeticError, ValueError) as error:
+            raise EstimationError(
+                f"model {model.name}: no thresholds, an aircraft of these values does not fly ({error}); check them and the units"
+            ) from error
+        calibrations.append(calibration)
+        monitors.append(GapMonitor(airframe, stated, effects, calibration, plane))
+    monitor = GapMonitors(monitors)
     history = tuple(state for s in samples if (state := monitor.add(s)) is not None)
     _refuse_short(flight, monitor.watched)
-    return Watched(flight, model.name, tuple(monitor.alarms), history, monitor.watched, calibration)
+    calibration = replace(calibrations[0], rate=rate)
+    return Watched(flight, model.name, monitor.alarms, history, monitor.watched, calibration)
+
+
+def _planes(model: Model, terms: LinearTerms) -> list[MonitoredPlane]:
+    """Planes that a model is watched in. Raises EstimationError for terms that the monitor does not predict with."""
+    planes = [PLANES[r.name] for r in terms.regressions]
+    known = {n for plane in planes for n in plane.parameters}
+    strange = [parameter for parameter, place in terms.names.items() if place not in known]
+    if strange:
+        raise EstimationError(
+            f"the gap monitor does not know {', '.join(strange)} of model {model.name}: watch with a model without, "
+            "or look at the whole flight with sideslip gap"
+        )
+    return planes
 
 
 def grid_of(flight: Flight) -> float:
@@ -101,13 +126,13 @@ def grid_of(flight: Flight) -> float:
     return step * max(1, round(GRID_S / step)) if step < FINEST_S else GRID_S
 
 
-def _manoeuvring(flight: Flight, grid: float) -> tuple[list[Sample], float]:
+def _manoeuvring(flight: Flight, grid: float, terms: LinearTerms) -> tuple[list[Sample], float]:
     """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
     shortest = 0.9 * grid
-    stretches, last = ManoeuvreDetector(FLYING, FLYING_S), -math.inf
+    stretches, last = ManoeuvreDetector(FLYING, FLYING_S, terms.regressions), -math.inf
     samples: list[Sample] = []
     for part in flight.segments:
-        for sample in samples_of(flight, part):
+        for sample in samples_of(flight, part, terms.regressions):
             if sample.time - last < shortest:
                 continue
             last = sample.time
@@ -122,15 +147,15 @@ def _refuse_short(flight: Flight, seconds: float) -> None:
         )
 
 
-def conditions_of(flight: Flight) -> NullConditions:
+def conditions_of(flight: Flight, plane: MonitoredPlane) -> NullConditions:
     """Noise of the flight's own instruments, its airspeed and its rate; what it does not tell is as usual."""
     defaults = NullConditions()
     levels: dict[str, float] = {}
-    for name, column in NOISES.items():
-        level = noise(flight[column])
+    for name in (*plane.channels, "V"):
+        level = noise(flight[name])
         if level:
             levels[name] = level
-    surfaces = [s for c in ("delta_a", "delta_r") if (s := noise(flight[c]))]
+    surfaces = [s for c in plane.surfaces if (s := noise(flight[c]))]
     if surfaces:
         levels["surface"] = max(surfaces)
     flying = flight["V"][flight["V"] > FLYING]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from daq.utilities.options import align_option
 from daq.utilities.outputs import tried_file
 
 VIEW = click.Choice(["web", "native", "none"])
@@ -34,13 +35,7 @@ def terminated_is_interrupt() -> Iterator[None]:
 @click.command(epilog="Example: sideslip view flights/first/flight.mcap")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.argument("other", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "--align",
-    type=click.Choice(["auto", "correlation", "input", "event", "start"]),
-    is_flag=False,
-    flag_value="auto",
-    help="Lay the flight OTHER on FILE in time: by likeness, by the first input, by an event that both have, or by their starts.",
-)
+@align_option("Lay the flight OTHER on FILE in time")
 @click.option("--view", "window", type=VIEW, default="web", show_default=True, help=VIEW_HELP)
 @click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
 @click.option(

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from daq.identification.airframe import Sample
-from daq.identification.monitor.bank import bank
-from daq.identification.monitor.monitor import Alarm, GapMonitor
+from daq.identification.monitor.bank import PLANES, MonitoredPlane, bank
+from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors
 from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import calibrated
 from daq.identification.regression import LiveAircraft
@@ -30,7 +30,8 @@ class LiveWatch:
         self._conditions = (
             NullConditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else NullConditions(rate=ON_BOARD_HZ)
         )
-        self._monitor: GapMonitor | None = None
+        self._planes = [PLANES[r.name] for r in aircraft.regressions]
+        self._monitor: GapMonitors | None = None
         self._waiting: list[Sample] = []
         self._told: list[str] = []  # what each alarm was last said to be
         self.trouble = ""
@@ -70,12 +71,18 @@ class LiveWatch:
         return 0.0 if self._monitor is None else self._monitor.watched
 
     def _calibrate(self) -> None:
-        beliefs = self._airframe.beliefs
-        values = {n: b.value for n, b in beliefs.items()}
         try:
-            effects = bank(self._airframe, values, {n: b.std for n, b in beliefs.items() if b.std > 0.0})
-            rng = np.random.default_rng([SEED, len(effects)])
-            calibration = calibrated(self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS)
-            self._monitor = GapMonitor(self._airframe, values, effects, calibration)
+            self._monitor = GapMonitors([self._monitor_of(plane) for plane in self._planes])
         except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
+
+    def _monitor_of(self, plane: MonitoredPlane) -> GapMonitor:
+        """One false alarm an hour of all planes together."""
+        beliefs = {n: b for n, b in self._airframe.beliefs.items() if n in plane.parameters}
+        values = {n: b.value for n, b in beliefs.items()}
+        effects = bank(values, {n: b.std for n, b in beliefs.items() if b.std > 0.0}, plane)
+        rng, each = np.random.default_rng([SEED, len(effects)]), 1.0 / len(self._planes)
+        calibration = calibrated(
+            self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS, rate=each, plane=plane
+        )
+        return GapMonitor(self._airframe, values, effects, calibration, plane)

@@ -59,8 +59,8 @@ class HandoverConfig(_GroundTable):
 
 class LiveIdentificationConfig(_GroundTable):
     """Live identification. watch: the gap monitor beside it. aircraft: name or file; empty: the one that the recording names or
-    carries. model: what is estimated, lateral (where it is empty), longitudinal, six-dof, or the file of a model; the gap monitor
-    holds a lateral one against flight, in place of what the aircraft file believes. wanted:
+    carries. model: what is estimated, lateral (where it is empty), longitudinal, six-dof, or the file of a model, which the gap
+    monitor then holds against flight, in place of what the aircraft file believes. wanted:
     bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get NAMED_VALUE_FLOAT of each
     derivative. lines_every_s: time of flight between two lines in the log."""
 

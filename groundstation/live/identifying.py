@@ -11,7 +11,7 @@ from typing import Any
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
 from daq.contract.scan import Scan
 from daq.identification.movement import ManoeuvreDetector
-from daq.identification.regression import LATERAL, AircraftSource, LiveAircraft
+from daq.identification.regression import AircraftSource, LiveAircraft
 from daq.transport.mavlink_codec import FrameEncoder, message_by_name
 from daq.transport.ports import BytePort
 from daq.utilities.errors import UserError
@@ -117,18 +117,13 @@ class LiveIdentifications:
             run.monitor.note("WARN", f"no live identification: {error}")
             return
         run.given_up = False
-        watched = self._config.watch and LATERAL in aircraft.regressions
-        if self._config.watch and not watched:
-            run.monitor.note(
-                "WARN", f"no gap monitor: it watches rolling and yawing, and {self._config.model} has neither"
-            )
         run.live = LiveIdentification(
             aircraft,
             run.monitor.calibrator,
             self._config.wanted,
             run.alignment,
             ManoeuvreDetector(*self._landing, aircraft.regressions),
-            watched=watched,
+            watched=self._config.watch,
         )
         watched_model = (
             f"; the gap monitor holds flight against {self._config.model}" if aircraft.modelled is not None else ""

@@ -5,6 +5,7 @@ does not go on from the last one is held back. If more follow it, and none goes 
 really is there: its logger has started anew, or this computer's clock stood still. Else what was held back is not believed.
 """
 
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -27,6 +28,8 @@ USUAL_HZ = 100.0
 NUMBERS_AT_ONCE = 24
 PROVEN_SCANS, PROVEN_NS = 4, NS
 """So many scans of a new run, over so long, and none of the old: at the lowest downlink rate, 2 Hz, two would have come."""
+_NEIGHBOURS = 4096
+"""Scans of a run whose numbers and times are known, for late ones to stand between: LATE_NS of them at 400 Hz."""
 _MAX_CANDIDATES = 8
 _MAX_PARTS = 256
 
@@ -39,6 +42,7 @@ class ScanRun:
         self.first = self.number = part.number
         self.first_ns = self.time_ns = part.time_monotonic_ns
         self.heard_ns = now_ns
+        self._numbers, self._times = [part.number], [part.time_monotonic_ns]  # of the last scans, both ascending
 
     def follows(self, part: ScanPart, now_ns: int) -> bool:
         """Whether a part goes on from here, or belongs to a scan that came before."""
@@ -47,7 +51,18 @@ class ScanRun:
             return False
         if number_step > 0:
             return number_step * SHORTEST_NS <= time_step_ns <= self._most_ns(now_ns) and self.in_step(part)
-        return time_step_ns == 0 if number_step == 0 else -LATE_NS <= time_step_ns < 0
+        if number_step == 0:
+            return time_step_ns == 0
+        return -LATE_NS <= time_step_ns < 0 and self._stands_between(part)
+
+    def _stands_between(self, part: ScanPart) -> bool:
+        """Whether a late part's time lies between those of its neighbours by number, or is that of its own scan."""
+        place = bisect_left(self._numbers, part.number)
+        if self._numbers[place] == part.number:
+            return self._times[place] == part.time_monotonic_ns
+        return (not place or self._times[place - 1] < part.time_monotonic_ns) and part.time_monotonic_ns < self._times[
+            place
+        ]
 
     def is_older(self, part: ScanPart) -> bool:
         """Whether a part of the same boot was made before the last one, by number and by time."""
@@ -64,6 +79,15 @@ class ScanRun:
         """A part that follows has come."""
         if part.number > self.number:
             self.number, self.time_ns, self.heard_ns = part.number, part.time_monotonic_ns, now_ns
+            self._numbers.append(part.number)
+            self._times.append(part.time_monotonic_ns)
+            if len(self._numbers) > _NEIGHBOURS:
+                del self._numbers[: _NEIGHBOURS // 2], self._times[: _NEIGHBOURS // 2]
+        elif part.number < self.number:
+            place = bisect_left(self._numbers, part.number)
+            if self._numbers[place] != part.number:
+                self._numbers.insert(place, part.number)
+                self._times.insert(place, part.time_monotonic_ns)
 
     def reach(self, now_ns: int) -> int:
         """The highest number that the aircraft can have given by now."""

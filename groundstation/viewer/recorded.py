@@ -12,12 +12,12 @@ import rerun as rr
 from daq.contract.recordings.messages import LogLevel
 from groundstation.calibration.recording import calibrate_opened, is_raw, open_flight, open_recording
 from groundstation.flight import Flight, read_flight
+from groundstation.flight.beside import beside
 from groundstation.flight.marks import marks_of
 from groundstation.flight.writing import rerun_file
 from groundstation.identification.history import history_of
 from groundstation.live.readouts import READOUTS
 from groundstation.viewer import entities as e
-from groundstation.viewer.beside import beside
 from groundstation.viewer.blueprint import Layout, blueprint, fitted
 from groundstation.viewer.derivatives import by_coefficient
 from groundstation.viewer.derivatives import entity as curves_of

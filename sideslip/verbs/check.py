@@ -7,6 +7,7 @@ import click
 
 from daq.utilities.options import (
     aircraft_option,
+    align_option,
     figure_option,
     flag_option,
     flights_argument,
@@ -37,6 +38,7 @@ EXAMPLE = (
 @flag_option("--joint", text="Also one set of factors shared by all flights.")
 @flag_option("--keep-held", text="Take the repeated values of slow and stuck sensors for measurements.")
 @segments_option()
+@align_option("In the report, lay further flights on the first in time")
 @json_option()
 @figure_option("Write measured and reconstructed motion.")
 @report_option("Write an HTML report: factors beside published ones, motion, quality.")

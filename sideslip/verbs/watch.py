@@ -21,7 +21,7 @@ EXAMPLE = "Example: sideslip watch flight.mcap --model ld4.toml --json watch.jso
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flight", type=click.Path(path_type=Path), metavar="FLIGHT")
-@model_option("Model of the lateral derivatives: name or MODEL.toml.")
+@model_option("Linear model of rolling and yawing, of the pitching plane, or of both: name or MODEL.toml.")
 @aircraft_option(default="the one the flight carries or names")
 @segments_option()
 @click.option(

@@ -96,12 +96,16 @@ def page(found: Sequence[Outcome]) -> str:
         "([gap-criteria.md](gap-criteria.md)) moved by 30 % down and up (whole numbers by one, quantiles by 30 % of what is",
         f"beyond them), then the rule tests: {killed} of {len(found)} changes turn a test red.",
         "",
-        "| criterion | value | moved to | first test that turns red |",
+        "| criterion | value | moved to | tests that turn red first |",
         "|---|---|---|---|",
     ]
+    moves: dict[str, list[Outcome]] = {}
     for o in found:
-        test = o.killer.removeprefix("test_").replace("_", " ") or "**none**"
-        lines.append(f"| `{o.criterion.name}` | {o.criterion.value:g} | {o.value:.4g} | {test} |")
+        moves.setdefault(o.criterion.name, []).append(o)
+    for name, both in moves.items():
+        values = ", ".join(f"{o.value:.4g}" for o in both)
+        tests = ", ".join(dict.fromkeys(f"`{o.killer}`" if o.killer else "**none**" for o in both))
+        lines.append(f"|`{name}`|{both[0].criterion.value:g}|{values}|{tests}|")
     return "\n".join(lines) + "\n"
 
 

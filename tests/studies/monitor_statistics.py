@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
-from daq.identification.monitor.bank import CHANNELS, MonitoredEffect, bank
+from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, bank
 from daq.identification.monitor.monitor import NAMED_WITHIN_S, GapMonitor
 from daq.identification.monitor.nulls import NullConditions, fly
-from daq.identification.monitor.predictors import FlightsScan
+from daq.identification.monitor.predictors import FlightsScan, PredictorBank
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, calibrated, scores
 from firmware_sim.physics.effects.sudden import BEGINS_S
 from firmware_sim.runs.direct import direct_flights
@@ -64,7 +64,7 @@ class Set:
 def made(rate: str, hours: float) -> Set:
     airframe = airframe_for(Case("second", 0.1, False))
     values = {n: airframe.believed(n) for n in DERIVATIVES}
-    effects, conditions = bank(airframe, values, {}), CONDITIONS[rate]
+    effects, conditions = bank(values, {}), CONDITIONS[rate]
     found = calibrated(airframe, values, effects, conditions, rng=np.random.default_rng(1), hours=hours)
     return Set(airframe, values, effects, conditions, found)
 
@@ -73,7 +73,9 @@ def alarms(s: Set, scans: Sequence[FlightsScan]) -> tuple[Array, Array]:
     """(times, 1 + flights) times, and whether either statistic is beyond its threshold; (times, flights, effects) what the
     longest window says of each effect, from which names come: zero where that is below the threshold."""
     above, known, times = [], [], []
-    for time, score in scores(s.airframe, s.values, s.effects, s.calibration.whitening, scans):
+    for time, score in scores(
+        PredictorBank(s.airframe, s.values, s.effects), s.effects, s.calibration.whitening, scans
+    ):
         if time < BEGIN_S:
             continue
         z = np.abs(s.calibration.effects.of(score.z))
@@ -150,7 +152,7 @@ def sudden(s: Set, name: str, n: int, rate: str) -> str:
     seeds = list(range(1, n + 1))
     sound = direct_flights([scenario.altered(hidden=[])] * n, seeds)
     for seed, (flown, as_before) in enumerate(zip(direct_flights([scenario] * n, seeds), sound, strict=True)):
-        changed = np.stack([flown[c] - as_before[c] for c in CHANNELS], axis=1)[:, :, None]
+        changed = np.stack([flown[c] - as_before[c] for c in LATERAL_PLANE.channels], axis=1)[:, :, None]
         shown += list(first_shown(flown["time"], changed, s.conditions))
         columns = through_link(flown, seed, 0.05) if rate == "link" else flown
         monitor = GapMonitor(s.airframe, values, s.effects, s.calibration)

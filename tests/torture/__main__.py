@@ -1,119 +1,101 @@
-"""`make torture MINUTES=60`: fuzz, kills, full disks, two at once, soak, in shares of the minutes given; prints the table of
-docs/threat-model.md. `--part` runs some of them, `--times` as often as is said, whatever that takes. Not part of `make test`."""
+"""`make torture MINUTES=60`: kills, full disks, two at once, a ground station killed, soak and fuzz; prints the table of
+docs/threat-model.md. Not part of `make test`."""
 
 import argparse
 import datetime as dt
 import random
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
 from itertools import combinations_with_replacement
+from pathlib import Path
 
 from tests.torture.soak import soak
-from tests.torture.trials import VERBS, Tally, full, ground_killed, killed, two
+from tests.torture.trials import Tally, Trials, ground_killed, shim, two
+from tests.torture.verbs import VERBS, made_inputs
 
-PARTS = ("killed", "full", "two", "ground", "soak", "fuzz")
+PARTS = ("verbs", "two", "ground", "soak", "fuzz")
 FUZZ_A_MINUTE = 250  # cases, on an idle core
 SOAK_PACE = 5.0  # simulated seconds a second
 A_GROUND_S = 6.0  # seconds that one killed ground station takes
-SLOW_VERBS = ("gap",)  # a minute of processor each: left out where time is short
+KILLS, WRITES = 50, 60
+"""SIGKILLs a verb, and writes of a verb at which the disk is full, at most."""
 
 
 def main() -> int:
-    """Everything, as long as there is time; 1 where anything was found."""
+    """All parts; 1 where anything was found."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument(
+        "--minutes", type=float, default=60.0, help="of soak and fuzz together; the other parts take theirs"
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--part", action="append", choices=PARTS, help="only this; may be repeated")
     parser.add_argument("--verb", action="append", choices=list(VERBS), help="only this; may be repeated")
-    parser.add_argument("--times", type=int, help="trials of each verb, pairs, or ground stations, in place of minutes")
+    parser.add_argument("--kills", type=int, default=KILLS, help="of each verb and of ground stations")
+    parser.add_argument("--writes", type=int, default=WRITES, help="of each verb at which the disk is full")
     given = parser.parse_args()
-    parts = given.part or PARTS
-    share = given.minutes * 60.0 / len(parts)
-    verbs = given.verb or [v for v in VERBS if share >= 300.0 or v not in SLOW_VERBS]
-    rng, wrong = random.Random(given.seed), False
+    parts, rng, wrong = given.part or PARTS, random.Random(given.seed), False
+    share = given.minutes * 60.0 / 2.0
     today = dt.datetime.now(tz=dt.UTC).date()
     print(f"\n`python -m tests.torture {' '.join(sys.argv[1:])}`, {today}\n")
-    print("| what | trials | faults | slowest [s] | most memory [MB] |\n|---|---|---|---|---|", flush=True)
-    for part in parts:
-        match part:
-            case "killed" | "full":
-                trial = killed if part == "killed" else full
-                wrong |= _told(f"{part}, {{}}", _by_verb(trial, verbs, share, given.times, rng))
-            case "two":
-                wrong |= _told("two at once, {}", _pairs(verbs, share, given.times, rng))
-            case "ground":
-                times = given.times or max(2, round(share / A_GROUND_S))
-                wrong |= _told("ground station killed{}", iter([("", ground_killed(times, rng))]))
-            case "soak":
-                wrong |= _soaked(share * SOAK_PACE, given.seed)
-            case "fuzz":
-                cases = max(100, round(FUZZ_A_MINUTE * share / 60.0))
-                command = [
-                    sys.executable,
-                    "-m",
-                    "tests.unit.fuzz.study",
-                    "--cases",
-                    str(cases),
-                    "--seed",
-                    str(given.seed),
-                ]
-                wrong |= subprocess.run(command, check=False).returncode != 0
+    print(
+        "| what | trials | faults | slowest [s] | of it processor [s] | most memory [MB] |\n|---|---|---|---|---|---|",
+        flush=True,
+    )
+    if {"verbs", "two"} & set(parts):
+        wrong |= _verbs(given.verb or list(VERBS), parts, given.kills, given.writes, rng)
+    if "ground" in parts:
+        wrong |= _told("ground station killed", ground_killed(given.kills, rng))
+    if "soak" in parts:
+        wrong |= _soaked(share * SOAK_PACE, given.seed)
+    if "fuzz" in parts:
+        cases = str(max(100, round(FUZZ_A_MINUTE * share / 60.0)))
+        command = [sys.executable, "-m", "tests.unit.fuzz.study", "--cases", cases, "--seed", str(given.seed)]
+        wrong |= subprocess.run(command, check=False).returncode != 0
     return 1 if wrong else 0
 
 
-Rows = Iterator[tuple[str, Tally]]
-
-
-def _told(what: str, rows: Rows) -> bool:
-    """A row a verb and what went wrong, as it comes; whether anything did."""
-    wrong = False
-    for name, tally in rows:
-        row = f"{tally.trials} | {len(tally.faults)} | {tally.slowest_s:.1f} | {tally.peak_mb:.0f}"
-        print(f"| {what.format(name)} | {row} |", flush=True)
-        for fault in tally.faults[:20]:
-            print(f"  {fault}", flush=True)
-        wrong |= bool(tally.faults)
-    return wrong
+def _told(what: str, tally: Tally) -> bool:
+    """A row and what went wrong; whether anything did."""
+    row = f"{tally.trials} | {len(tally.faults)} | {tally.slowest_s:.1f} | {tally.slowest_cpu_s:.1f} | {tally.peak_mb:.0f}"
+    print(f"| {what} | {row} |", flush=True)
+    for fault in tally.faults[:20]:
+        print(f"  {fault}", flush=True)
+    return bool(tally.faults)
 
 
 def _soaked(seconds: float, seed: int) -> bool:
     end = soak(seconds, seed)
     grown = f"{end.grown / 1e6:+.1f} MB, {end.open_files:+d} files"
-    print(f"| soak, {end.seconds:.0f} s simulated: {end.scans} scans | 1 | {end.lost} lost | | {grown} |", flush=True)
+    print(f"| soak, {end.seconds:.0f} s simulated: {end.scans} scans | 1 | {end.lost} lost | | | {grown} |", flush=True)
     return bool(end.lost or end.trouble)
 
 
-def _by_verb(
-    trial: Callable[[str, int, random.Random], Tally],
-    verbs: list[str],
-    seconds: float,
-    times: int | None,
-    rng: random.Random,
-) -> Rows:
-    """Trials of each verb: `times`, or as many as its share of the time has room for, at least one."""
-    for verb in verbs:
-        until, whole = time.monotonic() + seconds / len(verbs), Tally()
-        while not whole.trials or (times is None and time.monotonic() < until):
-            before = whole.trials
-            whole.add(trial(verb, times or 5, rng))
-            if whole.trials == before:
-                whole.faults.append(f"{verb}: nothing to try; it writes no file")
-                break
-        yield verb, whole
-
-
-def _pairs(verbs: list[str], seconds: float, times: int | None, rng: random.Random) -> Rows:
-    """Every pair once, in an order of chance, as long as there is time; one row."""
-    until, whole = time.monotonic() + seconds, Tally()
-    pairs = list(combinations_with_replacement(verbs, 2))
-    rng.shuffle(pairs)
-    for one, other in pairs[:times]:
-        if times is None and time.monotonic() > until:
-            break
-        whole.add(two(one, other))
-    yield f"of {len(pairs)} pairs", whole
+def _verbs(verbs: list[str], parts: Sequence[str], kills: int, writes: int, rng: random.Random) -> bool:
+    """Each verb killed and on a full disk; then every pair of them at once."""
+    wrong, held = False, list[Trials]()
+    with tempfile.TemporaryDirectory(prefix="torture-") as name, ExitStack() as open_verbs:
+        base = Path(name)
+        inputs, library = made_inputs(base / "inputs"), shim(base)
+        for verb in verbs:
+            trials = Trials(verb, base, inputs, rng, library)
+            if "verbs" in parts:
+                wrong |= _told(f"{verb}, killed", trials.killed(kills))
+                wrong |= _told(f"{verb}, disk full", trials.full(writes))
+            if "two" in parts:
+                open_verbs.callback(trials.close)
+                held.append(trials)
+            else:
+                trials.close()
+        pairs = list(combinations_with_replacement(held, 2))
+        tally = Tally()
+        for one, other in pairs:
+            tally.add(two(one, other))
+        if pairs:
+            wrong |= _told("two at once, every pair", tally)
+    return wrong
 
 
 if __name__ == "__main__":

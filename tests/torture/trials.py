@@ -1,49 +1,39 @@
 """Verbs that write, killed at random instants, on a disk that fills, and two at once on one name."""
 
+import json
 import os
 import random
-import resource
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Mapping
+import tomllib
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from daq.utilities.durable import ENDING
-from tests.conftest import ROOT
+from tests.torture.held import Ended, Held
+from tests.torture.verbs import GROWING, NEW_ONLY, VERBS, Inputs
 
 LIMIT_S = 120.0
-FLIGHT, RAW = ROOT / "recordings/cdfp_ld2.mcap", ROOT / "recordings/cdfp_ld2_raw.mcap"
+"""Of a trial, by the clock: a busy machine has ten of them at once."""
 OLD = b"OLD CONTENT\n"
-VERBS: dict[str, list[str]] = {
-    **{f"export {e}": ["export", str(FLIGHT), "-o", f"out.{e}"] for e in ("csv", "parquet", "mat", "mcap", "rrd", "kml")},
-    "calibrate": ["calibrate", str(RAW), "-o", "out.mcap"],
-    "recover": ["recover", str(RAW), "-o", "out.mcap"],
-    "info --json": ["info", str(RAW), "--json", "out.json"],
-    "check --report": ["check", str(FLIGHT), "--report", "report", "--json", "out.json"],
-    "aircraft new": ["aircraft", "new", "glider", "-o", "out.toml"],
-    "estimate": ["estimate", str(FLIGHT), "--method", "ls", "--json", "out.json", "--save-model", "model.toml"],
-    "design": ["design", "--model", "lateral", "--aircraft", "cdfp", "--kind", "doublet", "--time", "10", "-o", "out.toml"],
-    "campaign": ["campaign", str(FLIGHT), "--method", "ls", "--serial", "--out", "data"],
-    "match": ["match", "MODEL", str(FLIGHT), "--json", "out.json", "--figure", "out.png"],
-    "fly": ["fly", "quiet", "--speed", "max", "--out", "flown"],
-    "gap": ["gap", str(FLIGHT), "--json", "out.json"],
-}  # fmt: skip
-NEW_ONLY = ("recover", "aircraft new")  # refuse a name that is there
+MCAP_END = b"\x89MCAP0\r\n"
+TERMINATED = (signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclass
 class Tally:
-    """What became of the trials of one verb. faults: in words; none is what is wanted."""
+    """What became of the trials of one verb. faults: in words; none is what is wanted. slowest: by clock and processor."""
 
     trials: int = 0
     faults: list[str] = field(default_factory=list)
     slowest_s: float = 0.0
+    slowest_cpu_s: float = 0.0
     peak_mb: float = 0.0
 
     def judge(self, what: str, wrong: bool) -> None:
@@ -56,148 +46,191 @@ class Tally:
         self.trials += part.trials
         self.faults += part.faults
         self.slowest_s = max(self.slowest_s, part.slowest_s)
+        self.slowest_cpu_s = max(self.slowest_cpu_s, part.slowest_cpu_s)
         self.peak_mb = max(self.peak_mb, part.peak_mb)
 
-
-def _started(verb: str, folder: Path, words: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", **(words or {})}
-    return subprocess.Popen(
-        [sys.executable, "-m", "sideslip", *(str(_model()) if w == "MODEL" else w for w in VERBS[verb])],
-        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
-    )  # fmt: skip
-
-
-@cache
-def _model() -> Path:
-    """A model file for verbs that want one; it stays until this program ends."""
-    from estimation.models.load import load_model, write_model
-
-    path = Path(tempfile.mkdtemp(prefix="torture-")) / "model.toml"
-    write_model(load_model("lateral", "cdfp"), path)
-    return path
+    def ended(self, verb: str, end: Ended, hung: bool) -> None:
+        """How one process ended."""
+        self.slowest_s, self.peak_mb = max(self.slowest_s, end.seconds), max(self.peak_mb, end.peak_mb)
+        self.slowest_cpu_s = max(self.slowest_cpu_s, end.cpu_s)
+        self.judge(f"{verb}: hung", hung)
+        self.judge(f"{verb}: traceback: {end.words[-300:]}", "Traceback" in end.words or "a mistake in" in end.words)
 
 
-def _old(verb: str, folder: Path) -> list[Path]:
-    """The files that stood there before."""
-    if verb in NEW_ONLY:
-        return []
-    found = [folder / w for w in VERBS[verb] if w.startswith("out.")]
-    for path in found:
-        path.write_bytes(OLD)
-    return found
+class Trials:
+    """One verb, held before its first write, in a folder that is new for each trial.
 
+    base: a folder that several verbs may share; their trials go into `base`/here. rng: of instants and of writes chosen.
+    """
 
-def _ended(process: "subprocess.Popen[bytes]", tally: Tally, verb: str) -> str:
-    begun = time.monotonic()
-    try:
-        _, said = process.communicate(timeout=LIMIT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
-        tally.faults.append(f"{verb}: hung")
-        return ""
-    tally.slowest_s = max(tally.slowest_s, time.monotonic() - begun)
-    tally.peak_mb = max(tally.peak_mb, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3)
-    words = said.decode("utf-8", "replace")
-    tally.judge(f"{verb}: traceback: {words[-200:]}", "Traceback" in words)
-    return words
+    def __init__(self, verb: str, base: Path, inputs: Inputs, rng: random.Random, shim: Path) -> None:
+        self.verb, self._base, self._rng = verb, base, rng
+        self.here, whole = base / "here", base / f"whole {verb}"
+        shutil.rmtree(self.here, ignore_errors=True)
+        self.held = Held(inputs.words(verb), self.here, whole, shim)
+        self._made = [p.relative_to(self.here) for p in self.here.rglob("*") if p.is_dir()]
+        self.sizes = {str(p.relative_to(whole)): p.stat().st_size for p in whole.rglob("*") if p.is_file()}
 
+    def close(self) -> None:
+        self.held.close()
 
-def killed(verb: str, times: int, rng: random.Random) -> Tally:
-    """SIGKILL at random instants: the old file stands or a whole new one does, and the next run clears what is left."""
-    tally = Tally()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        whole = folder / "whole"
-        whole.mkdir()
-        begun = time.monotonic()
-        _ended(_started(verb, whole), tally, verb)
-        lasts = time.monotonic() - begun
-        sizes = {p.name: p.stat().st_size for p in whole.iterdir() if p.is_file()}
-        for n in range(times):
-            here = folder / str(n)
-            here.mkdir()
-            old = _old(verb, here)
-            process = _started(verb, here)
-            time.sleep(rng.uniform(0.3, 1.05) * lasts)
-            process.send_signal(signal.SIGKILL)
-            process.communicate()
+    def empty(self, *, old: bool = True) -> list[Path]:
+        """A new folder, with what stood there before; those files."""
+        shutil.rmtree(self.here, ignore_errors=True)
+        for folder in (Path(), *self._made):  # what the verb has made before its first write
+            (self.here / folder).mkdir()
+        words = VERBS[self.verb].split()
+        files = [self.here / w for w in words if w.startswith("out.")] if self.verb not in NEW_ONLY and old else []
+        files += [self.here / "report/index.html"] if "report" in words and old else []
+        for path in files:
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(OLD)
+        return files
+
+    def once(self, tally: Tally, number: int | None = None, wait_s: float = 0.0, **environment: str) -> Ended:
+        """Let the verb go on; a signal to be sent after a while, or none."""
+        (pid,), ends, hung = self.held.go(**environment), threading.Event(), threading.Event()
+
+        def watch() -> None:
+            if number is not None and not ends.wait(wait_s):
+                _signal(pid, number)
+            if not ends.wait(LIMIT_S):
+                hung.set()
+                _signal(pid, signal.SIGKILL)
+
+        watcher = threading.Thread(target=watch)
+        watcher.start()
+        end = self.held.ended()
+        ends.set()
+        watcher.join()
+        tally.ended(self.verb, end, hung.is_set())
+        return end
+
+    def look(self, tally: Tally, old: list[Path], when: str, *, leftovers: bool) -> None:
+        """Every file that has a name of its own is the old one or a whole new one. leftovers: may hidden ones be there."""
+        for path in old:
+            tally.judge(f"{self.verb}: {path.name} gone {when}", not path.exists())
+        for path in self.here.rglob("*"):
+            name = str(path.relative_to(self.here))
+            if path.name.endswith(ENDING):
+                tally.judge(f"{self.verb}: {name} left behind {when}", not leftovers)
+            elif path.is_file() and not any(ENDING in part for part in path.parts):
+                spoilt = not (path in old and path.read_bytes() == OLD) and not self._whole(path, name)
+                tally.judge(f"{self.verb}: {name} of {path.stat().st_size} bytes is neither old nor new {when}", spoilt)
+
+    def _whole(self, path: Path, name: str) -> bool:
+        """Whether a file is all that it is to be: as long as that of the whole run, or sound by itself."""
+        if path.suffix in GROWING or path.name.startswith(".") or "onboard" in path.parts:
+            return True
+        data = path.read_bytes()
+        try:
+            match path.suffix:
+                case ".json":
+                    return bool(json.loads(data))
+                case ".toml":
+                    return bool(tomllib.loads(data.decode()))
+                case ".mcap":
+                    return data.endswith(MCAP_END)
+                case ".parquet":
+                    return data[:4] == data[-4:] == b"PAR1"
+                case ".html":
+                    return data.rstrip().endswith(b"</html>")
+        except ValueError:
+            return False
+        return abs(len(data) - self.sizes.get(name, 0)) <= 0.02 * len(data) + 200
+
+    def complete(self, old: list[Path]) -> bool:
+        """Whether everything that the whole run wrote is there anew."""
+        files = {str(p.relative_to(self.here)) for p in self.here.rglob("*") if p.is_file()}
+        fresh = all(path.read_bytes() != OLD for path in old if path.exists())
+        return fresh and all(name in files for name in self.sizes if Path(name).suffix not in GROWING)
+
+    def killed(self, times: int) -> Tally:
+        """SIGKILL at instants of chance from the first write on, and SIGTERM or SIGHUP in one of six: the old files stand or
+        whole new ones do, and the verb started again there does its work and clears what is left."""
+        tally = Tally()
+        self.empty()
+        lasts = self.once(tally).seconds
+        for n in range(times + times // 5):
+            kill = signal.SIGKILL if n < times else TERMINATED[n % 2]
+            old = self.empty()
+            end = self.once(tally, kill, self._rng.uniform(0.0, 1.05) * lasts)
             tally.trials += 1
-            for path in old:
-                data = path.read_bytes() if path.exists() else b""
-                new = abs(len(data) - sizes.get(path.name, 0)) <= 0.02 * len(data) + 200 and data != OLD
-                tally.judge(f"{verb}: {path.name} of {len(data)} bytes is neither old nor new", data != OLD and not new)
-        if verb not in NEW_ONLY:
-            _ended(_started(verb, here), tally, verb)
-            left = [p.name for p in here.rglob(f"*{ENDING}")]
-            tally.judge(f"{verb}: left behind {left}", bool(left))
-    return tally
+            self.look(tally, old, f"after {kill.name}", leftovers=kill is signal.SIGKILL)
+            wanted = (-kill, 128 + kill, self.held.status)
+            tally.judge(f"{self.verb}: {kill.name}, status {end.status}: {end.words[-200:]}", end.status not in wanted)
+            if n % 10 == 9:
+                again = self.once(tally)
+                allowed = (self.held.status, 2) if self.verb in NEW_ONLY else (self.held.status,)
+                what = f"{self.verb}: started again, status {again.status}: {again.words[-200:]}"
+                tally.judge(what, again.status not in allowed)
+                self.look(tally, [], "after the next run", leftovers=False)
+        return tally
 
-
-def full(verb: str, most: int, rng: random.Random) -> Tally:
-    """The disk is full from the first, the second, ... write on (of many, `most`): a status that says so, the old file."""
-    tally = Tally()
-    with tempfile.TemporaryDirectory() as name:
-        shim, counts, room = _shim(Path(name)), Path(name) / "counts", Path(name) / "room"
-
-        def once(at: int) -> tuple[int, str, list[Path]]:
-            here = room / str(at)
-            here.mkdir(parents=True)
-            old = _old(verb, here)
-            words = {
-                "LD_PRELOAD": str(shim),
-                "TORTURE_FOLDER": str(here),
-                "TORTURE_FAIL_AT": str(at),
-                "TORTURE_COUNT": str(counts),
-            }
-            process = _started(verb, here, words)
-            said = _ended(process, tally, verb)
-            return process.returncode, said, old
-
-        _, _, new = once(0)
-        sizes = {path.name: path.stat().st_size for path in new}
+    def full(self, most: int) -> Tally:
+        """The disk is full from the first, the second, ... write on (of many, `most`, the first and last ten among them): status
+        2 and the old files, or all was done."""
+        tally, counts = Tally(), self._base / "counts"
+        counts.unlink(missing_ok=True)
+        self.empty()
+        disk = {"TORTURE_FOLDER": str(self.here)}
+        self.once(tally, TORTURE_COUNT=str(counts), TORTURE_FAIL_AT="0", **disk)
         writes = max((int(line) for line in counts.read_text().split()), default=0) if counts.exists() else 0
-        for at in sorted(rng.sample(range(1, writes + 1), min(most, writes))):
-            status, said, old = once(at)
+        tally.judge(f"{self.verb}: wrote nothing", not writes)
+        every = list(range(1, writes + 1))
+        chosen = every if writes <= most else sorted({*every[:10], *every[-10:], *self._rng.sample(every, most - 20)})
+        for at in chosen:
+            old = self.empty()
+            end = self.once(tally, TORTURE_FAIL_AT=str(at), **disk)
             tally.trials += 1
-            tally.judge(
-                f"{verb}: status {status} with the disk full at write {at} of {writes}: {said[-200:]}",
-                status not in (1, 2),
-            )
-            for path in old:
-                data = path.read_bytes() if path.exists() else b""
-                whole = data != OLD and abs(len(data) - sizes[path.name]) <= 0.02 * len(data) + 200
-                tally.judge(f"{verb}: {path.name} destroyed at write {at} of {writes}", data != OLD and not whole)
-            left = [p.name for p in (room / str(at)).rglob(f"*{ENDING}")]
-            tally.judge(f"{verb}: left behind {left}", bool(left))
-    return tally
+            when = f"with the disk full from write {at} of {writes} on"
+            wrong = end.status != 2 and not (end.status == self.held.status and self.complete(old))
+            tally.judge(f"{self.verb}: status {end.status} {when}: {end.words[-200:]}", wrong)
+            self.look(tally, old, when, leftovers=False)
+        return tally
 
 
-def _shim(folder: Path) -> Path:
+def _signal(pid: int, number: int) -> None:
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return
+
+
+def shim(folder: Path) -> Path:
     """The library that makes a disk full, compiled."""
     made = folder / "full_disk.so"
-    subprocess.run(
-        ["cc", "-O1", "-shared", "-fPIC", "-o", made, Path(__file__).with_name("full_disk.c"), "-ldl"], check=True
-    )
+    source = Path(__file__).with_name("full_disk.c")
+    subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", made, source, "-ldl"], check=True)
     return made
 
 
-def two(one: str, other: str) -> Tally:
-    """Two verbs at once in one folder, where they name the same file one of them has written it whole."""
+def two(one: Trials, other: Trials) -> Tally:
+    """Two verbs go on at once from before their first writes, in one folder; each file is whole, of one of them."""
     tally = Tally(1)
-    with tempfile.TemporaryDirectory() as name:
-        here = Path(name)
-        both = [_started(v, here) for v in (one, other)]
-        for process, verb in zip(both, (one, other), strict=True):
-            said = _ended(process, tally, verb)
-            allowed = (0, 1, 2) if verb in NEW_ONLY or verb == "campaign" else (0, 1)
-            tally.judge(
-                f"{one} beside {other}: {verb} ended with {process.returncode}: {said[-200:]}",
-                process.returncode not in allowed,
-            )
-        left = [p.name for p in here.rglob(f"*{ENDING}")]
-        tally.judge(f"{one} beside {other}: left behind {left}", bool(left))
+    one.empty(old=False)
+    for folder in other._made:
+        (one.here / folder).mkdir(exist_ok=True)
+    starts = one.held.go(2) if one is other else [*one.held.go(), *other.held.go()]
+    for trial, pid in zip((one, other), starts, strict=True):
+        timer = threading.Timer(LIMIT_S, _signal, (pid, signal.SIGKILL))
+        timer.start()
+        end = trial.held.ended()
+        timer.cancel()
+        tally.ended(trial.verb, end, end.status == -signal.SIGKILL)
+        refused = (2,) if trial.verb in NEW_ONLY or one is other or _folders(one) & _folders(other) else ()
+        what = f"{one.verb} beside {other.verb}: {trial.verb} ended with {end.status}: {end.words[-200:]}"
+        tally.judge(what, end.status not in (trial.held.status, *refused))
+    for path in one.here.rglob("*"):
+        name = str(path.relative_to(one.here))
+        spoilt = path.is_file() and not any(t._whole(path, name) for t in (one, other))
+        what = f"{one.verb} beside {other.verb}: {name} of {path.stat().st_size} bytes"
+        tally.judge(what, spoilt or path.name.endswith(ENDING))
     return tally
+
+
+def _folders(trial: Trials) -> set[str]:
+    return {w for w in VERBS[trial.verb].split() if w in ("data", "flown", "folder", "session")}
 
 
 def ground_killed(times: int, rng: random.Random) -> Tally:

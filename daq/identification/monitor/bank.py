@@ -7,18 +7,7 @@ aircraft itself (a surface that sticks, ice, a mass that shifts).
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from daq.identification.airframe import DERIVATIVES, Airframe
-
-CHANNELS = ("beta", "p", "r", "phi", "ay")
-"""Outputs of the predictor, whose innovations are looked at."""
-
-EQUATION_OF_CHANNEL: Mapping[str, str] = {
-    "ay": "CY",
-    "p": "Cl",
-    "r": "Cn",
-    "beta": "kinematics",
-    "phi": "kinematics",
-}
+from daq.identification.regression import LATERAL, LONGITUDINAL, PlaneRegression
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,23 +25,92 @@ class MonitoredEffect:
     prior: float = 0.0
 
 
-SIZES: Mapping[str, float] = {"CY_0": 0.01, "Cl_0": 0.002, "Cn_0": 0.001}
-"""Steps of the constants; other derivatives are stepped by a tenth."""
-LEAST: Mapping[str, float] = {"CY": 0.01, "Cl": 0.003, "Cn": 0.002}
-"""Least step of a derivative, for those believed to be about zero."""
-PRIOR, PRIOR_WEAK = 0.01, 0.05  # of a derivative: what an estimate of a good flight leaves open, strong and weak ones
-WEAK = ("CY_p", "CY_r", "Cl_r", "Cl_dr", "Cn_p")
-LEVELS: Mapping[str, float] = {"CY_0": 0.002, "Cl_0": 0.0004, "Cn_0": 0.0002}
-"""Standard deviation of the constants: trim and offsets drift."""
+@dataclass(frozen=True)
+class MonitoredPlane:
+    """What is predicted and named of one plane.
 
-MISSING = (
-    MonitoredEffect("Cn_da", "adverse yaw from aileron", "Cn", 0.005, "1/rad"),
-    MonitoredEffect("CY_da", "side force from aileron", "CY", 0.02, "1/rad"),
-    MonitoredEffect("aileron_delay", "aileron acts late", "actuator", 0.02, "s"),
-    MonitoredEffect("rudder_delay", "rudder acts late", "actuator", 0.02, "s"),
-    MonitoredEffect("beta_lag", "sideslip vane lags", "sensor", 0.03, "s"),
-    MonitoredEffect("beta_bias", "sideslip vane has slipped", "sensor", 0.02, "rad"),
+    regression: whose derivatives these are. channels: outputs of the predictor, whose innovations are looked at: states, that of
+    the vane first, then forces; equations: where an innovation of each belongs. delays: effects that make each of the regression's
+    controls late. constants, least: steps of the constants, and least steps of a derivative by coefficient, for those believed to
+    be about zero; other derivatives are stepped by a tenth. levels: standard deviation of the constants: trim and offsets drift.
+    weak: what an estimate of a good flight leaves open by 5 % and not 1. missing: what the model does not have.
+    """
+
+    regression: PlaneRegression
+    channels: tuple[str, ...]
+    states: int
+    equations: Mapping[str, str]
+    delays: tuple[str, ...]
+    constants: Mapping[str, float]
+    least: Mapping[str, float]
+    levels: Mapping[str, float]
+    weak: tuple[str, ...]
+    missing: tuple[MonitoredEffect, ...]
+
+    @property
+    def name(self) -> str:
+        """That of the model of this plane."""
+        return self.regression.name
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Signals of the controls."""
+        return tuple(self.regression.controls.values())
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Derivatives and constants that its motion knows, those that its model does not have behind."""
+        absent = (e.name for e in self.missing if e.name.partition("_")[0] in self.least)
+        return (*self.regression.derivatives, *absent)
+
+
+PRIOR, PRIOR_WEAK = 0.01, 0.05  # of a derivative: what an estimate of a good flight leaves open, strong and weak ones
+
+
+def _delay(control: str) -> MonitoredEffect:
+    return MonitoredEffect(f"{control}_delay", f"{control} acts late", "actuator", 0.02, "s")
+
+
+def _vane(angle: str, words: str) -> tuple[MonitoredEffect, MonitoredEffect]:
+    return (
+        MonitoredEffect(f"{angle}_lag", f"{words} vane lags", "sensor", 0.03, "s"),
+        MonitoredEffect(f"{angle}_bias", f"{words} vane has slipped", "sensor", 0.02, "rad"),
+    )
+
+
+LATERAL_PLANE = MonitoredPlane(
+    LATERAL,
+    ("beta", "p", "r", "phi", "ay"),
+    4,
+    {"ay": "CY", "p": "Cl", "r": "Cn", "beta": "kinematics", "phi": "kinematics"},
+    ("aileron_delay", "rudder_delay"),
+    {"CY_0": 0.01, "Cl_0": 0.002, "Cn_0": 0.001},
+    {"CY": 0.01, "Cl": 0.003, "Cn": 0.002},
+    {"CY_0": 0.002, "Cl_0": 0.0004, "Cn_0": 0.0002},
+    ("CY_p", "CY_r", "Cl_r", "Cl_dr", "Cn_p"),
+    (
+        MonitoredEffect("Cn_da", "adverse yaw from aileron", "Cn", 0.005, "1/rad"),
+        MonitoredEffect("CY_da", "side force from aileron", "CY", 0.02, "1/rad"),
+        _delay("aileron"),
+        _delay("rudder"),
+        *_vane("beta", "sideslip"),
+    ),
 )
+PITCH_PLANE = MonitoredPlane(
+    LONGITUDINAL,
+    ("alpha", "q", "theta", "ax", "az"),
+    3,
+    {"az": "CL", "ax": "CD", "q": "Cm", "alpha": "kinematics", "theta": "kinematics"},
+    ("elevator_delay",),
+    {"CL_0": 0.03, "CD_0": 0.004, "Cm_0": 0.005},
+    {"CL": 0.05, "CD": 0.005, "Cm": 0.02},
+    {"CL_0": 0.005, "CD_0": 0.001, "Cm_0": 0.001},
+    ("CL_q", "CL_de", "CD_k", "Cm_q"),
+    (_delay("elevator"), *_vane("alpha", "angle of attack")),
+)
+PLANES: Mapping[str, MonitoredPlane] = {p.name: p for p in (LATERAL_PLANE, PITCH_PLANE)}
+"""By the regression of each."""
+
 TITLES: Mapping[str, str] = {
     "Cl_da": "aileron effectiveness",
     "Cn_dr": "rudder yaw effectiveness",
@@ -65,22 +123,34 @@ TITLES: Mapping[str, str] = {
     "Cl_0": "rolling trim (mass or surface out of place)",
     "Cn_0": "yawing trim",
     "CY_0": "side force at rest",
+    "CL_0": "lift at rest (or mass)",
+    "CL_alpha": "lift slope",
+    "CD_0": "drag at rest (or thrust)",
+    "CD_k": "induced drag",
+    "Cm_0": "pitching trim",
+    "Cm_alpha": "pitch stiffness (or centre of gravity)",
+    "Cm_q": "pitch damping",
+    "Cm_de": "elevator effectiveness",
 }
 
 
-def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, float]) -> tuple[MonitoredEffect, ...]:
+def bank(
+    values: Mapping[str, float], stds: Mapping[str, float], plane: MonitoredPlane = LATERAL_PLANE
+) -> tuple[MonitoredEffect, ...]:
     """All effects for a model with these derivative values [1/rad].
 
-    stds: what the model states of its derivatives' standard deviations; where it states nothing, 1 % or 5 %.
+    stds: what the model states of its derivatives' standard deviations; where it states nothing, 1 % or 5 %. What a plane may be
+    missing is no such effect where the model has it.
     """
     effects = []
-    for name in DERIVATIVES:
-        value, equation = abs(values.get(name, 0.0)), name.split("_")[0]
-        if name in SIZES:
-            step, prior = SIZES[name], LEVELS[name]
+    missing = [e for e in plane.missing if e.name not in values]
+    for name in (n for n in plane.parameters if n in values or n in plane.regression.derivatives):
+        value, equation = abs(values.get(name, 0.0)), name.partition("_")[0]
+        if name in plane.constants:
+            step, prior = plane.constants[name], plane.levels[name]
         else:
-            step = max(0.1 * value, LEAST[equation])
-            share = PRIOR_WEAK if name in WEAK else PRIOR
-            prior = stds.get(name, max(share * value, share * LEAST[equation]))
+            step = max(0.1 * value, plane.least[equation])
+            share = PRIOR_WEAK if name in plane.weak else PRIOR
+            prior = stds.get(name, max(share * value, share * plane.least[equation]))
         effects.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
-    return (*effects, *MISSING)
+    return (*effects, *missing)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.monitor.bank import CHANNELS, MonitoredEffect
+from daq.identification.monitor.bank import MonitoredEffect
 from daq.identification.monitor.surfaces import BLIND, KINDS, Kinds
 
 Array = NDArray[np.float64]
@@ -182,7 +182,7 @@ class MonitorEvidence:
         total = np.sum([p.energy for p in pieces], axis=(0, 2))
         scans = sum(p.scans for p in pieces)
         z, explained = self._scores(b, C)
-        noise_variance = np.maximum(total - explained, 0.0) / (5.0 * max(scans, 1))
+        noise_variance = np.maximum(total - explained, 0.0) / (pieces[0].energy.shape[1] * max(scans, 1))
         return np.asarray(z / np.sqrt(np.maximum(noise_variance, 1.0))[:, None])
 
     def _scores(self, b: Array, C: Array) -> tuple[Array, Array]:
@@ -216,12 +216,12 @@ class MonitorEvidence:
             return np.full_like(energy, np.nan)
         return np.asarray(energy / np.maximum(np.sum(sums, axis=0) / scans, 1.0))
 
-    def channels(self, flight: int, effect: int) -> tuple[str, ...]:
-        """Channels whose errors show an effect, the most telling first: those with at least a fifth of it."""
+    def channels(self, flight: int, effect: int) -> tuple[int, ...]:
+        """Numbers of the channels whose errors show an effect, the most telling first: those with at least a fifth of it."""
         shares = np.sum([p.shares[:, effect, flight] for p in self._pieces], axis=0)
         total = float(shares.sum())
         parts = shares / total if total else shares
-        return tuple(CHANNELS[i] for i in np.argsort(-parts) if parts[i] >= TELLING)
+        return tuple(int(i) for i in np.argsort(-parts) if parts[i] >= TELLING)
 
     def onset(self, flight: int, effect: int) -> tuple[float, float]:
         """Since when the effect is there [s], as far as the window tells, and its size since then [steps]: the begin that

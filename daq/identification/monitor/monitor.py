@@ -8,9 +8,10 @@ import numpy as np
 
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.live import GAP
-from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, MonitoredEffect
+from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, MonitoredPlane
 from daq.identification.monitor.evidence import MonitorEvidence
-from daq.identification.monitor.predictors import FlightsScan, Innovation, Inputs, PredictorBank
+from daq.identification.monitor.motions import inputs_of
+from daq.identification.monitor.predictors import FlightsScan, Innovation, PredictorBank
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest, whitened
 
 LEADING = 0.8  # of the largest score: effects that are named beside the first
@@ -82,10 +83,12 @@ class GapMonitor:
         values: Mapping[str, float],
         effects: Sequence[MonitoredEffect],
         calibration: Calibration,
+        plane: MonitoredPlane = LATERAL_PLANE,
     ) -> None:
         self._effects = tuple(effects)
         self._calibration = calibration
-        self._bank = PredictorBank(airframe, values, effects)
+        self._plane = plane
+        self._bank = PredictorBank(airframe, values, effects, plane)
         self._evidence = MonitorEvidence(effects)
         self._past: list[Innovation] = []
         self._last = -math.inf
@@ -97,7 +100,7 @@ class GapMonitor:
 
     def add(self, sample: Sample) -> MonitorState | None:
         """One sample; what is known every half second, None in between."""
-        if not sample.credible or sample.time <= self._last:
+        if not self._plane.regression.credible(sample) or sample.time <= self._last:
             return None
         gap = sample.time - self._last
         if gap > GAP:
@@ -106,7 +109,7 @@ class GapMonitor:
         else:
             self.watched += gap
         self._last = sample.time
-        innovation = self._bank.innovation(_scan_of(sample))
+        innovation = self._bank.innovation(_scan_of(sample, self._plane))
         if innovation is None:
             return None
         self._past = [*self._past, innovation][-3:]
@@ -149,8 +152,8 @@ class GapMonitor:
         order = np.argsort(-np.abs(effect_scores))
         strongest_effect = int(order[0])
         if level < c.named:
-            channel = CHANNELS[int(np.argmax(energy))]
-            return Alarm(time, time, EQUATION_OF_CHANNEL[channel], (channel,), float(energy.max()), c.unnamed, ())
+            channel = self._plane.channels[int(np.argmax(energy))]
+            return Alarm(time, time, self._plane.equations[channel], (channel,), float(energy.max()), c.unnamed, ())
         leading = tuple(
             self._name(int(k), float(effect_scores[k]))
             for k in order[:MOST_NAMED]
@@ -160,7 +163,7 @@ class GapMonitor:
             time,
             self._evidence.onset(0, strongest_effect)[0],
             self._effects[strongest_effect].equation,
-            self._evidence.channels(0, strongest_effect),
+            tuple(self._plane.channels[i] for i in self._evidence.channels(0, strongest_effect)),
             level,
             c.named,
             leading,
@@ -186,7 +189,35 @@ def _told_anew(told: Alarm, now: Alarm) -> Alarm:
     return replace(now, time=told.time, since=onset, named=told.named if same_effect else now.named)
 
 
-def _scan_of(s: Sample) -> FlightsScan:
-    measured = np.array([[s.beta], [s.p], [s.r], [s.phi], [s.ay]])
-    inputs = Inputs(*(np.array([v]) for v in (s.q, s.theta, s.alpha, s.V, s.rho, s.delta_a, s.delta_r)))
-    return FlightsScan(s.time, measured, inputs)
+def _scan_of(s: Sample, plane: MonitoredPlane) -> FlightsScan:
+    measured = np.array([[getattr(s, channel)] for channel in plane.channels])
+    kind = inputs_of(plane)
+    return FlightsScan(s.time, measured, kind(*(np.array([getattr(s, name)]) for name in kind._fields)))
+
+
+class GapMonitors:
+    """Monitors of the planes of one aircraft beside one another, as one: its alarms in order of time, and the largest score."""
+
+    def __init__(self, monitors: Sequence[GapMonitor]) -> None:
+        self._monitors = tuple(monitors)
+        self._levels = [0.0] * len(self._monitors)
+
+    def add(self, sample: Sample) -> MonitorState | None:
+        """One sample, as `GapMonitor.add`."""
+        latest = None
+        for k, monitor in enumerate(self._monitors):
+            state = monitor.add(sample)
+            if state is not None:
+                self._levels[k] = state.score
+                latest = state if latest is None or latest.alarm is None else latest
+        return None if latest is None else replace(latest, watched=self.watched, score=max(self._levels))
+
+    @property
+    def watched(self) -> float:
+        """Seconds of manoeuvring that any of them has watched."""
+        return max(monitor.watched for monitor in self._monitors)
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """All so far."""
+        return tuple(sorted((a for monitor in self._monitors for a in monitor.alarms), key=lambda a: a.time))

@@ -13,8 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe
-from daq.identification.monitor.bank import MonitoredEffect
-from daq.identification.monitor.predictors import FlightsScan, Inputs, LateralMotion
+from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, MonitoredPlane
+from daq.identification.monitor.motions import (
+    AnyInputs,
+    ElevatorInputs,
+    Inputs,
+    LateralMotion,
+    PitchMotion,
+    between,
+    motion_of,
+)
+from daq.identification.monitor.predictors import FlightsScan
 from daq.utilities.constants import GRAVITY
 
 Array = NDArray[np.float64]
@@ -23,6 +32,11 @@ LEVEL_BANK, LEVEL_RATE = (
     0.15,
     0.05,
 )  # rad of aileron per rad of bank and per rad/s of roll: a pilot keeps the wings level
+HOLD_PITCH, HOLD_RATE = (
+    0.25,
+    0.05,
+)  # rad of elevator per rad of attitude and per rad/s of pitching: a pilot holds his attitude
+DENSITY = 1.2  # kg/m3
 GUST_TIME = 1.0  # s, correlation time of gusts: some 17 m
 NO_LAG = 0.035  # s, servo where the aircraft states none
 
@@ -40,6 +54,11 @@ class NullConditions:
     r: float = math.radians(0.3)
     phi: float = math.radians(0.3)
     ay: float = 0.05
+    alpha: float = math.radians(0.3)
+    q: float = math.radians(0.4)
+    theta: float = math.radians(0.3)
+    ax: float = 0.05
+    az: float = 0.08
     surface: float = math.radians(0.07)
     V: float = 0.15
     gust: float = math.radians(0.15)
@@ -50,6 +69,12 @@ class NullConditions:
     loss: float = 0.0
     grid: float = 0.05
 
+
+PEAKS: Mapping[str, tuple[tuple[float, float], ...]] = {
+    "lateral": ((3.0, 7.0), (2.0, 4.5)),  # of aileron and rudder
+    "longitudinal": ((1.5, 4.0),),  # of the elevator
+}
+"""Between which hands fly the controls of a plane [deg]."""
 
 Change = Callable[[float, dict[str, Array]], None]
 """Called at each step with the time [s] and the values flown with, which it may change: a sudden failure."""
@@ -64,61 +89,108 @@ def fly(
     flights: int,
     seconds: float,
     change: Change | None = None,
+    plane: MonitoredPlane = LATERAL_PLANE,
 ) -> list[FlightsScan]:
-    """Scans of so many flights at once; those of a link are the same ones for all of them."""
+    """Scans of so many flights at once; those of a link are the same ones for all of them. Raises ValueError for an aircraft that
+    cannot fly level by these values."""
     truth = {
         e.name: values.get(e.name, 0.0) + e.prior * rng.standard_normal((1, flights)) for e in effects if e.prior > 0.0
     }
-    truth |= {n: np.zeros((1, flights)) for n in ("Cn_da", "CY_da")}
+    truth |= {n: np.zeros((1, flights)) for n in plane.parameters if n not in truth}
     step = conditions.grid / 2.0
     steps = round(seconds / step)
     lowest_factor, highest_factor = conditions.gust_spread
     gusts = conditions.gust * np.exp(rng.uniform(math.log(lowest_factor), math.log(highest_factor), flights))
-    commands = _hands(rng, flights, steps, step)
+    commands = _hands(rng, flights, steps, step, PEAKS[plane.name])
     speed = conditions.speed + conditions.speed_spread * rng.uniform(-1.0, 1.0, flights)
     lag = NO_LAG if airframe.servo_lag is None else airframe.servo_lag
     fade, gust_fade = math.exp(-step / lag), math.exp(-step / GUST_TIME)
-    x = np.zeros((4, 1, flights))
-    surfaces, gust = np.zeros((2, flights)), np.zeros(flights)
+    pilot = _Leveller(speed) if plane.name == LATERAL_PLANE.name else _PitchHolder(airframe, truth, speed)
+    x, surfaces, gust = pilot.state, pilot.surfaces, np.zeros(flights)
     arrives = _seen(conditions, rng, round(seconds / conditions.grid))
     scans: list[FlightsScan] = []
-    motion = LateralMotion(airframe, truth)
+    motion = motion_of(plane, airframe, truth)
     for k in range(steps):
         time = k * step
         if change is not None:
             change(time, truth)
-            motion = LateralMotion(airframe, truth)
-        inputs = _inputs(x, surfaces, speed)
+            motion = motion_of(plane, airframe, truth)
+        inputs = pilot.inputs(x, surfaces)
         if k % 2 == 0 and arrives[k // 2]:
-            scans.append(_scan(time, x, inputs, motion, gust, conditions, rng))
-        command = commands[k] + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(flights)])
+            scans.append(_scan(time, x, inputs, motion, gust, conditions, rng, plane))
+        command = pilot.command(commands[k], x)
         next_surfaces = command + (surfaces - command) * fade
-        x = motion.advance(x, partial(inputs.between, _inputs(x, next_surfaces, speed)), step, gust)
+        drive = partial(between, inputs, pilot.inputs(x, next_surfaces))
+        x = motion.advance(x, drive, step, gust)  # type: ignore[arg-type]  # inputs of the same plane
         surfaces = next_surfaces
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
     return scans
 
 
-def _inputs(x: Array, moved: Array, speed: Array) -> Inputs:
-    """Level flight at constant airspeed: the pitch rate of the turn that the bank makes, attitude held."""
-    phi = x[3, 0]
-    q = GRAVITY / speed * np.sin(phi) * np.tan(phi)
-    flat = np.full_like(speed, 0.08)  # rad of angle of attack and attitude
-    return Inputs(q, flat, flat, speed, np.full_like(speed, 1.2), moved[0], moved[1])
+class _Leveller:
+    """Keeps the wings level, at constant airspeed. state: (4, 1, flights) and surfaces (2, flights) at the begin."""
+
+    def __init__(self, speed: Array) -> None:
+        self._speed = speed
+        self.state, self.surfaces = np.zeros((4, 1, speed.size)), np.zeros((2, speed.size))
+
+    def inputs(self, x: Array, moved: Array) -> AnyInputs:
+        """The pitch rate of the turn that the bank makes, attitude held."""
+        phi = x[3, 0]
+        q = GRAVITY / self._speed * np.sin(phi) * np.tan(phi)
+        flat = np.full_like(self._speed, 0.08)  # rad of angle of attack and attitude
+        return Inputs(q, flat, flat, self._speed, np.full_like(self._speed, DENSITY), moved[0], moved[1])
+
+    def command(self, hands: Array, x: Array) -> Array:
+        return np.asarray(hands + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(self._speed.size)]))
+
+
+class _PitchHolder:
+    """Holds the attitude of level flight, at constant airspeed and the thrust that this needs."""
+
+    def __init__(self, airframe: Airframe, truth: Mapping[str, Array], speed: Array) -> None:
+        d, pressure = {n: v[0] for n, v in truth.items()}, 0.5 * DENSITY * speed**2 * airframe.area
+        with np.errstate(divide="ignore", invalid="ignore"):
+            CL = airframe.mass * GRAVITY / pressure
+            # lift and moment of level flight, both linear in angle of attack and elevator
+            moment, lift = -d["Cm_0"], CL - d["CL_0"]
+            determinant = d["CL_alpha"] * d["Cm_de"] - d["Cm_alpha"] * d["CL_de"]
+            alpha = (lift * d["Cm_de"] - moment * d["CL_de"]) / determinant
+            elevator = (moment * d["CL_alpha"] - lift * d["Cm_alpha"]) / determinant
+        if not np.all(np.isfinite(alpha) & np.isfinite(elevator)):
+            raise ValueError("lift and elevator cannot hold level flight")
+        self._speed, self._alpha, self._elevator = speed, alpha, elevator
+        self._thrust = pressure * (d["CD_0"] + d["CD_k"] * CL**2) / np.cos(alpha)
+        self.state = np.stack([alpha, np.zeros_like(alpha), alpha])[:, None]
+        self.surfaces = elevator[None]
+
+    def inputs(self, x: Array, moved: Array) -> AnyInputs:
+        """Wings level."""
+        zero = np.zeros_like(self._speed)
+        density = np.full_like(self._speed, DENSITY)
+        return ElevatorInputs(zero, zero, zero, zero, self._speed, density, self._thrust, moved[0])
+
+    def command(self, hands: Array, x: Array) -> Array:
+        return np.asarray(hands + self._elevator + HOLD_PITCH * (x[2, 0] - self._alpha) + HOLD_RATE * x[1, 0])
 
 
 def _scan(
-    time: float, x: Array, now: Inputs, motion: LateralMotion, gust: Array, c: NullConditions, rng: np.random.Generator
+    time: float,
+    x: Array,
+    now: AnyInputs,
+    motion: LateralMotion | PitchMotion,
+    gust: Array,
+    c: NullConditions,
+    rng: np.random.Generator,
+    plane: MonitoredPlane,
 ) -> FlightsScan:
-    truth = np.stack([x[0, 0] + gust, x[1, 0], x[2, 0], x[3, 0], motion.side_force(x, now, gust)[0]])
-    levels = np.array([c.beta, c.p, c.r, c.phi, c.ay])[:, None]
+    forces = motion.forces(x, now, gust)[:, 0]  # type: ignore[arg-type]  # inputs of the same plane
+    truth = np.concatenate([(x[0, 0] + gust)[None], x[1:, 0], forces])
+    levels = np.array([getattr(c, channel) for channel in plane.channels])[:, None]
     measured = truth + levels * rng.standard_normal(truth.shape)
-    noisy = now._replace(
-        V=now.V + c.V * rng.standard_normal(now.V.shape),
-        delta_a=now.delta_a + c.surface * rng.standard_normal(now.V.shape),
-        delta_r=now.delta_r + c.surface * rng.standard_normal(now.V.shape),
-    )
-    return FlightsScan(time, measured, noisy)
+    noise = {"V": c.V, **dict.fromkeys(plane.surfaces, c.surface)}
+    seen = {n: getattr(now, n) + level * rng.standard_normal(now.V.shape) for n, level in noise.items()}
+    return FlightsScan(time, measured, now._replace(**seen))
 
 
 def _seen(c: NullConditions, rng: np.random.Generator, count: int) -> NDArray[np.bool_]:
@@ -127,14 +199,16 @@ def _seen(c: NullConditions, rng: np.random.Generator, count: int) -> NDArray[np
     return np.asarray(transmitted & (rng.uniform(size=count + 1) >= c.loss))
 
 
-def _hands(rng: np.random.Generator, flights: int, steps: int, step: float) -> Array:
-    """(steps, 2, flights) what hands ask for [rad]: now and then a few steps of aileron or rudder."""
-    commands = np.zeros((steps, 2, flights))
+def _hands(
+    rng: np.random.Generator, flights: int, steps: int, step: float, peaks: Sequence[tuple[float, float]]
+) -> Array:
+    """(steps, controls, flights) what hands ask for [rad]: now and then a few steps of one of the controls. peaks [deg]."""
+    commands = np.zeros((steps, len(peaks), flights))
     for flight in range(flights):
         start = round(rng.uniform(0.5, 2.0) / step)
         while start < steps:
-            control = int(rng.integers(2))
-            peak = math.radians(rng.uniform(3.0, 7.0) if control == 0 else rng.uniform(2.0, 4.5))
+            control = int(rng.integers(len(peaks)))
+            peak = math.radians(rng.uniform(*peaks[control]))
             sign = float(rng.choice([-1.0, 1.0]))
             for _ in range(int(rng.integers(2, 5))):
                 length = round(rng.uniform(0.3, 0.9) / step)

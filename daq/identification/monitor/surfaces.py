@@ -10,6 +10,7 @@ second: such an interval is blind, and so are the two after it, whose innovation
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,18 +152,18 @@ KINDS = BLIND + 1
 """All kinds; the last one is `BLIND`."""
 
 Kinds = NDArray[np.intp]
-Pair = tuple[SurfaceBetween, SurfaceBetween]
 
 
-def guessed(surfaces: Pair) -> NDArray[np.bool_]:
-    """(flights,) where either surface moved and it is not known when."""
-    return np.asarray((surfaces[0].level >= GUESSED) | (surfaces[1].level >= GUESSED))
+def guessed(surfaces: Sequence[SurfaceBetween]) -> NDArray[np.bool_]:
+    """(flights,) where a surface moved and it is not known when."""
+    return np.any([s.level >= GUESSED for s in surfaces], axis=0)
 
 
-def kind_of(seconds: float, surfaces: Pair, before: Pair | None) -> Kinds:
-    """(flights,) kind of an interval, and of the one before: what that got wrong is there for a while."""
+def kind_of(seconds: float, surfaces: Sequence[SurfaceBetween], before: Sequence[SurfaceBetween] | None) -> Kinds:
+    """(flights,) kind of an interval, and of the one before: what that got wrong is there for a while. surfaces: two at most."""
     length = int(np.searchsorted(LENGTHS, seconds))
-    kind = length + (len(LENGTHS) + 1) * (surfaces[0].level + LEVELS * surfaces[1].level)
+    level = sum(s.level * LEVELS**k for k, s in enumerate(surfaces))
+    kind = length + (len(LENGTHS) + 1) * level
     if before is not None:
         kind = kind + BLIND // 2 * guessed(before)
-    return np.where(guessed(surfaces), BLIND, kind) if seconds > LONG else kind
+    return np.asarray(np.where(guessed(surfaces), BLIND, kind) if seconds > LONG else kind)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import Airframe
-from daq.identification.monitor.bank import MonitoredEffect
+from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, MonitoredPlane
 from daq.identification.monitor.evidence import EffectScores, MonitorEvidence, Run, Whitening, fitted
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import FlightsScan, Innovation, PredictorBank
@@ -58,15 +58,22 @@ def calibrated(
     rng: np.random.Generator,
     hours: float = 2.5,
     rate: float = 1.0,
+    plane: MonitoredPlane = LATERAL_PLANE,
 ) -> Calibration:
     """Simulate so many hours of manoeuvring; half of the allowed false alarms to each statistic."""
     batches = max(1, round(hours * HOUR_S / FLIGHT_S / AT_ONCE))
-    batches_of_scans = [fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S) for _ in range(batches)]
-    whitening = fitted(_innovations(airframe, values, scans) for scans in batches_of_scans)
+    batches_of_scans = [
+        fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S, plane=plane) for _ in range(batches)
+    ]
+    whitening = fitted(_innovations(PredictorBank(airframe, values, (), plane), scans) for scans in batches_of_scans)
     z, energy = (
         np.concatenate(v, axis=1)
         for v in zip(
-            *(_histories(airframe, values, effects, whitening, scans) for scans in batches_of_scans), strict=True
+            *(
+                _histories(PredictorBank(airframe, values, effects, plane), effects, whitening, scans)
+                for scans in batches_of_scans
+            ),
+            strict=True,
         )
     )
     effect_scale, energy_scale = _usual(z), _usual(energy)
@@ -86,34 +93,25 @@ def _usual(values: Array) -> StatisticScale:
 
 
 def _histories(
-    airframe: Airframe,
-    values: Mapping[str, float],
-    effects: Sequence[MonitoredEffect],
-    whitening: Whitening,
-    scans: Sequence[FlightsScan],
+    bank: PredictorBank, effects: Sequence[MonitoredEffect], whitening: Whitening, scans: Sequence[FlightsScan]
 ) -> tuple[Array, Array]:
     """(times, flights, windows, effects) and (times, flights, 5) of both statistics, once there is something in the windows."""
-    scores_in_time = [s for t, s in scores(airframe, values, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
+    scores_in_time = [s for t, s in scores(bank, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
     return np.stack([s.z for s in scores_in_time]), np.stack([np.log(s.unnamed) for s in scores_in_time])
 
 
-def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[FlightsScan]) -> Run:
+def _innovations(bank: PredictorBank, scans: Sequence[FlightsScan]) -> Run:
     """Of the model alone."""
-    bank = PredictorBank(airframe, values, ())
     innovations = [f for scan in scans if (f := bank.innovation(scan)) is not None]
     after_start = innovations[20:]  # the first second still shows where it began
     return np.stack([f.wrong for f in after_start]), np.stack([f.kind for f in after_start])
 
 
 def scores(
-    airframe: Airframe,
-    values: Mapping[str, float],
-    effects: Sequence[MonitoredEffect],
-    whitening: Whitening,
-    scans: Sequence[FlightsScan],
+    bank: PredictorBank, effects: Sequence[MonitoredEffect], whitening: Whitening, scans: Sequence[FlightsScan]
 ) -> Iterator[tuple[float, EffectScores]]:
     """Time and score at each half second of several flights side by side."""
-    bank, evidence = PredictorBank(airframe, values, effects), MonitorEvidence(effects)
+    evidence = MonitorEvidence(effects)
     last_three: list[Innovation] = []
     for scan in scans:
         innovation = bank.innovation(scan)

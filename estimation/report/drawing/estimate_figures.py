@@ -20,6 +20,7 @@ from estimation.report.drawing.figures import (
     picture,
     styled,
 )
+from estimation.report.drawing.marks_drawn import draw_marks
 from estimation.report.estimate_tables import is_published
 from estimation.report.names import axis_label, face, literal, tex
 from groundstation.flight import Array
@@ -115,6 +116,7 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
             axes[-1].set_ylabel(f"controls [{unit}]" if unit else "controls")
         if controls:
             axes[-1].legend(loc="upper right", ncols=3)
+        draw_marks(axes, f.flight)
         axes[-1].set_xlabel("time [s]")
         figure.align_ylabels()
     points = first.time.size * rows * (1 + len(fits))

@@ -69,3 +69,50 @@ class MassShift(_Sudden):
         if m.t >= BEGINS_S:
             m.L = m.L - self.size * m.Z
             m.N = m.N + self.size * m.X
+
+
+class RudderStuck(_Sudden):
+    """The fin jams: it stays where it stood, whatever its arm does."""
+
+    name, title, unit, typical = "rudder_stuck", "the fin sticks", "1", 1.0
+
+    def start(self, m: "Motion", x: State) -> None:
+        self._stood: Value = m.arm_r
+
+    def linkage(self, m: "Motion", x: State) -> None:
+        if m.t >= BEGINS_S:
+            m.surface_r = m.surface_r + self.size * (self._stood - m.surface_r)
+
+    def commit(self, m: "Motion", x: State) -> None:
+        if m.t < BEGINS_S:
+            self._stood = m.arm_r
+
+
+class EngineOut(_Sudden):
+    """The engine loses the share `size` of its thrust."""
+
+    name, title, unit, typical = "engine_out", "the engine stops", "1", 1.0
+
+    def linkage(self, m: "Motion", x: State) -> None:
+        if m.t >= BEGINS_S:
+            m.thrust = m.thrust * (1.0 - self.size)
+
+
+class GyroJumped(_Sudden):
+    """The yaw gyro jumps by `size` rad/s, as with a cracked package."""
+
+    name, title, unit, typical = "gyro_jumped", "the yaw gyro jumps", "rad/s", 0.05
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        if m.t >= BEGINS_S:
+            s.r = s.r + self.size
+
+
+class PitotBlocked(_Sudden):
+    """The pitot tube closes: the airspeed that it shows falls by the share `size`."""
+
+    name, title, unit, typical = "pitot_blocked", "the pitot tube closes", "1", 0.4
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        if m.t >= BEGINS_S:
+            s.V = s.V * (1.0 - self.size)

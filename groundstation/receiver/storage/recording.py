@@ -5,8 +5,10 @@ asked. Complete scans (backfilled) are written in the aircraft's own bytes. The 
 """
 
 import json
-from collections.abc import Iterable
+from bisect import bisect_left
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import asdict, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
@@ -188,19 +190,49 @@ class SessionRecorder:
         return path
 
     def _write(self, path: Path) -> None:
+        odd = out_of_line((e.sequence, e.log_time_ns) for e in self._scan_entries())
+        notes = self._notes
+        if odd:
+            text = f"{len(odd)} scans left out: their time contradicts their number"
+            notes = [*notes, encode(EventMessage(self._last_ns, 0, self._last_number, RECEIVER, text))]
         with path.open("wb") as stream:
-            log_time = utc_of(scan_entry(decode_scan(data), data) for data in self.journal.scans())
-            writer = ReceivedWriter(stream, self.info(), log_time)
-            for data in self.journal.scans():
-                writer.write(scan_entry(decode_scan(data), data))
-            for event in sorted(_decoded([*self._events, *self._notes]), key=lambda e: e.time_monotonic_ns):
+            writer = ReceivedWriter(stream, self.info(), utc_of(self._scan_entries(odd)))
+            for entry in self._scan_entries(odd):
+                writer.write(entry)
+            for event in sorted(_decoded([*self._events, *notes]), key=lambda e: e.time_monotonic_ns):
                 writer.write(message_entry(event))
             for i, link in enumerate(self.journal.others(RecordKind.LINK)):
                 writer.write_link(link, round(json.loads(link)["time_monotonic_s"] * 1e9), i)
             writer.finish()
 
+    def _scan_entries(self, odd: Container[int] = ()) -> Iterator[RecordedMessage]:
+        entries = (scan_entry(decode_scan(data), data) for data in self.journal.scans())
+        return (e for e in entries if e.sequence not in odd)
+
     def close(self) -> None:
         self.journal.close()
+
+
+def out_of_line(scans: Iterable[tuple[int, int]]) -> set[int]:
+    """Numbers of the fewest scans without which time rises with the number: a sender's, for a logger's clock never goes back.
+
+    scans: number and time [ns] of each. Whoever reads a recording takes others for a second session in it.
+    """
+    ordered = sorted(scans)
+    if all(a[1] < b[1] for a, b in pairwise(ordered)):
+        return set()
+    ends: list[int] = []  # by length: the earliest time at which a rising run of that length ends, and its scan
+    last: list[int] = []
+    before: list[int] = []
+    for index, (_, time_ns) in enumerate(ordered):
+        place = bisect_left(ends, time_ns)
+        before.append(last[place - 1] if place else -1)
+        ends[place : place + 1], last[place : place + 1] = [time_ns], [index]
+    in_line, index = set[int](), last[-1]
+    while index >= 0:
+        in_line.add(index)
+        index = before[index]
+    return {number for index, (number, _) in enumerate(ordered) if index not in in_line}
 
 
 def _decoded(events: Iterable[bytes]) -> list[EventMessage]:

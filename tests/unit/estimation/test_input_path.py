@@ -1,6 +1,7 @@
 """Edges on the sampling clock: the way of a surface between its samples, against flights integrated at 400 Hz and finer."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from estimation.models import load_model
 from estimation.models.base import InputTransform, Parameter
 from estimation.prepare.flight_data import Segment
 from estimation.prepare.pipeline import prepare
+from groundstation.flight import Provenance
 from tests.unit.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
 LATERAL = load_model("lateral", "cdfp")
@@ -29,6 +31,19 @@ def test_edges_on_the_clock_are_seen_and_others_are_not() -> None:
         flights, _ = fly(Case(rate=rate, servo=servo, phase=phase, noise=NOISE), np.random.default_rng(3), seeds=1)
         found = clocked_controls(LATERAL, [prepare(LATERAL, flights[0])])
         assert set(found) == ({"delta_a", "delta_r"} if seen else set())
+
+
+def test_a_command_has_an_open_way_whatever_its_edges_look_like() -> None:
+    """What is logged at 8 Hz may have been commanded an eighth of a second before: the prior is that wide."""
+    case = Case(rate=20.0, servo=0.04, phase=0.0173, noise=NOISE)
+    flights, _ = fly(case, np.random.default_rng(9), seeds=1)
+    channel = {"from": "RCOU.C1", "kind": "computed", "rate_hz": 8.0, "held": True, "interval_s": 0.125}
+    provenance = Provenance(detail={"channels": {"delta_a": channel}})
+    data = prepare(LATERAL, replace(flights[0], provenance=provenance))
+    assert data.commands == {"delta_a": 0.125}
+    assert clocked_controls(LATERAL, [data]) == ("delta_a",)
+    prior = with_paths(LATERAL, [data]).parameter("lag_of_delta_a").prior_std
+    assert prior == pytest.approx(np.hypot(0.04, 0.0625))
 
 
 def test_a_model_that_says_how_a_surface_follows_is_left_as_it_is() -> None:

@@ -10,7 +10,7 @@ import torch
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.answers.estimates import read_truth
+from estimation.answers.truth import read_truth
 from estimation.errors import EstimationError
 from estimation.models import load_model
 from estimation.report.estimate_tables import mean_table

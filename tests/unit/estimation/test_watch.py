@@ -9,6 +9,7 @@ import pytest
 
 import sideslip
 from daq.identification.monitor import threshold
+from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredPlane
 from daq.identification.monitor.nulls import NullConditions
 from daq.identification.monitor.threshold import Calibration
 from daq.utilities.errors import UserError
@@ -16,6 +17,7 @@ from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import values_of
 from estimation.models import load_model
+from estimation.models.base import Parameter
 from estimation.models.load import write_model
 from estimation.watch import over_file
 from estimation.watch.over_file import Watched, conditions_of, watch
@@ -70,9 +72,11 @@ def quiet(flights: dict[str, Path]) -> Watched:
 def known_thresholds(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """All three flights have the same air and instruments: the thresholds of one do for the others."""
 
-    def known(*asked: object, rng: np.random.Generator, hours: float, rate: float) -> Calibration:
+    def known(
+        *asked: object, rng: np.random.Generator, hours: float, rate: float, plane: MonitoredPlane
+    ) -> Calibration:
         conditions = next(a for a in asked if isinstance(a, NullConditions))
-        assert (conditions.rate, hours, rate) == (pytest.approx(20.0), 1.0, 1.0)
+        assert (conditions.rate, hours, rate, plane) == (pytest.approx(20.0), 1.0, 1.0, LATERAL_PLANE)
         assert conditions.beta == pytest.approx(ORDINARY_NOISE.beta, rel=0.2)
         return quiet.calibration
 
@@ -145,7 +149,7 @@ def test_thresholds_are_those_of_the_hours_asked_for(quiet: Watched) -> None:
 
 
 def test_noise_and_rate_are_those_of_the_flight(flights: dict[str, Path]) -> None:
-    found = conditions_of(read_flight(flights["none"]))
+    found = conditions_of(read_flight(flights["none"]), LATERAL_PLANE)
     assert found.rate == pytest.approx(20.0, rel=0.01)
     assert found.beta == pytest.approx(ORDINARY_NOISE.beta, rel=0.2)
     assert found.ay == pytest.approx(ORDINARY_NOISE.ay, rel=0.2)
@@ -200,3 +204,27 @@ def test_a_quiet_flight_in_the_notebook_has_no_stretch(flights: dict[str, Path])
     assert found.alarms == ()
     assert found.stretch() is None
     assert "no alarm" in repr(found)
+
+
+def test_both_planes_are_watched_at_once_and_what_cannot_be_predicted_is_named(
+    flights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A six-dof model: each plane with half of the allowed false alarms. A term that no motion has is refused by its name."""
+    aircraft, planes = load_aircraft("cdfp"), list[tuple[str, float]]()
+
+    def flat(*_: object, rng: np.random.Generator, hours: float, rate: float, plane: MonitoredPlane) -> Calibration:
+        planes.append((plane.name, rate))
+        raise ValueError("nothing is simulated here")
+
+    monkeypatch.setattr(over_file, "calibrated", flat)
+    flight = read_flight(flights["none"])
+    with pytest.raises(EstimationError, match="only 0 s of manoeuvring"):  # its elevator rests
+        watch(load_model("longitudinal", aircraft), flight, aircraft, hours=1.0)
+    with pytest.raises(EstimationError, match="nothing is simulated here"):
+        watch(load_model("six-dof", aircraft), flight, aircraft, hours=1.0)
+    assert planes == [("lateral", 0.5)]
+    with pytest.raises(EstimationError, match="does not know Cn_alpha of model"):
+        strange = load_model("lateral", aircraft).plus(
+            terms={"Cn": "Cn_alpha * alpha"}, parameters=[Parameter("Cn_alpha", 0.0)]
+        )
+        watch(strange, flight, aircraft, hours=1.0)

@@ -24,6 +24,7 @@ def seen(name: str | None, t: float) -> tuple[Motion, list[float]]:
         effect.start(rest, x)
     x[1] += 1.5  # slipping
     x[ARMS], x[ARMS + 1], x[RATES] = x[ARMS] - 0.1, x[ARMS + 1] + 0.1, 0.5  # rolling, arms apart
+    x[ARMS + 2] += 0.08
     return plant.evaluate(t, x, trimmed, QUIET, [0.0] * plant.size), x
 
 
@@ -70,3 +71,25 @@ def test_shifted_mass_rolls_towards_itself() -> None:
     assert shifted.L > plain.L
     assert pytest.approx(0.015 * plain.X) == shifted.N - plain.N
     assert math.isfinite(shifted.p_dot)
+
+
+def test_a_fin_that_sticks_stands_where_it_stood_and_an_engine_that_stops_has_no_thrust() -> None:
+    plain, _ = seen(None, SINCE)
+    assert seen("rudder_stuck", BEGINS_S - 0.1)[0].surface_r == plain.surface_r
+    assert seen("rudder_stuck", SINCE)[0].surface_r == pytest.approx(plain.arm_r - 0.08)
+    assert plain.thrust > 0.5
+    stopped, _ = seen("engine_out", SINCE)
+    assert stopped.thrust == 0.0
+    assert pytest.approx(plain.thrust) == plain.X - stopped.X
+    assert seen("engine_out", BEGINS_S - 0.1)[0].thrust == plain.thrust
+
+
+@pytest.mark.parametrize(("name", "signal", "change"), [("gyro_jumped", "r", 0.05), ("pitot_blocked", "V", -0.4)])
+def test_an_instrument_that_fails_shows_something_else(name: str, signal: str, change: float) -> None:
+    plain, x = seen(None, SINCE)
+    before, _ = seen(None, BEGINS_S - 0.1)
+    (effect,) = make_effects([(name, 1.0)])
+    truth = getattr(plain, signal)
+    expected = truth * (1.0 + change) if signal == "V" else truth + change
+    assert getattr(sensed(effect, plain, x), signal) == pytest.approx(expected)
+    assert getattr(sensed(effect, before, x), signal) == pytest.approx(truth)

@@ -50,6 +50,7 @@ class Sky:
         )
         self.rng = np.random.default_rng(71)
         self.number = self.heard = 0
+        self.last_sent = b""
 
     def fly(self, scans: int, impostor: Impostor | None = None) -> None:
         for _ in range(scans):
@@ -57,7 +58,8 @@ class Sky:
             now = self.rig.clock.monotonic_ns()
             self.rig.link.offer(quiet_scan(self.number, self.rng, time_ns=now))
             self.rig.link.service(now)
-            self.theirs.write(self.rig._air.read(1 << 20))
+            self.last_sent = self.rig._air.read(1 << 20)
+            self.theirs.write(self.last_sent)
             self.number += 1
             self.heard += sum(isinstance(e, ev.ScanReceived) for e in self.station.step())
             if impostor is not None:

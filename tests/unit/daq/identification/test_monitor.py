@@ -12,11 +12,12 @@ from scipy.stats import gumbel_r
 
 from daq.identification.airframe import DERIVATIVES, Airframe, Sample
 from daq.identification.monitor import threshold
-from daq.identification.monitor.bank import CHANNELS, MonitoredEffect, bank
+from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, bank
 from daq.identification.monitor.evidence import PIECE_S, MonitorEvidence, fitted
 from daq.identification.monitor.monitor import Alarm, GapMonitor
+from daq.identification.monitor.motions import Inputs, LateralMotion
 from daq.identification.monitor.nulls import NullConditions, fly
-from daq.identification.monitor.predictors import FlightsScan, Inputs, LateralMotion, PredictorBank
+from daq.identification.monitor.predictors import FlightsScan, PredictorBank
 from daq.identification.monitor.surfaces import BLIND, GUESSED, SurfacesBetween
 from daq.identification.monitor.threshold import Calibration, calibrated, exceeded
 from daq.identification.simulated_motion import LateralState, MotionInputs, SimulatedMotion
@@ -39,7 +40,7 @@ def values(airframe: Airframe) -> dict[str, float]:
 
 @pytest.fixture(scope="module")
 def effects(airframe: Airframe, values: dict[str, float]) -> tuple[MonitoredEffect, ...]:
-    return bank(airframe, values, {})
+    return bank(values, {})
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
     rng = np.random.default_rng(1)
     alone = SimulatedMotion(airframe)
     alone.values = values
-    many = LateralMotion(airframe, {n: np.full((1, 1), v) for n, v in values.items()})
+    many = LateralMotion(airframe, {n: np.full((1, 1), v) for n, v in values.items()}, LATERAL_PLANE)
     for _ in range(20):
         x, u = rng.uniform(-0.2, 0.2, 4), rng.uniform(0.05, 0.2, 7)
         u[3:5] = 17.0, 1.2
@@ -83,12 +84,12 @@ def test_an_effect_leaves_its_signature(
     truth = {n: np.array([[v]]) for n, v in values.items()} | {"Cn_da": np.zeros((1, 1))}
     if name in truth:
         truth[name] = truth[name] + effects[k].step
-    motion = LateralMotion(airframe, truth)
+    motion = LateralMotion(airframe, truth, LATERAL_PLANE)
     x, u = np.zeros((4, 1, 1)), Inputs(*(np.array([v]) for v in (0.0, 0.08, 0.08, 16.0, 1.2, 0.0, 0.0)))
     predictors, wrong, signature = PredictorBank(airframe, values, effects), [], []
     bias = effects[k].step if name == "beta_bias" else 0.0
     for i in range(200):
-        measured = np.concatenate([x[:, 0], motion.side_force(x, u)[0][None]])
+        measured = np.concatenate([x[:, 0], motion.forces(x, u)[0]])
         measured[0] += bias
         found = predictors.innovation(FlightsScan(0.05 * i, measured, u))
         if found is not None:
@@ -335,7 +336,7 @@ def test_errors_that_grow_without_a_name_are_told_by_channel(
     assert "phi" in after[0].channels
     assert not after[0].leading
     assert after[0].named is None
-    assert CHANNELS.index("phi") == 3
+    assert LATERAL_PLANE.channels.index("phi") == 3
     assert PIECE_S == 0.5
 
 

@@ -14,7 +14,6 @@ from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.location import spans_of
-from estimation.gap.effects import Effect, catalogue
 from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.records.sampling import (
@@ -35,16 +34,9 @@ from sideslip.verbs.gap import gap as gap_verb
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
 
-# What these flights had been called, and what is nearest to it.
-SLOW = ("servo_lag", "aileron_lag", "rudder_lag", "rudder_backlash", "Cn_da", "gust")
-SLOW_ELEVATOR = ("elevator_delay", "elevator_lag", "elevator_backlash", "Cm_alphadot", "gust")
 COUNT = 600
 TIME: Array = np.arange(COUNT) / 50.0
 Drawn = Callable[[Array, int], Array]
-
-
-def effects(*names: str) -> tuple[Effect, ...]:
-    return tuple(e for e in catalogue() if e.name in names)
 
 
 def noisy(seed: int, count: int = COUNT) -> Array:
@@ -210,7 +202,7 @@ def test_flights_with_servos_at_half_the_rate_have_nothing_hidden() -> None:
     four = flights(
         [{n: lines(np.asarray(v), 2) if n.startswith("delta") else v for n, v in one.items()} for one in flown]
     )
-    result = run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], effects(*SLOW), Options(seed=1, nulls=40))
+    result = run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=Options(seed=1, nulls=40))
     assert result.verdict.value == "no_gap"
     assert any("the flight is read at 10 Hz" in note for note in result.notes)
 
@@ -220,7 +212,7 @@ def test_flights_too_coarse_for_their_noise_to_be_taken_off_everywhere_are_answe
     KeyError."""
     flown = truth.fly(requests({}, 7112, 0.15, "rich"))
     four = flights([{n: v if n == "time" else coarse(np.asarray(v)) for n, v in one.items()} for one in flown])
-    assert run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], effects(*SLOW), Options(seed=1, nulls=20)).verdict
+    assert run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=Options(seed=1, nulls=20)).verdict
 
 
 @pytest.mark.parametrize("finer", [1, 2])
@@ -313,7 +305,7 @@ def test_nothing_is_compared_where_a_control_moves_unseen() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("lost", ["elevator", "rows"])
+@pytest.mark.parametrize("lost", [pytest.param("elevator", marks=pytest.mark.study), "rows"])
 def test_a_third_of_an_elevators_samples_lost_is_nothing(lost: str) -> None:
     """Straight lines across them had made it swing, or late."""
     made = []
@@ -326,8 +318,7 @@ def test_a_third_of_an_elevators_samples_lost_is_nothing(lost: str) -> None:
     model = load_model("longitudinal", "cdfp")
     prepared = prepare_flights(model, (), given, (), AS_SET)
     assert prepared.records[0].wrong["delta_e"].std() > 0.0
-    result = run_gap(model, given[:3], given[3:], effects(*SLOW_ELEVATOR), Options(seed=1, nulls=40))
-    assert result.verdict == "no_gap"
+    assert run_gap(model, given[:3], given[3:], options=Options(seed=1, nulls=40)).verdict == "no_gap"
 
 
 def test_rows_on_no_grid_and_whole_flights_are_left_as_they_are() -> None:

@@ -317,5 +317,6 @@ class TestVerb:
         assert "stands on no simulation" in str(
             runner.invoke(cli, ["export", str(tmp_path / "plain.toml"), *words]).exception
         )
-        assert "--out DIR" in runner.invoke(cli, ["export", str(tmp_path / "plain.toml"), "--to", "jsbsim"]).output
-        assert "'-o'" in runner.invoke(cli, ["export", str(tmp_path / "plain.toml")]).output
+        no_folder = runner.invoke(cli, ["export", str(tmp_path / "plain.toml"), "--to", "jsbsim"])
+        assert "--out DIR" in str(no_folder.exception)
+        assert "-o OUTPUT" in str(runner.invoke(cli, ["export", str(tmp_path / "plain.toml")]).exception)

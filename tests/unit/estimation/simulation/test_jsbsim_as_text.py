@@ -216,7 +216,8 @@ class TestVerb:
         ],
     )
     def test_nonsense_is_refused(self, words: list[str], told: str) -> None:
-        assert told in CliRunner().invoke(cli, ["export", *words]).output
+        with pytest.raises(EstimationError, match=told):
+            CliRunner().invoke(cli, ["export", *words], catch_exceptions=False)
 
 
 @pytest.mark.study

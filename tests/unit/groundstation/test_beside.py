@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 from groundstation.cli.view import view
 from groundstation.flight import Flight, Provenance, write_flight
+from groundstation.flight.beside import beside
+from groundstation.flight.errors import FlightError
 from groundstation.flight.marks import Mark, Marks
-from groundstation.viewer.beside import beside
-from groundstation.viewer.live import ViewerError
 
 
 def flown(start: float, begin: float, end: float, seed: int, event: float | None = None) -> Flight:
@@ -39,7 +39,7 @@ def test_the_second_lies_on_the_first(by: str) -> None:
 def test_an_event_that_both_have(tmp_path: Path) -> None:
     first, second = flown(100.0, 10.0, 60.0, 3, event=12.0), flown(0.0, 11.0, 40.0, 4, event=12.0)
     assert beside(first, second, "event").shift == pytest.approx(101.0)
-    with pytest.raises(ViewerError, match="cannot be laid on f3 by event"):
+    with pytest.raises(FlightError, match="cannot be laid on f3 by event"):
         beside(first, flown(0.0, 11.0, 40.0, 5), "event")
 
 
@@ -47,7 +47,7 @@ def test_two_that_are_not_alike_are_not_correlated() -> None:
     rng = np.random.default_rng(6)
     time = np.arange(0.0, 40.0, 0.05)
     first, second = (Flight.build(n, time, {"p": rng.standard_normal(time.size)}) for n in "ab")
-    with pytest.raises(ViewerError, match="by correlation"):
+    with pytest.raises(FlightError, match="by correlation"):
         beside(first, second, "correlation")
     assert beside(first, second).text.endswith("both begin together")
 

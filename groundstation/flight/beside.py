@@ -1,4 +1,4 @@
-"""Two flights in one view: the second moved in time until it lies on the first, drawn beside the first's columns."""
+"""Two flights in one view or report: the second moved in time until it lies on the first, drawn beside the first's columns."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flight import Flight
-from groundstation.flight.flight import GAP_FACTOR
+from groundstation.flight.errors import FlightError
+from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import find_manoeuvres
 from groundstation.flight.marks import marks_of
-from groundstation.viewer.gate import ViewerError
 
 Array = NDArray[np.float64]
 
@@ -37,14 +36,14 @@ class PairedFlight:
 
 def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
     """Both in one. by: 'input' (first movement of a control), 'event' (first event, mode or message that both have),
-    'correlation', 'start', or 'auto': correlation, else input, else start. Raises ViewerError where that cannot be done."""
+    'correlation', 'start', or 'auto': correlation, else input, else start. Raises FlightError where that cannot be done."""
     ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
         "correlation": _by_correlation, "input": _by_input, "event": _by_event, "start": _by_start,
     }  # fmt: skip
     methods = ("correlation", "input", "start") if by == "auto" else (by,)
     result = next((f for f in (ways[w](first, second) for w in methods) if f is not None), None)
     if result is None:
-        raise ViewerError(
+        raise FlightError(
             f"{second.name} cannot be laid on {first.name} by {by}: they have nothing of it in common; try --align start"
         )
     shift, text = result
@@ -55,7 +54,7 @@ def beside(first: Flight, second: Flight, by: str = "auto") -> PairedFlight:
         if not n.endswith(BESIDE)
     }
     if not any(np.isfinite(v).any() for v in columns.values()):
-        raise ViewerError(f"{second.name}, moved by {shift:+.2f} s, has no time in common with {first.name}")
+        raise FlightError(f"{second.name}, moved by {shift:+.2f} s, has no time in common with {first.name}")
     first_columns = {n: v for n, v in first.columns.items() if not n.endswith(BESIDE)}
     pair = Flight.build(
         first.name, first.time, {**first_columns, **columns}, segment=first.segment, provenance=first.provenance
