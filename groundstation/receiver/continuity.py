@@ -60,9 +60,8 @@ class ScanRun:
         place = bisect_left(self._numbers, part.number)
         if self._numbers[place] == part.number:
             return self._times[place] == part.time_monotonic_ns
-        return (not place or self._times[place - 1] < part.time_monotonic_ns) and part.time_monotonic_ns < self._times[
-            place
-        ]
+        after_earlier = not place or self._times[place - 1] < part.time_monotonic_ns
+        return after_earlier and part.time_monotonic_ns < self._times[place]
 
     def is_older(self, part: ScanPart) -> bool:
         """Whether a part of the same boot was made before the last one, by number and by time."""

@@ -159,7 +159,8 @@ class Trials:
             end = self.once(tally, kill, self._rng.uniform(0.0, 1.05) * lasts)
             tally.trials += 1
             self.look(tally, old, f"after {kill.name}", leftovers=kill is signal.SIGKILL)
-            wanted = (-kill, 128 + kill, self.held.status)
+            as_ctrl_c = (130,) if self.verb.startswith("ground") else ()  # a session ends by SIGTERM as by Ctrl-C
+            wanted = (-kill, 128 + kill, self.held.status, *as_ctrl_c)
             tally.judge(f"{self.verb}: {kill.name}, status {end.status}: {end.words[-200:]}", end.status not in wanted)
             if n % 10 == 9:
                 again = self.once(tally)
