@@ -266,6 +266,12 @@ def test_doubtful_numbers_are_warned_of(change: dict[str, object], check: str, s
     assert any(n.check == check and said in n.text for n in warned)
 
 
+def test_an_indoor_model_of_fifty_grams_is_an_aeroplane() -> None:
+    inertia = {n: 0.05 * (k * 0.95) ** 2 for n, k in (("Ixx", 0.12), ("Iyy", 0.13), ("Izz", 0.17))}
+    indoor = Aircraft("indoor", span=0.95, area=0.23, chord=0.25, mass=0.05, Ixz=0.0, **inertia)
+    assert not [n for n in review_aircraft(indoor) if n.verdict != "ok"]
+
+
 def test_built_in_aircraft_are_beyond_doubt() -> None:
     for name in built_in_aircraft():
         assert {n.verdict for n in review_aircraft(load_aircraft(name))} == {"ok"}
