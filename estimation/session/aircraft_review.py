@@ -32,6 +32,10 @@ FILLED = (0.6, 1.02)
 """Area over span times mean aerodynamic chord: 1 for a rectangle, 0.75 for a triangle; above 1 is impossible."""
 
 
+LOADING = (0.05, 1000.0)
+"""kg/m2 of wing: an indoor model of 50 g that flies at 2 m/s has 0.2, an airliner 750."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReviewNote:
     """One line of the review. about: constants of equations that it doubts."""
@@ -58,11 +62,11 @@ def _geometry(a: Aircraft) -> Iterator[ReviewNote]:
         constants = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
         yield ReviewNote("geometry", "warn", f"{text}: another unit, or not the mean aerodynamic chord?", constants)
     loading = a.mass / a.area
-    if math.isfinite(loading) and not 0.5 <= loading <= 1000.0:
+    if math.isfinite(loading) and not LOADING[0] <= loading <= LOADING[1]:
         yield ReviewNote(
             "mass",
             "warn",
-            f"{loading:.3g} kg/m2 of wing; aircraft have 1 to 800: is one of them in other units?",
+            f"{loading:.3g} kg/m2 of wing; aircraft have 0.1 to 800: is one of them in other units?",
             ("m", "S"),
         )
 

@@ -190,9 +190,10 @@ def row(situation: own.Situation, sets: Sequence[Mapping[str, Any]]) -> str:
     cause = f"{named} of {len(refused)}" if situation.causes and refused else "-"
     inside = f"{sum(o.worst <= WRONG for o in auto)} of {len(auto)}" if auto else "-"
     wrong = sum(o.wrong for o in shown)
-    worst = max((o.worst for o in shown if o.recommended != "none"), default=float("nan"))
+    recommended = [o.worst for o in shown if o.recommended != "none"]
+    worst = f"{max(recommended):.1f}" if recommended else "-"
     failed = sum("failed" in r for r in sets)
-    cells = (situation.name, len(sets), right, wrong, len(refused), spared, cause, inside, f"{worst:.1f}", failed)
+    cells = (situation.name, len(sets), right, wrong, len(refused), spared, cause, inside, worst, failed)
     return "| " + " | ".join(map(str, cells)) + " |"
 
 

@@ -266,6 +266,12 @@ def test_doubtful_numbers_are_warned_of(change: dict[str, object], check: str, s
     assert any(n.check == check and said in n.text for n in warned)
 
 
+def test_an_indoor_model_of_fifty_grams_is_an_aeroplane() -> None:
+    inertia = {n: 0.05 * (k * 0.95) ** 2 for n, k in (("Ixx", 0.12), ("Iyy", 0.13), ("Izz", 0.17))}
+    indoor = Aircraft("indoor", span=0.95, area=0.23, chord=0.25, mass=0.05, Ixz=0.0, **inertia)
+    assert not [n for n in review_aircraft(indoor) if n.verdict != "ok"]
+
+
 def test_a_fuselage_longer_than_the_wing_is_usual() -> None:
     """An X-15: 6.8 m of span, 15 m of length; a yaw inertia 20 times too large is not."""
     craft = Aircraft("x", 6.8, 18.6, 3.1, 6600.0, 5000.0, 108000.0, 111000.0, 800.0)
