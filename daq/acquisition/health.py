@@ -5,6 +5,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from daq.contract.channels import CHANNEL_BY_NAME, GROUPS
 from daq.contract.recordings.messages import Health, HealthEntry
@@ -94,13 +95,16 @@ WELL = SampleVerdict()
 
 
 class GroupWatch:
-    """Judges the samples of one group: limits, spikes, values that never change."""
+    """Judges the samples of one group: limits, spikes, values that never change. of_chip: its largest steps."""
 
-    def __init__(self, channels: tuple[str, ...], config: HealthConfig) -> None:
+    def __init__(
+        self, channels: tuple[str, ...], config: HealthConfig, of_chip: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
         self._limits = {
             c: config.plausible.get(c, CHANNEL_BY_NAME[c].limits()) for c in channels if c in config.plausible
         }
-        self._max_step = {c: config.max_step[c] for c in channels if c in config.max_step}
+        steps = config.max_step if "max_step" in config.model_fields_set else {**config.max_step, **of_chip}
+        self._max_step = {c: steps[c] for c in channels if c in steps}
         self._stuck_ns = {c: round(config.stuck_s[c] * 1e9) for c in channels if c in config.stuck_s}
         self.forget()
 

@@ -55,7 +55,7 @@ class Supervisor:
         self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
         self.up = False  # set up and being read
         self._config = config
-        self._watch = GroupWatch(tuple(c.name for c in channels_of(self.group)), config)
+        self._watch = GroupWatch(tuple(c.name for c in channels_of(self.group)), config, driver.max_step)
         self._staged = type(driver).stages is not Driver.stages
         self._setup: Generator[Wait, None, None] | None = None
         self._sample: Generator[Wait, None, Reading] | None = None

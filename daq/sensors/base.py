@@ -146,7 +146,7 @@ class Driver(ABC):
     """Longest time that channels show one and the same value while all is well [s]: many times the longest run of equal codes
     that a quiet chip's own noise permits."""
 
-    max_step: ClassVar[Mapping[str, float]] = {}
+    max_step: Mapping[str, float] = {}
     """Largest change of channels from one sample to the next [counts at 20 Hz]: far beyond what a 3 kg aircraft does in 50 ms,
     far below what a broken wire does."""
 

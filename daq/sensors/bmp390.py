@@ -27,18 +27,37 @@ IDENTITY = {"bmp390": 0x60, "bmp388": 0x50}
 ODR_SELECT = {200: 0, 100: 1, 50: 2, 25: 3}
 
 
+BMP581_LARGEST_HZ = {1: 498, 2: 374, 4: 255, 8: 155, 16: 87, 32: 46}
+"""Samples a second by oversampling of the pressure, the temperature's being 1 (BST-BMP581-DS004, table 7)."""
+
+
 class StaticConfig(SensorSection):
-    """`[sensors.static]`: BMP390 or BMP388."""
+    """`[sensors.static]`: BMP390 or BMP388; driver `bmp581`: a BMP581 at 0x46 or 0x47."""
 
     driver: str = "bmp390"
-    address: Literal[0x76, 0x77] = 0x77
+    address: Literal[0x46, 0x47, 0x76, 0x77] = 0x77
     chip: Literal["bmp390", "bmp388"] = "bmp390"
     rate_hz: Literal[25, 50, 100, 200] = 50
     pressure_oversampling: Literal[1, 2, 4, 8, 16, 32] = 8
     temperature_oversampling: Literal[1, 2, 4, 8, 16, 32] = 1
 
     @model_validator(mode="after")
+    def _at_its_address(self) -> "StaticConfig":
+        sites = {"bmp390": (0x76, 0x77), "bmp581": (0x46, 0x47)}.get(self.driver, (self.address,))
+        if self.address not in sites:
+            places = " or ".join(f"0x{site:02x}" for site in sites)
+            raise ValueError(f"a {self.driver.upper()} sits at {places}, not at 0x{self.address:02x}; set address")
+        return self
+
+    @model_validator(mode="after")
     def _fits_the_interval(self) -> "StaticConfig":
+        if self.driver == "bmp581":
+            if self.rate_hz > BMP581_LARGEST_HZ[self.pressure_oversampling]:
+                raise ValueError(
+                    f"a BMP581 makes at most {BMP581_LARGEST_HZ[self.pressure_oversampling]} samples a second with this"
+                    " pressure_oversampling; lower it or rate_hz"
+                )
+            return self
         # BMP390 datasheet rev 1.7, section 3.9.2: conversion time by oversampling
         conversion = 234 + 392 + self.pressure_oversampling * 2020 + 163 + self.temperature_oversampling * 2020
         if conversion * self.rate_hz > 1_000_000:

@@ -37,7 +37,8 @@ class CaptureConfig(SensorSection):
     """`[sensors.capture]`: PWM widths and digital inputs.
 
     driver `capture` is the co-processor on I2C; `mavlink_servo` listens to an autopilot's SERVO_OUTPUT_RAW on the
-    serial `device` instead (no digital inputs then). pwm_inputs: how many of the six are wired and must be alive.
+    serial `device` instead (no digital inputs then), `sbus` to a receiver's SBUS behind an
+    inverter. pwm_inputs: how many of the six are wired and must be alive.
     """
 
     driver: str = "capture"
@@ -116,6 +117,10 @@ class Capture(Driver):
         if status & STATUS_OVERRUN:
             return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now_ns, events)
         return Reading(values, time_ns=now_ns, events=events)
+
+    def intact(self) -> bool:
+        settings = self._bus.read_i2c_block_data(self._address, TIMEOUT, 2)
+        return list(settings) == [self._config.timeout_ms, self._config.debounce_ms]
 
     def _new_edges(self, edges: int, age_ms: int, now: int) -> tuple[int, ...]:
         """Times of switch edges since the last reading; only the newest one's is known, earlier ones share it."""

@@ -25,24 +25,35 @@ from daq.sensors.base import (
     Surroundings,
 )
 from daq.sensors.bmp390 import Bmp390, StaticConfig
+from daq.sensors.bmp581 import Bmp581
 from daq.sensors.capture import Capture, CaptureConfig
+from daq.sensors.dlvr import Dlvr
 from daq.sensors.icm20948 import Icm20948, ImuConfig
+from daq.sensors.icm42688 import Icm42688
 from daq.sensors.ms4525do import Ms4525do, PitotConfig
+from daq.sensors.ms5525 import Ms5525
 from daq.sensors.nau7802 import Nau7802, ThrustConfig
+from daq.sensors.sbus import BAUD as SBUS_BAUD
+from daq.sensors.sbus import Sbus
 from daq.sensors.sdp3x import Sdp3x
 from daq.sensors.ublox import GnssConfig, Ublox
 
 CHIPS: tuple[type[Driver], ...] = (
     Icm20948,
+    Icm42688,
     Ak09916,
     Ads1115,
     Ms4525do,
     Sdp3x,
+    Dlvr,
+    Ms5525,
     Bmp390,
+    Bmp581,
     As5600,
     Nau7802,
     Capture,
     MavlinkServo,
+    Sbus,
     AutopilotGroup,
     Ublox,
 )
@@ -166,13 +177,20 @@ class SensorsConfig(SensorConfigSection):
 
     @property
     def autopilot_port(self) -> tuple[str, int] | None:
-        """Device and baud rate of the line to an autopilot; None where no group comes from one."""
+        """Device and baud rate of the line to an autopilot, or to an SBUS receiver; None where no group comes from one."""
+        if self.has_sbus and self.capture is not None:
+            return self.capture.device, SBUS_BAUD
         if not self.from_sender:
             return None
         capture = self.capture
         if capture is not None and capture.driver == MavlinkServo.name:
             return capture.device, capture.baud
         return None if self.autopilot is None else (self.autopilot.device, self.autopilot.baud)
+
+    @property
+    def has_sbus(self) -> bool:
+        """Whether pulse widths come from a receiver's SBUS."""
+        return self.capture is not None and self.capture.driver == Sbus.name
 
     @model_validator(mode="after")
     def _consistent(self) -> "SensorsConfig":
@@ -181,8 +199,9 @@ class SensorsConfig(SensorConfigSection):
                 raise ValueError(f"extra.{group}: the channel table has no such group with channels")
             if getattr(self, group, None) is not None:
                 raise ValueError(f"extra.{group} and {group} both claim the group; keep one")
-        if self.mag is not None and self.mag.driver == "ak09916" and (self.imu is None or "imu" in self.from_sender):
-            raise ValueError("mag sits behind the imu; add [sensors.imu] or remove [sensors.mag]")
+        behind = self.imu is not None and self.imu.driver == "icm20948"
+        if self.mag is not None and self.mag.driver == "ak09916" and not behind:
+            raise ValueError("mag sits behind the imu, an ICM-20948; add that as [sensors.imu] or remove [sensors.mag]")
         self._check_autopilot()
         if "attitude" in self.derived and self.imu is None:
             raise ValueError("attitude needs the imu; add [sensors.imu] or remove [sensors.attitude]")
@@ -194,7 +213,7 @@ class SensorsConfig(SensorConfigSection):
         others = [g for g in self.from_sender if g != "capture" or not servo]
         if others and self.autopilot is None:
             raise ValueError(f"{others[0]} comes from the autopilot; add [sensors.autopilot] with its device and baud")
-        if others and servo:
+        if others and (servo or self.has_sbus):
             raise ValueError("capture listens on a port of its own; write driver = 'autopilot' in [sensors.capture]")
 
     def _check_addresses(self) -> None:

@@ -13,21 +13,21 @@ whether the chip has been reset.
 import math
 from collections.abc import Generator
 from struct import Struct
-from typing import Annotated, Literal
+from typing import Any, Literal
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
 from daq.contract.scan import SensorState
 from daq.sensors.base import (
     MS,
     Address,
     Driver,
+    Positive,
     Reading,
     SelfTestError,
     SensorSection,
     Wait,
     WrongChipError,
-    one_of,
 )
 from daq.sensors.mounting import Mounting, Rotation, check_mounting, rotation
 from daq.utilities.constants import GRAVITY
@@ -49,7 +49,24 @@ COUNTS_PER_G = {2: 16384.0, 4: 8192.0, 8: 4096.0, 16: 2048.0}
 
 _BURST = Struct(">7h")
 _LEAST, _MOST = -32768, 32767
-_NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_temperature")
+NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_temperature")
+
+
+ICM42688_LOWPASS_HZ = (125.0, 100.0, 62.5, 50.0, 31.25, 25.0, 12.5)
+"""Of `daq.sensors.icm42688` at 500 samples a second, by setting from 1."""
+
+
+def imu_facts(config: "ImuConfig") -> dict[str, str]:
+    """What the ground needs to know, alike of all chips with first-order low passes."""
+    delay = {"gyro": config.gyro_lowpass_hz, "accel": config.accel_lowpass_hz}
+    return {
+        "mounting": " ".join(config.mounting),
+        "accel_scale_m_s2": repr(GRAVITY / COUNTS_PER_G[config.accel_range_g]),
+        "gyro_scale_rad_s": repr(math.radians(1 / COUNTS_PER_DPS[config.gyro_range_dps])),
+        **{f"{k}_lowpass_hz": repr(v) for k, v in delay.items()},
+        **{f"{k}_delay_s": repr(round(1 / (2 * math.pi * v), 6)) for k, v in delay.items()},
+        "filter_delay_s": repr(round(1 / (2 * math.pi * min(delay.values())), 6)),
+    }
 
 
 def setting(lowpass_index: int, range_index: int) -> int:
@@ -58,7 +75,7 @@ def setting(lowpass_index: int, range_index: int) -> int:
 
 
 class ImuConfig(SensorSection):
-    """`[sensors.imu]`: ICM-20948 accelerometer and gyro.
+    """`[sensors.imu]`: ICM-20948 accelerometer and gyro; driver `icm42688`: an ICM-42688-P.
 
     mounting: the chip axis that lies along body x (forward), y (right) and z (down).
     lowpass: 3 dB bandwidths of the chip's filters [Hz]; one value of the datasheet's list.
@@ -68,19 +85,36 @@ class ImuConfig(SensorSection):
     address: Address = 0x68
     accel_range_g: Literal[2, 4, 8, 16] = 8
     gyro_range_dps: Literal[250, 500, 1000, 2000] = 500
-    accel_lowpass_hz: Annotated[float, one_of(*sorted(set(ACCEL_LOWPASS_HZ), reverse=True))] = 11.5
-    gyro_lowpass_hz: Annotated[float, one_of(*sorted(GYRO_LOWPASS_HZ, reverse=True))] = 11.6
+    accel_lowpass_hz: Positive = 11.5
+    gyro_lowpass_hz: Positive = 11.6
     mounting: Mounting = ("+x", "+y", "+z")
 
     _rotation = field_validator("mounting")(check_mounting)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lowest_left_out(cls, section: Any) -> Any:
+        if isinstance(section, dict) and section.get("driver") == "icm42688":
+            return {"accel_lowpass_hz": ICM42688_LOWPASS_HZ[-1], "gyro_lowpass_hz": ICM42688_LOWPASS_HZ[-1], **section}
+        return section
+
+    @model_validator(mode="after")
+    def _filters_of_the_chip(self) -> "ImuConfig":
+        choices = {"accel_lowpass_hz": ACCEL_LOWPASS_HZ, "gyro_lowpass_hz": GYRO_LOWPASS_HZ}
+        for key, bandwidths in choices.items():
+            possible = ICM42688_LOWPASS_HZ if self.driver == "icm42688" else bandwidths
+            if getattr(self, key) not in possible:
+                words = ", ".join(f"{f:g}" for f in sorted(set(possible), reverse=True))
+                raise ValueError(f"{key} must be one of {words}")
+        return self
 
 
 class Icm20948(Driver):
     """Accelerometer and gyro in body axes [counts]; also opens the bypass to the magnetometer."""
 
     name, groups, precedence, begun_first = "icm20948", ("imu",), 1, True
-    stuck_s = dict.fromkeys(_NAMES[:6], 1.0)
-    max_step = {**dict.fromkeys(_NAMES[:3], 20000.0), **dict.fromkeys(_NAMES[3:6], 30000.0)}  # noqa: RUF012
+    stuck_s = dict.fromkeys(NAMES[:6], 1.0)
+    max_step = {**dict.fromkeys(NAMES[:3], 20000.0), **dict.fromkeys(NAMES[3:6], 30000.0)}  # noqa: RUF012
     max_rate_hz = 1125.0
     _config: ImuConfig
 
@@ -144,10 +178,10 @@ class Icm20948(Driver):
             return self._explain_zeros()
         if not fresh:
             return Reading(state=SensorState.STALE, detail="IMU has no new sample")
-        values = dict(zip(_NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
+        values = dict(zip(NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
         if lowest > _LEAST and highest < _MOST:
             return Reading(values)
-        clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in (_LEAST, _MOST)]
+        clipped = [name for name, count in zip(NAMES[:6], raw[:6], strict=True) if count in (_LEAST, _MOST)]
         return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")
 
     def _explain_zeros(self) -> Reading:
@@ -170,14 +204,4 @@ class Icm20948(Driver):
         self._away = False
 
     def metadata(self) -> dict[str, str]:
-        config = self._config
-        delay = {"gyro": config.gyro_lowpass_hz, "accel": config.accel_lowpass_hz}
-        return {
-            "chip": "ICM-20948",
-            "mounting": " ".join(config.mounting),
-            "accel_scale_m_s2": repr(GRAVITY / COUNTS_PER_G[config.accel_range_g]),
-            "gyro_scale_rad_s": repr(math.radians(1 / COUNTS_PER_DPS[config.gyro_range_dps])),
-            **{f"{k}_lowpass_hz": repr(v) for k, v in delay.items()},
-            **{f"{k}_delay_s": repr(round(1 / (2 * math.pi * v), 6)) for k, v in delay.items()},
-            "filter_delay_s": repr(round(1 / (2 * math.pi * min(delay.values())), 6)),
-        }
+        return {"chip": "ICM-20948", **imu_facts(self._config)}

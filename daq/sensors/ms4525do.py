@@ -16,30 +16,38 @@ from typing import Literal
 
 from pydantic import field_validator, model_validator
 
+from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait
 from daq.sensors.bus import read_raw
-from daq.utilities.constants import SEA_LEVEL_DENSITY
+from daq.utilities.constants import INCH_OF_WATER, SEA_LEVEL_DENSITY
 
 NORMAL, RESERVED, FETCHED, FAULT = range(4)
 FULL = 0x3FFF
 LARGEST_JUMP = 0xFF
-SDP_COUNTS_PER_PA = {"sdp31": 60, "sdp32": 240, "sdp33": 20}
-"""Of the chips of `daq.sensors.sdp3x`: up to 500, 125 and 1500 Pa."""
+JUMP_PA = 1578.0
+"""Largest change of pressure from one sample to the next at 20 Hz."""
+SDP_COUNTS_PER_PA = {"sdp33": 20, "sdp31": 60, "sdp32": 240}
+"""Of the chips of `daq.sensors.sdp3x`: up to 1500, 500 and 125 Pa."""
+DLVR_RANGE_PA = {f"l{inches:02d}d": inches * INCH_OF_WATER for inches in (1, 2, 5, 10, 20, 30, 60)}
+"""Of `daq.sensors.dlvr`: to both sides, by the first part of the order code behind DLVR-."""
+CHIPS = {"sdp3x": tuple(SDP_COUNTS_PER_PA), "dlvr": tuple(DLVR_RANGE_PA)}
+SITES = {"sdp3x": (0x21, 0x22, 0x23), "ms5525": (0x76, 0x77)}
 SPAN = {"A": (0.1, 0.8), "B": (0.05, 0.9)}
 
 
 class PitotConfig(SensorSection):
     """`[sensors.pitot]`: MS4525DO; output type A spans 10 to 90 % of the counts, type B 5 to 95 %.
 
-    driver `sdp3x`: an SDP31, SDP32 or SDP33, as `chip` says, at 0x21 to 0x23; `autopilot`: its own pitot.
+    driver `sdp3x`: an SDP31, SDP32 or SDP33 (left out), as `chip` says, at 0x21 to 0x23; `dlvr`: a DLVR of the range that `chip`
+    says (`l10d`); `ms5525`: an MS5525DSO-PP001DS at 0x76 or 0x77; `autopilot`: its own pitot.
     """
 
     driver: str = "ms4525do"
     address: Address = 0x28
     output: Literal["A", "B"] = "A"
     range_pa: tuple[float, float] = (-6894.757, 6894.757)
-    chip: Literal["sdp31", "sdp32", "sdp33"] = "sdp33"
+    chip: str = ""
 
     @field_validator("range_pa")
     @classmethod
@@ -50,19 +58,43 @@ class PitotConfig(SensorSection):
 
     @model_validator(mode="after")
     def _at_its_address(self) -> "PitotConfig":
-        if self.driver == "sdp3x" and not 0x21 <= self.address <= 0x23:
-            raise ValueError(f"an SDP3x sits at 0x21, 0x22 or 0x23, not at 0x{self.address:02x}; set address")
+        sites = SITES.get(self.driver, (self.address,))
+        if self.address not in sites:
+            places = " or ".join(f"0x{site:02x}" for site in sites)
+            raise ValueError(f"an {self.driver.upper()} sits at {places}, not at 0x{self.address:02x}; set address")
         return self
+
+    @model_validator(mode="after")
+    def _known_chip(self) -> "PitotConfig":
+        chips = CHIPS.get(self.driver, ())
+        needed = self.driver == "dlvr" and not self.chip
+        if needed or (self.chip and self.chip not in chips):
+            written = "is missing" if needed else f"{self.chip!r} is none of driver {self.driver}"
+            raise ValueError(f"chip {written}; write one of {', '.join(chips) or 'none: leave it out'}")
+        return self
+
+    @property
+    def part(self) -> str:
+        """Which chip of a family it is; the usual one where the configuration leaves it out."""
+        return self.chip or next(iter(CHIPS.get(self.driver, ("",))))
+
+    @property
+    def span_pa(self) -> tuple[float, float]:
+        """Lowest and highest pressure that is measured [Pa]."""
+        reach = DLVR_RANGE_PA.get(self.part)
+        return self.range_pa if reach is None else (-reach, reach)
 
 
 def nominal_transfer(config: object) -> tuple[float, float]:
     """Pascal for each count, and pascal at count zero, as data sheet or driver have it; NaN for a sensor of one's own."""
     if not isinstance(config, PitotConfig):
         return math.nan, math.nan
-    (low, high), (start, span) = config.range_pa, SPAN[config.output]
+    (low, high), (start, span) = config.span_pa, SPAN[config.output]
     if config.driver == "sdp3x":
-        counts = SDP_COUNTS_PER_PA[config.chip]
+        counts = SDP_COUNTS_PER_PA[config.part]
         return 1.0 / counts, -32768.0 / counts
+    if config.driver == "dlvr":  # 10 to 90 % of 16384
+        return 1.25 * (high - low) / 16384, low - (high - low) / 8
     if config.driver != "ms4525do":  # 16 bits over the range, end to end
         return (high - low) / 0xFFFF, low
     per_count = (high - low) / (span * FULL)
@@ -74,6 +106,12 @@ def indicated_airspeed(dynamic_pressure: float) -> float:
     return math.sqrt(max(0.0, 2.0 * dynamic_pressure / SEA_LEVEL_DENSITY))
 
 
+def temperature_count(kelvin: float) -> int:
+    """A temperature [K] in counts of the channel table."""
+    row = CHANNEL_BY_NAME["pitot_temperature"]
+    return max(0, round((kelvin - row.offset) / (row.scale or 1.0)))
+
+
 def split(data: bytes) -> tuple[int, int, int]:
     """Status, pressure count and temperature count of the four bytes."""
     return data[0] >> 6, (data[0] & 0x3F) << 8 | data[1], data[2] << 3 | data[3] >> 5
@@ -82,9 +120,9 @@ def split(data: bytes) -> tuple[int, int, int]:
 class Ms4525do(Driver):
     """Differential pressure and die temperature [counts]."""
 
-    name, groups, precedence, begun_first = "ms4525do", ("pitot",), 2, True
+    name, groups, precedence, begun_first, title = "ms4525do", ("pitot",), 2, True, "MS4525DO"
     stuck_s = {"pitot_pressure": 3.0}  # noqa: RUF012
-    max_step = {"pitot_pressure": 1500.0}  # noqa: RUF012
+    max_step = {"pitot_pressure": 1500.0}  # noqa: RUF012 - JUMP_PA at 1.05 Pa a count
     _config: PitotConfig
 
     def _adopt_settings(self) -> None:
@@ -97,10 +135,10 @@ class Ms4525do(Driver):
         yield 2 * MS
         _, second, temperature = split(read_raw(self._bus, self._address, 4))
         if status in (RESERVED, FAULT):
-            raise SelfTestError(f"MS4525DO reports status {status} (bridge fault); replace it")
+            raise SelfTestError(f"{self.title} reports status {status} (bridge fault); replace it")
         if abs(second - first) > LARGEST_JUMP or temperature in (0, 0x7FF):
             raise SelfTestError(
-                f"MS4525DO pressure jumps from {first} to {second} counts between two reads, temperature {temperature};"
+                f"{self.title} pressure jumps from {first} to {second} counts between two reads, temperature {temperature};"
                 " check hoses, supply and wiring"
             )
 
@@ -127,7 +165,7 @@ class Ms4525do(Driver):
     def metadata(self) -> dict[str, str]:
         scale, offset = nominal_transfer(self._config)
         return {
-            "chip": "MS4525DO",
+            "chip": self.title,
             "scale_pa": repr(scale),
             "offset_pa": repr(offset),
             "filter_delay_s": "0.0005",

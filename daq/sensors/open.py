@@ -6,13 +6,15 @@ Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPo
 import errno
 import fcntl
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from daq.clock import Clock
 from daq.sensors.config import SensorsConfig
+from daq.sensors.sbus import FRAMING
 
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
@@ -49,7 +51,7 @@ class Hardware:
 
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
-    of_port = {"gnss", *config.derived, *config.from_sender}
+    of_port = {"gnss", *config.derived, *config.from_sender, *(("capture",) if config.has_sbus else ())}
     bus = None
     if set(config.fitted) - of_port:
         bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock)
@@ -57,7 +59,7 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     if config.gnss is not None and "gnss" not in config.from_sender:
         gnss = ReopeningPort(config.gnss.device, config.gnss.baud, clock)
     if config.autopilot_port is not None:
-        autopilot = ReopeningPort(*config.autopilot_port, clock)
+        autopilot = ReopeningPort(*config.autopilot_port, clock, FRAMING if config.has_sbus else {})
     pps = config.gnss.pps if config.gnss else None
     return Hardware(bus, gnss, autopilot, SysfsPulse(Path(pps), clock) if pps else None)
 
@@ -181,8 +183,8 @@ class ReopeningBus(_Reopening):
 class ReopeningPort(_Reopening):
     """A serial port that comes, and comes back after its plug was pulled."""
 
-    def __init__(self, device: str, baud: int, clock: Clock) -> None:
-        self._baud = baud
+    def __init__(self, device: str, baud: int, clock: Clock, framing: Mapping[str, Any] = MappingProxyType({})) -> None:
+        self._baud, self._framing = baud, framing
         super().__init__(device, clock)
 
     @property
@@ -199,7 +201,7 @@ class ReopeningPort(_Reopening):
     def _open(self) -> Any:
         import serial
 
-        return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
+        return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True, **self._framing)
 
     def _advice(self, error: OSError) -> str:
         busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)

@@ -15,11 +15,10 @@ from collections.abc import Callable, Generator
 
 import fastcrc
 
-from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, signed
 from daq.sensors.bus import read_raw, write_raw
-from daq.sensors.ms4525do import SDP_COUNTS_PER_PA, PitotConfig, nominal_transfer
+from daq.sensors.ms4525do import JUMP_PA, SDP_COUNTS_PER_PA, PitotConfig, nominal_transfer, temperature_count
 from daq.utilities.constants import ZERO_CELSIUS
 
 MEASURE, STOP = b"\x36\x15", b"\x3f\xf9"
@@ -45,32 +44,31 @@ class Sdp3x(Driver):
     name, groups, precedence = "sdp3x", ("pitot",), 2
     _config: PitotConfig
 
+    def _adopt_settings(self) -> None:
+        self.max_step = {"pitot_pressure": JUMP_PA * SDP_COUNTS_PER_PA[self._config.part]}
+
     def initialise(self) -> Generator[Wait, None, None]:
         write_raw(self._bus, self._address, STOP)
         yield MS  # 0.5 ms until the next command
         write_raw(self._bus, self._address, MEASURE)
         yield 20 * MS  # first result after 8 ms
         scale = words_of(read_raw(self._bus, self._address, 9))[2]
-        if scale != SDP_COUNTS_PER_PA[self._config.chip]:
+        if scale != SDP_COUNTS_PER_PA[self._config.part]:
             chips = {counts: chip for chip, counts in SDP_COUNTS_PER_PA.items()}
             raise SelfTestError(
                 f"pitot sensor has {scale} counts a pascal: a {chips.get(scale, 'chip that is no SDP3x').upper()}, not an"
-                f" {self._config.chip.upper()}; correct sensors.pitot.chip"
+                f" {self._config.part.upper()}; correct sensors.pitot.chip"
             )
 
     def read(self) -> Reading:
         raw, warmth = (signed(w, 16) for w in words_of(read_raw(self._bus, self._address, 6)))
-        row = CHANNEL_BY_NAME["pitot_temperature"]
         kelvin = warmth / COUNTS_PER_KELVIN + ZERO_CELSIUS
-        values = {
-            "pitot_pressure": raw + MIDDLE,
-            "pitot_temperature": max(0, round((kelvin - row.offset) / (row.scale or 1.0))),
-        }
+        values = {"pitot_pressure": raw + MIDDLE, "pitot_temperature": temperature_count(kelvin)}
         if raw in _ENDS:
             return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")
         return Reading(values)
 
     def metadata(self) -> dict[str, str]:
         scale, offset = nominal_transfer(self._config)
-        facts = {"chip": self._config.chip.upper(), "calibrated_pa": repr(CALIBRATED_PA), "filter_delay_s": "0.0005"}
+        facts = {"chip": self._config.part.upper(), "calibrated_pa": repr(CALIBRATED_PA), "filter_delay_s": "0.0005"}
         return {**facts, "scale_pa": repr(scale), "offset_pa": repr(offset)}

@@ -15,8 +15,14 @@ from daq.clock import NS
 
 MS = 1_000_000
 EARLIEST_UTC_NS = 1_704_067_200 * NS
-"""2024-01-01, before this was written: an earlier UTC is a receiver that has no time yet, or whose week number rolled over."""
+"""2024-01-01, before this was written: an earlier UTC is a receiver that has no time yet, or whose week number
+rolled over (`rollovers`)."""
 ROLLOVER_NS = 1024 * 7 * 86_400 * NS
+
+
+def rollovers(utc_ns: int) -> int:
+    """How often the week number of a receiver has rolled over that vouches for this date: GPS sends ten bits of it."""
+    return max(0, -((utc_ns - EARLIEST_UTC_NS) // ROLLOVER_NS))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from pydantic import Field
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, SensorSection, Surroundings, Wait
 from daq.sensors.bus import SerialPortCalls
-from daq.sensors.timebase import TimeBase
+from daq.sensors.timebase import ROLLOVER_NS, TimeBase, rollovers
 from daq.sensors.ubx import ACK_ACK, ACK_NAK, NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
 
 _SETUP = {"m9": setup_m9, "m8": setup_m8}
@@ -66,6 +66,7 @@ class Ublox(Driver):
         self._parser = UbxParser()
         self._answers: deque[bool] = deque(maxlen=_BACKLOG)  # to settings: whether they were taken
         self._nmea = False
+        self._rollovers = 0  # of its week number, by what it says and when this was written
         self._backlog: deque[tuple[NavPvt, int]] = deque(maxlen=_BACKLOG)
         self._last_byte_ns = self._last_fix_ns = now_ns()
         # A fix is missing once it should have been seen at the scan before; receivers are some ten milliseconds uneven.
@@ -140,6 +141,8 @@ class Ublox(Driver):
                 self._answers.append(message == ACK_ACK)
             elif message == NAV_PVT and len(payload) == 92:
                 fix = parse_nav_pvt(payload)
+                self._rollovers = rollovers(fix.utc_ns) if fix.utc_ns else self._rollovers
+                fix = fix._replace(utc_ns=fix.utc_ns and fix.utc_ns + self._rollovers * ROLLOVER_NS)
                 self._last_fix_ns = now_ns
                 self._backlog.append((fix, now_ns))
                 if fix.utc_ns:
@@ -185,4 +188,5 @@ class Ublox(Driver):
         return self._now() - self._last_fix_ns <= _SILENT
 
     def metadata(self) -> dict[str, str]:
-        return {"chip": "u-blox", "rate_hz": repr(self._config.rate_hz), "latency_s": repr(self._config.latency_s)}
+        facts = {"chip": "u-blox", "rate_hz": repr(self._config.rate_hz), "latency_s": repr(self._config.latency_s)}
+        return {**facts, "rollovers": str(self._rollovers)} if self._rollovers else facts

@@ -21,6 +21,8 @@ from daq.recorder.storage import Storage, in_memory
 from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks, sender_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
+_FIX_3D = 3
+_CLOCK_WAIT_S = 10.0  # an autopilot tells the time twice a second, and its clock is believed after some of them
 _PROBE_BYTES = 64 * 1024
 _PROBE_WRITES = 8
 _BYTES_PER_SCAN = 480  # of an uncompressed recording, with its share of the index
@@ -76,7 +78,7 @@ def run_preflight(
         *rest_checks(config, scans),
         *sender_checks(config, scans, sampler.refusals()),
         _timing_check(config, lateness_us),
-        _clock_check(config, clock, scans[-1]),
+        _clock_check(config, clock, scans[-1], int(sampler.metadata().get("gnss.rollovers", 0))),
         *(_card_checks(config, clock, storage)),
         _calibration_check(config),
         _radio_check(config, radio),
@@ -88,13 +90,23 @@ def run_preflight(
 def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: Sampler) -> tuple[list[Scan], list[int]]:
     period = config.scan.period_ns
     start = clock.monotonic_ns() + period
-    scans, lateness = [], []
-    for number in range(config.preflight.scans):
+    scans: list[Scan] = []
+    lateness: list[int] = []
+    for number in count():
+        if number >= config.preflight.scans and not _clock_comes(scans, start):
+            break
         deadline = start + number * period
         clock.sleep_until(deadline)
         lateness.append((clock.monotonic_ns() - deadline) // 1000)
         scans.append(sampler.finish(sampler.take(number, deadline)))
     return scans, lateness
+
+
+def _clock_comes(scans: list[Scan], start_ns: int) -> bool:
+    """Whether a receiver with a fix is still about to tell the time."""
+    if scans[-1].time_utc_ns or scans[-1].time_monotonic_ns - start_ns > _CLOCK_WAIT_S * NS:
+        return False
+    return any(s.values.get("gnss_fix", 0) >= _FIX_3D for s in scans)
 
 
 def _sensor_checks(summary: HealthSummary, scans: list[Scan]) -> Iterable[PreflightCheck]:
@@ -135,7 +147,7 @@ def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> PreflightChec
     return graded("timing", p99_ms <= limit, text)
 
 
-def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightCheck:
+def _clock_check(config: LoggerConfig, clock: Clock, last: Scan, rolled_over: int = 0) -> PreflightCheck:
     limit = config.preflight.time_accuracy_ms
     failure = PreflightVerdict.NO_GO if config.preflight.require_time else PreflightVerdict.CAUTION
     if not last.time_utc_ns:
@@ -148,6 +160,12 @@ def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> PreflightChe
             f"UTC is known to {accuracy:.2f} ms only (limit {limit:g} ms); wait, or connect the pulse-per-second line"
         )
         return PreflightCheck("clock", failure, text)
+    if rolled_over:
+        text = (
+            f"UTC known to {accuracy:.3g} ms; the receiver's own date is {rolled_over * 1024} weeks early, its week number has"
+            " rolled over: corrected in the recording; update its firmware"
+        )
+        return PreflightCheck("clock", PreflightVerdict.CAUTION, text)
     offset_s = (clock.utc_ns() - clock.monotonic_ns() + last.time_monotonic_ns - last.time_utc_ns) / NS
     if abs(offset_s) > 2:
         text = f"UTC known to {accuracy:.3g} ms; this computer's own clock is {offset_s:+.0f} s off, which file names will show"
@@ -225,7 +243,9 @@ def _sequencer_checks(
 def _calibration_check(config: LoggerConfig) -> PreflightCheck:
     if config.calibration is None:
         return PreflightCheck(
-            "calibration", PreflightVerdict.CAUTION, "no calibration files: the recording will not carry its own"
+            "calibration",
+            PreflightVerdict.GO,
+            "none is embedded (key calibration): the set at the ground station counts",
         )
     return PreflightCheck(
         "calibration", PreflightVerdict.GO, f"files of {config.calibration.name} will be embedded in every recording"

@@ -88,7 +88,7 @@ class Display:
         self._facts = facts
         self._nvm = ""
         self._chip: Bmp390Trimming | None = None
-        self._linear = (math.nan, math.nan)  # Pa and K a count, of a chip or sender that compensates by itself
+        self._linear = (math.nan, math.nan, 0.0)  # Pa and K a count, K at zero: of what compensates by itself
         self.pitot_pascal = PITOT_PASCAL
         """Pascal a count of the pitot."""
         self.pitot_zero_count = config.pitot_zero_count
@@ -98,7 +98,8 @@ class Display:
         """Ask for the pressure chip's coefficients, which are known once the chip has been found."""
         facts = self._facts()
         nvm = facts.get("static.nvm", "")
-        self._linear = float(facts.get("static.scale_pa", "nan")), float(facts.get("static.scale_k", "nan"))
+        pascal, kelvin, coldest = (facts.get(f"static.{key}") for key in ("scale_pa", "scale_k", "offset_k"))
+        self._linear = float(pascal or "nan"), float(kelvin or "nan"), float(coldest or 0.0)
         self.pitot_pascal = float(facts.get("pitot.scale_pa", PITOT_PASCAL))
         if nvm != self._nvm:
             self._nvm, self._chip = nvm, _chip(nvm)
@@ -111,7 +112,7 @@ class Display:
         if self._chip is not None:
             pressure, temperature = self._chip.compensate(float(raw), float(warmth))
         else:
-            pressure, temperature = raw * self._linear[0], warmth * self._linear[1]
+            pressure, temperature = raw * self._linear[0], warmth * self._linear[1] + self._linear[2]
         if PRESSURES[0] < pressure < PRESSURES[1] and TEMPERATURES[0] < temperature < TEMPERATURES[1]:
             return pressure, temperature
         return None

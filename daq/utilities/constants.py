@@ -24,6 +24,7 @@ KNOT = NAUTICAL_MILE / 3600  # m/s
 POUND = 4.4482216152605  # N, of force
 SLUG = 14.593902937206  # kg, rounded
 PSI = 6894.757293168  # Pa
+INCH_OF_WATER = 249.08891  # Pa, of water at 4 degC
 
 DEGREE = math.pi / 180  # rad
 RADIAN = 180 / math.pi  # deg

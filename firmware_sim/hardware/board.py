@@ -13,17 +13,21 @@ from importlib.metadata import entry_points
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.sensors.config import ExtraConfig
+from daq.sensors.config import ExtraConfig, SensorsConfig
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.registers.ads1115 import Ads1115Chip
 from firmware_sim.hardware.registers.ak09916 import Ak09916Chip
 from firmware_sim.hardware.registers.as5600 import As5600Chip
 from firmware_sim.hardware.registers.bmp390 import Bmp390Chip
+from firmware_sim.hardware.registers.bmp581 import Bmp581Chip
 from firmware_sim.hardware.registers.capture import CaptureChip
 from firmware_sim.hardware.registers.chip import Inputs, PoweredChip
+from firmware_sim.hardware.registers.dlvr import DlvrChip
 from firmware_sim.hardware.registers.icm20948 import Icm20948Chip
+from firmware_sim.hardware.registers.icm42688 import Icm42688Chip
 from firmware_sim.hardware.registers.ms4525do import Ms4525doChip
+from firmware_sim.hardware.registers.ms5525 import Ms5525Chip
 from firmware_sim.hardware.registers.nau7802 import Nau7802Chip
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall, Pca9685Chip
 from firmware_sim.hardware.registers.sdp3x import Sdp3xChip
@@ -49,7 +53,8 @@ MAG_FROM_CHIP = np.diag((1.0, -1.0, -1.0))
 class BoardWiring:
     """What chips are connected to. bend: the inputs of a device with its value faults in them, the same inputs without any.
 
-    stuck: whether a device's measuring part is at a time [ns]. chips: those made so far, by device.
+    stuck: whether a device's measuring part is at a time [ns]. chips: those made so far, by device. sensors:
+    what the logger expects.
     """
 
     instruments: Instruments
@@ -57,6 +62,11 @@ class BoardWiring:
     stuck: Callable[[str, int], bool] = lambda device, now_ns: False
     cockpit: Cockpit | AutopilotCockpit | None = None
     chips: dict[str, PoweredChip] = field(default_factory=dict)
+    sensors: SensorsConfig = field(default_factory=SensorsConfig)
+
+    def driver(self, device: str) -> str:
+        """The driver that the logger has for a device; empty where it has none."""
+        return getattr(self.sensors.section(device), "driver", "")
 
 
 def build_board(wiring: BoardWiring) -> dict[str, PoweredChip]:
@@ -67,9 +77,16 @@ def build_board(wiring: BoardWiring) -> dict[str, PoweredChip]:
     return wiring.chips
 
 
-def addressed(board: Mapping[str, PoweredChip]) -> dict[int, PoweredChip]:
+def sites(sensors: SensorsConfig) -> Mapping[str, int]:
+    """Bus addresses of the devices: of those that the configuration puts in another's place, its own."""
+    others = {g: s for g in sensors.fitted if (s := sensors.section(g)).driver in OTHERS}
+    return {**ADDRESSES, **{group: section.address for group, section in others.items()}}
+
+
+def addressed(board: Mapping[str, PoweredChip], places: Mapping[str, int]) -> dict[int, PoweredChip]:
     """The same chips by bus address; a servo driver answers at that of all such chips too."""
-    chips = {ADDRESSES[device]: chip for device, chip in board.items()}
+    moved = sorted(board, key=lambda device: places[device] != ADDRESSES[device])  # last: theirs is the address
+    chips = {places[device]: board[device] for device in moved}
     driver = board.get("servo_driver")
     return chips if not isinstance(driver, Pca9685Chip) else {**chips, ALLCALL_ADDRESS: AllCall(driver)}
 
@@ -86,7 +103,8 @@ def _imu(wiring: BoardWiring, device: str) -> PoweredChip:
     inputs: Inputs = raw if straight else lambda time_ns: turn @ np.asarray(raw(time_ns))
     turn_size = np.abs(chip_from_body)
     noise = (*(turn_size @ models.accel.noise), *(turn_size @ models.gyro.noise))
-    imu = Icm20948Chip(wiring.bend(device, inputs), noise, instruments.generator(device))
+    chip = Icm42688Chip if wiring.driver(device) == "icm42688" else Icm20948Chip
+    imu = chip(wiring.bend(device, inputs), noise, instruments.generator(device))
     imu.frozen = lambda now_ns: wiring.stuck(device, now_ns)
     return imu
 
@@ -110,7 +128,11 @@ def _pitot(wiring: BoardWiring, device: str) -> PoweredChip:
         pressure, temperature = raw(time_ns)
         return pressure + sigma * rng.standard_normal(), temperature
 
-    return Ms4525doChip(wiring.bend(device, inputs))
+    bent = wiring.bend(device, inputs)
+    if wiring.driver(device) == "dlvr":
+        assert wiring.sensors.pitot is not None
+        return DlvrChip(bent, wiring.sensors.pitot.span_pa[1])
+    return Ms5525Chip(bent) if wiring.driver(device) == "ms5525" else Ms4525doChip(bent)
 
 
 def _sdp3x(wiring: BoardWiring, device: str) -> PoweredChip:
@@ -127,7 +149,8 @@ def _sdp3x(wiring: BoardWiring, device: str) -> PoweredChip:
 def _static(wiring: BoardWiring, device: str) -> PoweredChip:
     model = wiring.instruments.models.static
     inputs = wiring.bend(device, wiring.instruments.inputs("static_pressure", "static_temperature"))
-    static = Bmp390Chip(inputs, (model.noise_pa, model.noise_k), wiring.instruments.generator(device))
+    chip = Bmp581Chip if wiring.driver(device) == "bmp581" else Bmp390Chip
+    static = chip(inputs, (model.noise_pa, model.noise_k), wiring.instruments.generator(device))
     static.frozen = lambda now_ns: wiring.stuck(device, now_ns)
     return static
 
@@ -223,6 +246,9 @@ CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
     "pitot_sdp3x": (0x21, _sdp3x),
 }
 """Every chip of the simulated aircraft: its address on the bus and how it is wired. Value faults draw in this order."""
+
+OTHERS = frozenset({"icm42688", "dlvr", "ms5525", "bmp581"})
+"""Drivers whose chips sit in the place of the usual one, with its faults, when the configuration names them."""
 
 ADDRESSES: Mapping[str, int] = {device: address for device, (address, _) in CHIPS.items()}
 ONLY_WITH_SEQUENCER = frozenset({"servo_driver", "pilot_inputs"})

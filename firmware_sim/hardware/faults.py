@@ -76,6 +76,8 @@ class FaultSet:
 
     def __init__(self, faults: Sequence[Fault], origin_ns: int = 0, seed: int = 0) -> None:
         self.faults = tuple(faults)
+        self.addresses = ADDRESSES
+        """Where devices sit on the bus."""
         self._origin_ns = origin_ns
         self._rng = np.random.default_rng([seed, 0xFA017])
         self._on_bus = [f for f in faults if f.kind in _ON_BUS or f.kind == "stuck_bus"]
@@ -99,7 +101,7 @@ class FaultSet:
                 continue
             if fault.kind == "stuck_bus":
                 return Disturbance(held=True)
-            if fault.device is not None and ADDRESSES.get(fault.device) != address:
+            if fault.device is not None and self.addresses.get(fault.device) != address:
                 continue
             if fault.kind == "slow_bus":
                 stretch *= fault.size or 1.0

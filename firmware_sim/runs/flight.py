@@ -7,10 +7,9 @@ whoever runs the flight connects a ground station to it.
 
 import datetime as dt
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 from daq.acquisition.sampler import UnfinishedScan
@@ -21,23 +20,31 @@ from daq.config import LoggerConfig, parse_config
 from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPortCalls
-from daq.sensors.config import ExtraConfig
+from daq.sensors.config import SensorsConfig
 from daq.utilities.durable import write_text
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.autopilots.servo_reports import Autopilot
-from firmware_sim.hardware.board import ONLY_WITH_SEQUENCER, BoardWiring, addressed, build_board, laboratory_chips
+from firmware_sim.hardware.board import (
+    ONLY_WITH_SEQUENCER,
+    BoardWiring,
+    addressed,
+    build_board,
+    laboratory_chips,
+    sites,
+)
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.cockpit import Cockpit, CockpitTable, Monostable
 from firmware_sim.hardware.faults import FaultEvents, FaultSet, parse_faults
 from firmware_sim.hardware.radio import RadioModel, SimulatedRadioLink
+from firmware_sim.hardware.registers.sbus import SbusReceiver
 from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.sensing.gnss import GnssReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments, TruthSource
 from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.hardware.sensing.truth_log import TruthFile
-from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
+from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial, Talker
 from firmware_sim.tables import ScenarioError, checked, merged, toml_text
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.world import World
@@ -58,6 +65,10 @@ BEFORE_NS = 10_000_000_000
 """An autopilot is on so long before the recording begins, and before the simulated flight settles."""
 MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "lateral_3211.toml"
 """Flown by them unless the configuration or `sideslip fly --manoeuvre` names another."""
+
+
+AS_USUAL = SensorsConfig()
+"""Every chip is the usual one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,17 +94,18 @@ def build_aircraft(
     faults: FaultSet,
     clock: SimulatedClock,
     seed: int,
-    extra: Mapping[str, ExtraConfig] = MappingProxyType({}),
+    sensors: SensorsConfig = AS_USUAL,
     cockpit: Cockpit | AutopilotCockpit | None = None,
 ) -> SimulatedHardware:
     """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
 
-    extra: sensors of a laboratory's own, of which installed packages may have simulated chips.
+    sensors: which chips are fitted; installed packages may have simulated ones of a laboratory's own.
     """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
-    board = build_board(BoardWiring(instruments, faults.bend, faults.quiet, cockpit))
-    chips, laboratory = addressed(board), laboratory_chips(extra, instruments)
+    board = build_board(BoardWiring(instruments, faults.bend, faults.quiet, cockpit, sensors=sensors))
+    faults.addresses = sites(sensors)
+    chips, laboratory = addressed(board, faults.addresses), laboratory_chips(sensors.extra, instruments)
     for address in laboratory.keys() & chips.keys():
         raise ScenarioError(
             f"sensors.extra: address 0x{address:02x} is taken by a chip of the aircraft; choose another"
@@ -243,7 +255,7 @@ def prepare_flight(
     clock = SimulatedClock(START_UTC_NS, speed=speed)
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")
-    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
+    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors, cockpit)
     if config.sensors.autopilot is not None:  # set up as docs/build.md asks for it
         aircraft.autopilot.connect(config.sensors.autopilot.baud, LOOP_HZ)
     radio = SimulatedRadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
@@ -253,9 +265,7 @@ def prepare_flight(
         aircraft.bus,
         gnss,
         "simulated",
-        autopilot=SimulatedSerial(aircraft.autopilot, clock.monotonic_ns)
-        if config.sensors.autopilot_port is not None
-        else None,
+        autopilot=_line(config.sensors, aircraft),
         pulse=aircraft.newest_pulse if models.gnss.pulse else None,
         radio=radio.air if config.downlink is not None else None,
         storage=SimulatedCard(faults, clock),
@@ -319,6 +329,17 @@ def _gnss_port(
     device = serial.Serial(terminal.path, 115_200, timeout=0)
     aircraft.clock.on_advance(terminal.pump)
     return device, [device.close, terminal.close]
+
+
+def _line(sensors: SensorsConfig, aircraft: SimulatedHardware) -> SimulatedSerial | None:
+    """The port to an autopilot, or to a receiver's SBUS; None where the logger listens to neither."""
+    if sensors.autopilot_port is None:
+        return None
+    talker: Talker = aircraft.autopilot
+    if sensors.has_sbus:
+        pulses = aircraft.instruments.inputs(*(f"pwm_{i}" for i in range(1, 7)))
+        talker = SbusReceiver(pulses, aircraft.clock.monotonic_ns())
+    return SimulatedSerial(talker, aircraft.clock.monotonic_ns)
 
 
 def logger_config(

@@ -25,6 +25,7 @@ FITTED = {
     "vane_alpha": {"address": 0x36},
     "vane_beta": {"address": 0x37},
 }
+IMU = {"driver": "icm42688", "accel_lowpass_hz": 12.5, "gyro_lowpass_hz": 12.5}
 ENCODERS = ("pitot.toml", "alpha_vane.toml", "beta_vane.toml")
 
 
@@ -56,6 +57,36 @@ def test_thermal_pitot_and_magnetic_vanes_measure_the_flight(tmp_path: Path) -> 
         assert np.isfinite(error).mean() > 0.98, column
         assert np.sqrt(np.nanmean(error**2)) < limit, (column, np.sqrt(np.nanmean(error**2)))
         assert abs(np.nanmean(error)) < limit / 4, (column, np.nanmean(error))
+
+
+@pytest.mark.parametrize(
+    ("pitot", "static"),
+    [
+        ({"driver": "dlvr", "chip": "l20d", "address": 0x28}, {"driver": "bmp581", "address": 0x47}),
+        ({"driver": "ms5525", "address": 0x77}, {"driver": "bmp581", "address": 0x46, "rate_hz": 100}),
+    ],
+)
+def test_other_pitots_barometer_and_imu_measure_the_flight(
+    tmp_path: Path, pitot: dict[str, Any], static: dict[str, Any]
+) -> None:
+    mixed = tmp_path / "calibration"
+    shutil.copytree(NOMINAL_DIRECTORY / "cdfp", mixed)
+    shutil.copy(NOMINAL_DIRECTORY / "autopilot" / "pitot.toml", mixed / "pitot.toml")
+    sensors = {"pitot": pitot, "static": static, "imu": IMU, "mag": None}
+    away = {"kind": "absent", "device": "static", "start_s": 5.0, "stop_s": 6.0}
+    scenario = load_scenario("rich").altered(
+        flight={"duration_s": 12.0, "seed": 31}, logger={"sensors": sensors}, faults=[away]
+    )
+    with prepare_flight(scenario, tmp_path / "flight", calibration=mixed) as run:
+        run.run()
+        assert run.assembly.sampler.health().ready
+    flight = calibrate_recording(tmp_path / "flight" / "onboard")
+    gone = (flight.time > flight.time[0] + 4.8) & (flight.time < flight.time[0] + 7.0)
+    for column, limit in (("V", 0.15), ("p_static", 12.0), ("p", 0.02), ("q", 0.02), ("az", 0.3)):
+        error = (flight.columns[column] - truth_of(tmp_path, column)[: len(flight.time)])[~gone]
+        assert np.isfinite(error).mean() > 0.97, column
+        assert np.sqrt(np.nanmean(error**2)) < limit, (column, np.sqrt(np.nanmean(error**2)))
+    assert np.isnan(flight.columns["p_static"][gone]).any()
 
 
 def test_counts_of_another_pitot_are_refused(tmp_path: Path) -> None:

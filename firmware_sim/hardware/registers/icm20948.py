@@ -169,14 +169,17 @@ class Icm20948Chip(RegisterChip):
             self._last_input = new
         self._filtered_ns = time_ns
 
+    def _cut_offs_hz(self) -> tuple[float, float]:
+        """Half power of the low passes of accelerometer and gyro."""
+        accel, gyro = self._banks[2][ACCEL_CONFIG], self._banks[2][GYRO_CONFIG_1]
+        accel_hz = ACCEL_BANDWIDTH_HZ[accel >> 3 & 7] if accel & 1 else 1209.0
+        return accel_hz, GYRO_BANDWIDTH_HZ[gyro >> 3 & 7] if gyro & 1 else 12106.0
+
     def _filter_coefficients(self, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """exp(-h/tau) and 1 - tau/h (1 - exp(-h/tau)) of the seven inputs: exact response to a ramp."""
-        bank = self._banks[2]
-        key = (h, bank[ACCEL_CONFIG], bank[GYRO_CONFIG_1])
+        accel_hz, gyro_hz = self._cut_offs_hz()
+        key = (h, accel_hz, gyro_hz)
         if getattr(self, "_coefficient_key", None) != key:
-            accel, gyro = bank[ACCEL_CONFIG], bank[GYRO_CONFIG_1]
-            accel_hz = ACCEL_BANDWIDTH_HZ[accel >> 3 & 7] if accel & 1 else 1209.0
-            gyro_hz = GYRO_BANDWIDTH_HZ[gyro >> 3 & 7] if gyro & 1 else 12106.0
             tau = 1.0 / (2.0 * math.pi * np.array([accel_hz] * 3 + [gyro_hz] * 3 + [8.0]))
             pole = np.exp(-h / tau)
             self._coefficients = (pole, 1.0 - tau / h * (1.0 - pole))

@@ -491,6 +491,13 @@ class TestCapture:
         with pytest.raises(SelfTestError, match="register map 2, this driver 1"):
             set_up(driver)
 
+    def test_settings_are_read_back(self) -> None:
+        driver, chip = self.driver()
+        set_up(driver)
+        assert driver.intact()
+        chip.registers[0x06] ^= 0x10
+        assert not driver.intact()
+
     def test_widths_and_bits(self) -> None:
         driver, chip = self.driver()
         chip.put(0x10, self.snapshot(latched=0b10010))

@@ -74,6 +74,24 @@ def test_a_date_that_is_none_is_no_time_and_no_error(at: int, value: int) -> Non
     assert parse_nav_pvt(bytes(payload)).utc_ns == 0
 
 
+def test_a_week_number_that_rolled_over_is_put_right_and_told() -> None:
+    payload = bytearray(pvt())
+    payload[4:8] = struct.pack("<HBB", 2007, 4, 7)  # 2026-11-21 less 1024 weeks
+    now, port = [10**9], FakePort()
+    base = TimeBase(0, 50 * MS)
+    driver = Ublox(GnssConfig(generation="none"), port, lambda: now[0], base)
+    port.received += frame(NAV_PVT, bytes(payload))
+    values = driver.read().values
+    assert values["gnss_utc_ns"] == parse_nav_pvt(pvt()).utc_ns
+    assert driver.metadata()["rollovers"] == "1"
+    relation = base.relation(now[0])
+    assert relation is not None
+    assert abs(relation.utc_ns(now[0]) - parse_nav_pvt(pvt()).utc_ns) < 10**9
+    port.received += frame(NAV_PVT, pvt())
+    driver.read()
+    assert "rollovers" not in driver.metadata()
+
+
 def test_leap_second_is_not_an_error() -> None:
     assert parse_nav_pvt(pvt(second=60)).utc_ns - parse_nav_pvt(pvt(second=59)).utc_ns == 10**9
 
