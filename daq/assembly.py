@@ -195,7 +195,7 @@ def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logge
     aircraft = config.aircraft.file or config.aircraft.name
 
     def tell(text: str) -> None:
-        logger.say(LogLevel.INFO, "identification", text)
+        logger.say(LogLevel.INFO, "test point", text)  # lines named identification are JSON
         if link is not None:
             link.text(_INFORMATIONAL, text)
 

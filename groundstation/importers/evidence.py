@@ -27,14 +27,6 @@ _LOW_PASSED = (
 second order, Butterworth (ArduPilot and PX4: LowPassFilter2p); attitude, GYR, ACC and sensor_combined are not."""
 SLOWEST_FILTER = 2.0
 """[Hz] below which the parameter is none of such a filter, or the filter no mere delay of the motion."""
-FEWEST_SPEEDS = 50
-"""Samples of either from which it can be told."""
-LATENESS = np.arange(0.0, 0.81, 0.04)
-"""[s] by which CTUN.As is looked for behind ARSP.Airspeed, which the autopilot smooths with some quarter second."""
-BETTER = 0.7
-"""Spread of their difference, over that at the same time, from which one is seen to be later than the other."""
-SAME_SPEED = 0.03
-"""Between their medians: more is no smoothing, and whom to believe is not settled by it."""
 _DIFFERENTIAL = ("SCALED_PRESSURE.press_diff", "HIGHRES_IMU.diff_pressure", "RAW_PRESSURE.press_diff1")
 
 
@@ -48,8 +40,6 @@ def of_ardupilot(log: Log) -> Log:
     if "ARSP.Temp" in series and not np.any(series["ARSP.Temp"].values):
         del series["ARSP.Temp"]  # nothing but zeros: a sensor without a thermometer
     kind, note = _airspeed_of_ardupilot(log.parameters, series)
-    if kind == "measured":
-        note = [*note, *_prompt_airspeed(series)]
     contradictions = (*log.contradictions, *primaries.contradictions)
     log = replace(log, series=series, kinds={**log.kinds, "CTUN.As": kind}, contradictions=contradictions)
     return _dated_back(log.with_notes(*notes, *note))
@@ -100,27 +90,6 @@ def _airspeed_of_ardupilot(parameters: Mapping[str, float], series: dict[str, Ti
     if any(parameters.get(name, 0.0) > 0.0 for name in ("ARSPD_TYPE", "ARSPD_ENABLE")):
         return "measured", []
     return "assumed", ["nothing in the log says that a pitot measured CTUN.As (no ARSP, no AsT)"]
-
-
-def _prompt_airspeed(series: dict[str, TimeSeries]) -> list[str]:
-    """`ARSP.EAS`, the pitot's own airspeed where CTUN.As had one, if CTUN.As is smoothed and comes later: late by L, an airspeed
-    shows an updraught of g L to all that goes by energy."""
-    smooth, pitot = series.get("CTUN.As"), series.get("ARSP.Airspeed")
-    if smooth is None or pitot is None or min(smooth.time.size, pitot.time.size) < FEWEST_SPEEDS:
-        return []
-    measured = np.isfinite(pitot.values)
-    time, shown = pitot.time[measured], pitot.values[measured]
-    if time.size < FEWEST_SPEEDS:
-        return []
-    ratio = float(np.nanmedian(smooth.values) / (np.median(shown) or np.nan))
-    rest = [smooth.values - np.interp(smooth.time - late, time, shown) for late in LATENESS]
-    spread = np.array([float(np.nanmedian(np.abs(r - np.nanmedian(r)))) for r in rest])
-    late = int(np.argmin(spread))
-    if not (abs(ratio - 1.0) < SAME_SPEED and late > 0 and spread[late] < BETTER * spread[0]):
-        return []
-    made = np.interp(time, smooth.time, np.isfinite(smooth.values).astype(float)) > 0.5
-    series["ARSP.EAS"] = TimeSeries(time, np.where(made, shown, np.nan))
-    return [f"CTUN.As comes {LATENESS[late]:.2f} s after ARSP.Airspeed, which it smooths: V is of ARSP.Airspeed"]
 
 
 def of_px4(log: Log) -> Log:

@@ -1,10 +1,10 @@
 """Statistics of the gap monitor: false alarms an hour of manoeuvring, and how soon and by what name effects are noticed.
 
-`python -m tests.studies.monitor_statistics [-n 40] [--hours 5] [20hz|link]`. Nulls and changed derivatives are flown by the
-monitor's own equations of motion, with other random numbers than its calibration; sudden failures by the project's simulator
-through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute. Times are counted from the scan
-that is the first to differ from the same flight without the effect, same draws, by the noise of a channel: before that no
-input has shown it. The last result is kept in docs/live.md.
+`python -m tests.studies.monitor_statistics [-n 40] [--hours 5] [--plane lateral|longitudinal] [20hz|link]`. Nulls and changed
+derivatives are flown by the monitor's own equations of motion, with other random numbers than its calibration; sudden failures by
+the simulator through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute. Times are
+counted from the scan that is the first to differ from the same flight without the effect, same draws, by the noise of a channel:
+before that no input has shown it. The last result is kept in docs/live.md and docs/validation/live.md.
 """
 
 import argparse
@@ -17,15 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
-from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, bank
+from daq.identification.monitor.bank import PLANES, MonitoredEffect, MonitoredPlane, bank
 from daq.identification.monitor.monitor import NAMED_WITHIN_S, GapMonitor
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import FlightsScan, PredictorBank
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, calibrated, scores
+from estimation.aircraft.library import load_aircraft
 from firmware_sim.physics.effects.sudden import BEGINS_S
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
+from sideslip.live_aircraft import airframe_of_file
 from tests.studies.live_statistics import Case, airframe_for, through_link
 
 Array = NDArray[np.float64]
@@ -41,6 +43,17 @@ CHANGES = {
     "Cn_beta": -0.008,
     "Cl_0": 0.004,
 }
+PITCH_CHANGES = {
+    "Cm_de": 0.09,
+    "Cm_alpha": 0.042,
+    "Cm_q": 0.28,
+    "CL_alpha": -0.3,
+    "CD_0": 0.006,
+    "Cm_0": 0.01,
+    "mass": 0.1,
+    "cg": 0.02,
+}
+"""A quarter of Cm_de and Cm_alpha, a tenth of lift slope and mass, 2 % of the chord."""
 HIDDEN = {
     "elevon_stuck": ("Cl_da", "Cl_0", "Cl_beta", "Cl_p", "Cl_dr"),
     "vane_slipped": ("beta_bias", "CY_0", "Cl_0", "Cn_0"),
@@ -59,23 +72,28 @@ class Set:
     effects: tuple[MonitoredEffect, ...]
     conditions: NullConditions
     calibration: Calibration
+    plane: MonitoredPlane
+
+    @property
+    def predictors(self) -> PredictorBank:
+        return PredictorBank(self.airframe, self.values, self.effects, self.plane)
 
 
-def made(rate: str, hours: float) -> Set:
+def made(rate: str, hours: float, plane: MonitoredPlane) -> Set:
     airframe = airframe_for(Case("second", 0.1, False))
-    values = {n: airframe.believed(n) for n in DERIVATIVES}
-    effects, conditions = bank(values, {}), CONDITIONS[rate]
-    found = calibrated(airframe, values, effects, conditions, rng=np.random.default_rng(1), hours=hours)
-    return Set(airframe, values, effects, conditions, found)
+    if plane.name != "lateral":
+        airframe = airframe_of_file(load_aircraft("cdfp"), (plane.regression,))
+    values = {n: airframe.believed(n) for n in plane.regression.derivatives}
+    effects, conditions, rng = bank(values, {}, plane), CONDITIONS[rate], np.random.default_rng(1)
+    found = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, plane=plane)
+    return Set(airframe, values, effects, conditions, found, plane)
 
 
 def alarms(s: Set, scans: Sequence[FlightsScan]) -> tuple[Array, Array]:
     """(times, 1 + flights) times, and whether either statistic is beyond its threshold; (times, flights, effects) what the
     longest window says of each effect, from which names come: zero where that is below the threshold."""
     above, known, times = [], [], []
-    for time, score in scores(
-        PredictorBank(s.airframe, s.values, s.effects), s.effects, s.calibration.whitening, scans
-    ):
+    for time, score in scores(s.predictors, s.effects, s.calibration.whitening, scans):
         if time < BEGIN_S:
             continue
         z = np.abs(s.calibration.effects.of(score.z))
@@ -91,7 +109,9 @@ def false_alarms(s: Set, hours: float, gust: float) -> str:
     conditions = replace(s.conditions, gust=gust * s.conditions.gust, gust_spread=USUAL)
     count, flown, hit, flights = 0, 0.0, 0, 0
     for seed in range(max(1, round(hours * 3600.0 / (100 * 90.0)))):
-        scans = fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([seed, 71]), 100, 90.0)
+        scans = fly(
+            s.airframe, s.values, s.effects, conditions, np.random.default_rng([seed, 71]), 100, 90.0, plane=s.plane
+        )
         table, _ = alarms(s, scans)
         for flight in range(1, table.shape[1]):
             times = table[table[:, flight] > 0.5, 0]
@@ -108,18 +128,20 @@ def noticed(s: Set, name: str, size: float, n: int) -> str:
 
     def change(time: float, truth: dict[str, Array]) -> None:
         if time >= BEGINS and not done:
-            truth[name] = truth[name] + size
+            effect = next(e for e in s.effects if e.name == name)
+            for parameter, change in (effect.moves or {name: effect.step}).items():
+                truth[parameter] = truth[parameter] + change * size / effect.step
             done.append(True)
 
     conditions = replace(s.conditions, gust_spread=USUAL)
     scans, without = (
-        fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n]), n, FLIGHT_S, c)
+        fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n]), n, FLIGHT_S, c, s.plane)
         for c in (change, None)
     )
     shown = first_shown(
         np.array([c.time for c in scans]),
         np.array([a.measured - b.measured for a, b in zip(scans, without, strict=True)]),
-        s.conditions,
+        s,
     )
     table, known = alarms(s, scans)
     after = table[:, 0] > BEGINS
@@ -134,10 +156,10 @@ def noticed(s: Set, name: str, size: float, n: int) -> str:
     return row(name, f"{size:g}", first, shown, what, lambda w: w == name)
 
 
-def first_shown(time: Array, changed: Array, c: NullConditions) -> Array:
+def first_shown(time: Array, changed: Array, s: Set) -> Array:
     """(flights,) times of the first scan, of those at `time` (scans,), that an effect moves by the noise of a channel; inf where
     none. changed: (scans, 5, flights) what it does to the measured channels."""
-    noise = np.array([c.beta, c.p, c.r, c.phi, c.ay])[:, None]
+    noise = np.array([getattr(s.conditions, c) for c in s.plane.channels])[:, None]
     seen = (np.abs(changed) >= noise).any(axis=1)
     return np.where(seen.any(axis=0), time[seen.argmax(axis=0)], math.inf)
 
@@ -152,8 +174,8 @@ def sudden(s: Set, name: str, n: int, rate: str) -> str:
     seeds = list(range(1, n + 1))
     sound = direct_flights([scenario.altered(hidden=[])] * n, seeds)
     for seed, (flown, as_before) in enumerate(zip(direct_flights([scenario] * n, seeds), sound, strict=True)):
-        changed = np.stack([flown[c] - as_before[c] for c in LATERAL_PLANE.channels], axis=1)[:, :, None]
-        shown += list(first_shown(flown["time"], changed, s.conditions))
+        changed = np.stack([flown[c] - as_before[c] for c in s.plane.channels], axis=1)[:, :, None]
+        shown += list(first_shown(flown["time"], changed, s))
         columns = through_link(flown, seed, 0.05) if rate == "link" else flown
         monitor = GapMonitor(s.airframe, values, s.effects, s.calibration)
         for sample in (Sample(*r) for r in np.stack([columns[c] for c in ("time", *SIGNALS)], axis=1).tolist()):
@@ -185,9 +207,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("rates", nargs="*", default=list(CONDITIONS))
     parser.add_argument("-n", type=int, default=40, help="flights of each effect")
     parser.add_argument("--hours", type=float, default=5.0, help="of nulls, and of the calibration")
+    parser.add_argument("--plane", choices=tuple(PLANES), default="lateral")
     given = parser.parse_args(arguments)
     for rate in given.rates:
-        s = made(rate, given.hours)
+        s = made(rate, given.hours, PLANES[given.plane])
         print(
             f"\n{rate}: thresholds {s.calibration.named:.2f}, {s.calibration.unnamed:.2f} from {s.calibration.hours:.1f} h"
         )
@@ -198,9 +221,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "| effect | size | flights | noticed % | shown after s | median s | within 5 s % | right name % | first names |"
         )
         print("|---|---|---|---|---|---|---|---|---|")
-        for name, size in CHANGES.items():
+        for name, size in (CHANGES if given.plane == "lateral" else PITCH_CHANGES).items():
             print(noticed(s, name, size, given.n), flush=True)
-        for name in HIDDEN:
+        for name in HIDDEN if given.plane == "lateral" else ():
             print(sudden(s, name, min(given.n, 10), rate), flush=True)
 
 

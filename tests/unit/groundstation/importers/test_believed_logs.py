@@ -71,29 +71,6 @@ def test_without_e2t_equivalent_airspeed_is_made_true_by_the_pressure(tmp_path: 
     assert "made true by the density of p_static" in said(flight)
 
 
-@pytest.mark.parametrize(
-    ("late", "factor", "taken"),
-    [(0.24, 1.0, "ARSP.EAS*CTUN.E2T"), (0.0, 1.0, "CTUN.As*CTUN.E2T"), (0.24, 1.07, "CTUN.As*CTUN.E2T")],
-    ids=["smoothed", "prompt", "of another scale"],
-)
-def test_a_smoothed_airspeed_gives_way_to_the_pitots_own(
-    tmp_path: Path, late: float, factor: float, taken: str
-) -> None:
-    """An aircraft in a phugoid of 8 s: a quarter second late is 0.2 m/s off, half the time above and half below."""
-    f = autopilots.flight(1.12)
-    f["V"] = 21.0 + 1.6 * np.sin(0.8 * f["time"])
-    f["eas"] = f["V"] * np.sqrt(1.12 / 1.225) + 0.05 * np.random.default_rng(12).standard_normal(f["V"].size)
-    tables = autopilots.ardupilot(f)
-    letters, labels, time, fields = tables["CTUN"]
-    later = np.interp(f["time"] - late, f["time"], f["eas"])[:: f["time"].size // time.size + 1][: time.size]
-    tables["CTUN"] = (letters, labels, time, [later * factor, *fields[1:]])
-    flight = imported(tmp_path, "a.bin", autopilots.dataflash(tables))
-    assert flight.channels["V"]["from"] == taken
-    assert ("CTUN.As comes 0.24 s after ARSP.Airspeed" in said(flight)) == taken.startswith("ARSP")
-    if factor == 1.0:
-        assert off(flight, "V", f["V"], f["time"]) < 0.1
-
-
 @pytest.mark.parametrize(("gyro", "accelerometer"), [(30.0, 10.0), (0.0, 15.0)])
 def test_what_a_filter_delays_is_dated_back_by_its_own_frequency(
     tmp_path: Path, gyro: float, accelerometer: float
