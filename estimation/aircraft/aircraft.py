@@ -76,6 +76,7 @@ class Aircraft:
 
     `Ixz` is the product of inertia as it stands in the equations of motion (positive for a nose-down principal axis). What the
     file does not say is NaN; `need` refuses it where it is used. throws: surface -> its least and greatest deflection [rad].
+    uncertainty: field of geometry or mass -> relative 1 sigma of what is stated.
     servos, engine, simulation: for a simulated aircraft only.
     text: the file it was read from, empty for one made in a program.
     """
@@ -99,6 +100,7 @@ class Aircraft:
     engine: Engine | None = None
     simulation: SimulatedFlight | None = None
     throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    uncertainty: Mapping[str, float] = field(default_factory=dict)
     text: str = field(default="", compare=False, repr=False)
 
     def prior(self, name: str) -> PriorDerivative | None:

@@ -102,6 +102,21 @@ class ThrowTable(_AircraftTable):
     delta_r: Throw | None = None
 
 
+Share = Annotated[Number, Field(gt=0.0, lt=1.0)]
+
+
+class UncertaintyTable(_AircraftTable):
+    """[uncertainty]: relative 1 sigma of what is stated of geometry, mass and inertia."""
+
+    span: Share | None = None
+    area: Share | None = None
+    chord: Share | None = None
+    mass: Share | None = None
+    Ixx: Share | None = None
+    Iyy: Share | None = None
+    Izz: Share | None = None
+
+
 class SimulationTable(_AircraftTable):
     """[simulation]: how a simulated aircraft flies."""
 
@@ -130,6 +145,7 @@ class AircraftFile(_AircraftTable):
     engine: EngineTable | None = None
     simulation: SimulationTable | None = None
     throws: ThrowTable = ThrowTable()
+    uncertainty: UncertaintyTable = UncertaintyTable()
 
 
 def read_file(text: str, where: str) -> AircraftFile:
@@ -166,6 +182,7 @@ def aircraft_from_text(text: str, where: str, name: str) -> Aircraft:
         engine=Engine(**file.engine.model_dump()) if file.engine else None,
         simulation=SimulatedFlight(**file.simulation.model_dump()) if file.simulation else None,
         throws={name: throw for name, throw in file.throws if throw is not None},
+        uncertainty={name: share for name, share in file.uncertainty if share is not None},
         text=text,
     )
     computed = beliefs(aircraft, file.shape) if file.shape else {}

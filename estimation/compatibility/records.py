@@ -22,6 +22,9 @@ SHORTEST = 40  # samples
 COLUMNS = ("ax", "ay", "az", "p", "q", "r")
 FLYING = 5.0
 """Airspeed [m/s] below which vanes do not follow the wind: on the ground, or not measured."""
+SLOW_FLYER = 1.5
+"""Airspeed [m/s] that the slowest aeroplanes reach (50 g in a hall fly at 2 to 5 m/s); a pitot at rest may show as much at times,
+so half of a record has to be near its largest."""
 
 JUMP = 0.1
 """Step [rad] of an attitude from one sample to the next, beyond what the rates turn, that no aircraft makes."""
@@ -120,15 +123,24 @@ def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
     if not flight.measured("V"):
         return np.ones(len(flight), bool)
     V = flight["V"]
-    slow = np.isfinite(V) & (V < FLYING)
-    if slow.sum() > 0.5 * np.isfinite(V).sum() and not np.any(V >= FLYING):
+    from_speed = _flies_from(V)
+    slow = np.isfinite(V) & (from_speed > V)
+    if slow.sum() > 0.5 * np.isfinite(V).sum() and not np.any(from_speed <= V):
         raise DataError(
             f"{flight.name}: V never reaches {FLYING:g} m/s (largest {np.nanmax(V):.3g}): not in flight, or V is not in m/s"
         )
     if slow.any():
         share = int(slow.sum())
-        notes.append(f"{share} samples with V below {FLYING:g} m/s left out: not in flight")
+        notes.append(f"{share} samples with V below {from_speed:.2g} m/s left out: not in flight")
     return np.asarray(~slow)
+
+
+def _flies_from(V: Array) -> float:
+    """Airspeed [m/s] from which the aircraft flies: half of what a slow one flies at throughout, else FLYING."""
+    known = V[np.isfinite(V)]
+    largest, middle = (float(known.max()), float(np.median(known))) if known.size else (0.0, 0.0)
+    steady = largest < FLYING and largest > SLOW_FLYER and middle > 0.5 * largest
+    return 0.5 * middle if steady else FLYING
 
 
 def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]) -> int:

@@ -16,6 +16,7 @@ from estimation.session.aircraft_review import aircraft_objections
 from estimation.session.evidence import parameter_scatter, with_airspeed_error
 from estimation.session.fast_modes import fast_modes, with_fast_modes
 from estimation.session.session import EstimationSession, FlightEstimates
+from estimation.session.stated_uncertainty import with_stated_uncertainty
 from estimation.session.structured import StructureWish, with_structure_tests
 from estimation.session.thinned import thinned
 from estimation.session.verdict import verdict
@@ -78,7 +79,7 @@ def estimate(
                 joint,
             ),
         )
-    return _judged(session)
+    return with_stated_uncertainty(_judged(session))
 
 
 def _fitted(task: Task, estimators: Sequence[Estimator], joint: bool) -> EstimationSession:

@@ -12,7 +12,7 @@ from scipy.signal import savgol_filter
 from estimation.compatibility.correct import correct_flight
 from estimation.compatibility.problem import refuse_singular
 from estimation.compatibility.reconstruction import Compatibility, compatibility
-from estimation.compatibility.records import attitude_errors, attitude_jumps
+from estimation.compatibility.records import FLYING, _flies_from, attitude_errors, attitude_jumps
 from estimation.errors import EstimationError
 from estimation.models.kinematic import compatibility_model
 from groundstation.flight import Flight, MissingColumnError, write_flight
@@ -230,3 +230,17 @@ def test_command_writes_json_as_the_interface_says(tmp_path: Path, rng: np.rando
     assert {"estimate", "std"} <= set(entry["factors"]["K_beta"])
     assert {"check", "verdict", "text"} == set(entry["quality"][0])
     assert "K_beta" in done.output
+
+
+@pytest.mark.parametrize(
+    ("speeds", "least"),
+    [
+        (np.full(200, 3.0), 1.5),  # a model of 50 g in a hall
+        (np.linspace(2.2, 3.8, 200), 1.5),
+        (np.full(200, 15.0), FLYING),
+        (np.r_[np.full(150, 0.3), np.full(50, 3.0)], FLYING),  # a pitot at rest, with wind at times
+        (np.full(200, 1.0), FLYING),
+    ],
+)
+def test_a_slow_aircraft_flies_from_half_of_its_speed(speeds: np.ndarray, least: float) -> None:
+    assert _flies_from(speeds) == pytest.approx(least)
