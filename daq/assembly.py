@@ -18,6 +18,7 @@ from daq.companion.process import Companion, IdentificationConfig
 from daq.config import LoggerConfig, read_aircraft, read_calibration
 from daq.contract.channels import CHANNELS
 from daq.contract.manoeuvre import load_manoeuvre
+from daq.contract.recordings.messages import LogLevel
 from daq.contract.recordings.recording import (
     AIRCRAFT_ATTACHMENT,
     CALIBRATION_PREFIX,
@@ -35,6 +36,7 @@ from daq.telemetry.link import RadioLink, radio_link
 from daq.telemetry.uplink import TURN_NS
 from daq.transport.ports import BytePort
 
+_INFORMATIONAL = 6  # severity of STATUSTEXT, as syslog has it
 _UPLINK_SHARE = 0.1
 """What arrives may take this share of the time between two turns of the link, however high the scan rate."""
 
@@ -191,7 +193,13 @@ def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logge
     """The process that identifies on board; its numbers go into the recording and down the link."""
     show = (lambda name, value: None) if link is None else link.downlink.messages.set_named
     aircraft = config.aircraft.file or config.aircraft.name
-    return Companion(wanted, aircraft, str(config.calibration), logger.say, show)
+
+    def tell(text: str) -> None:
+        logger.say(LogLevel.INFO, "identification", text)
+        if link is not None:
+            link.text(_INFORMATIONAL, text)
+
+    return Companion(wanted, aircraft, str(config.calibration), logger.say, show, tell)
 
 
 def _actuation(config: LoggerConfig, edge: HardwareEdge) -> Actuation | None:

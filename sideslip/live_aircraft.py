@@ -29,10 +29,12 @@ def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAi
     sources = {n: p.source for n, p in aircraft.derivatives.items()}
     if not model or model in REGRESSIONS:
         regressions = REGRESSIONS[model or "lateral"]
-        return LiveAircraft(aircraft.name, airframe_of_file(aircraft, regressions), sources, None, regressions)
+        return LiveAircraft(
+            aircraft.name, airframe_of_file(aircraft, regressions), sources, None, aircraft.throws, regressions
+        )
     modelled, regressions = airframe_of_model(model, aircraft)
     believed = airframe_of_file(aircraft, regressions)
-    return LiveAircraft(aircraft.name, believed, sources, modelled, regressions)
+    return LiveAircraft(aircraft.name, believed, sources, modelled, aircraft.throws, regressions)
 
 
 def airframe_of_model(model: str, aircraft: Aircraft) -> tuple[Airframe, tuple[PlaneRegression, ...]]:

@@ -16,7 +16,7 @@ from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.calibration_set import load_calibration
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.session import LiveIdentification, LiveState
-from groundstation.identification.words import short_line
+from groundstation.identification.words import point_line, short_line
 from groundstation.live.watches import LandingLimits
 from sideslip.live_aircraft import live_aircraft
 
@@ -24,11 +24,11 @@ BATCH_S = 2.0  # s of scans at once: nobody looks at a screen here, and half the
 WANTED = 0.05  # bound to be reached, as a share of a derivative; only for the words
 
 
-def answer_of(state: LiveState) -> CompanionReply:
-    """What is told of a state."""
+def answer_of(state: LiveState, point: str = "", alarm: str = "") -> CompanionReply:
+    """What is told of a state. point, alarm: what there is new of either."""
     known = state.estimates.derivatives
     told = {n: (known[n].estimate, known[n].std) for n in state.aircraft.shown if known[n].told}
-    return CompanionReply(state.time, told, short_line(state))
+    return CompanionReply(state.time, told, short_line(state), "", point, alarm)
 
 
 def answers(source: BinaryIO, sink: BinaryIO) -> None:
@@ -41,8 +41,8 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
     alignment, landing = ScanAlignment(BATCH_S), LandingLimits()
     aircraft = live_aircraft(setup.aircraft, model=setup.model)
     stretches = ManoeuvreDetector(landing.flying_speed, landing.flying_s, aircraft.regressions)
-    live = LiveIdentification(aircraft, calibrator, WANTED, alignment, stretches)
-    due = -math.inf
+    live = LiveIdentification(aircraft, calibrator, WANTED, alignment, stretches, watched=setup.watch)
+    due = point_told = -math.inf
     told_trouble = False
     while (data := read_frame(source)) is not None:
         try:
@@ -50,9 +50,13 @@ def answers(source: BinaryIO, sink: BinaryIO) -> None:
         except ScanDecodeError:
             continue
         state = live.step()
-        if state is not None and state.time >= due:
-            due = state.time + setup.every_s
-            _write(sink, answer_of(state))
+        if state is not None:
+            point, alarm = "", "; ".join(a.text for a in live.new_alarms())
+            if state.point is not None and not state.point.moving and state.point.begin > point_told:
+                point, point_told = point_line(state), state.point.begin
+            if state.time >= due or point or alarm:
+                due = state.time + setup.every_s
+                _write(sink, answer_of(state, point, alarm))
         if live.trouble and not told_trouble:
             told_trouble = True
             _write(sink, CompanionReply(trouble=live.trouble))

@@ -94,8 +94,8 @@ def output_of(config: SequencerConfig, devices: Devices) -> Output:
 class Actuation:
     """Sequencer and output of one aircraft. period_s: of the scans, clock: theirs.
 
-    link_s: seconds since the ground was last heard at a time [ns], None for never; set where there is a link. known: derivative ->
-    estimate and bound, by identification on board, None where it has not told lately; set where there is one.
+    link_s: seconds since the ground was last heard at a time [ns], None for never; set where there is a link. known:
+    derivative -> estimate and bound, by identification on board, None where it has not told lately; set where there is one.
     """
 
     def __init__(

@@ -19,13 +19,15 @@ class IdentificationConfig(BaseModel):
     """Needs `calibration`, and `aircraft.file` or a built-in `aircraft.name`.
 
     model: lateral, longitudinal, six-dof, or the file of a model, estimated in flight; empty: lateral. every_s: time between two
-    answers. command: the process; empty: this Python's own `-m sideslip.onboard`. niceness: its own.
+    answers. watch: the gap monitor beside it, whose thresholds take it minutes of its own time. command: the process; empty: this
+    Python's own `-m sideslip.onboard`. niceness: its own.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     model: str = ""
     every_s: Annotated[float, Field(ge=1.0, le=600.0)] = 5.0
+    watch: bool = False
     command: tuple[str, ...] = ()
     niceness: Annotated[int, Field(ge=0, le=19)] = 10
 
@@ -37,15 +39,18 @@ END_S = 3.0  # it is given so long to answer for the last time
 
 Say = Callable[[LogLevel, str, str], None]
 Show = Callable[[str, float], None]
+Tell = Callable[[str], None]
 
 
 class Companion:
     """One process. aircraft, calibration: as `Setup` has them. say: a line for recording and journal; show: a value for
-    the ground."""
+    the ground; tell: a line for recording and ground that is no warning."""
 
-    def __init__(self, config: IdentificationConfig, aircraft: str, calibration: str, say: Say, show: Show) -> None:
+    def __init__(
+        self, config: IdentificationConfig, aircraft: str, calibration: str, say: Say, show: Show, tell: Tell
+    ) -> None:
         self._config, self._aircraft, self._calibration = config, aircraft, calibration
-        self._say, self._show = say, show
+        self._say, self._show, self._tell = say, show, tell
         self._process: subprocess.Popen[bytes] | None = None
         self._waiting = bytearray()
         self._heard = b""
@@ -76,7 +81,14 @@ class Companion:
             assert pipe is not None
             os.set_blocking(pipe.fileno(), False)
         self._waiting += setup_frame(
-            Setup(self._aircraft, self._calibration, dict(details), self._config.every_s, self._config.model)
+            Setup(
+                self._aircraft,
+                self._calibration,
+                dict(details),
+                self._config.every_s,
+                self._config.model,
+                self._config.watch,
+            )
         )
 
     def scans(self, scans: Iterable[Scan]) -> None:
@@ -164,6 +176,10 @@ class Companion:
         self._answer = answer
         if answer.values:
             self._say(LogLevel.INFO, NAME, answer.record)
+        if answer.point:
+            self._tell(answer.point)
+        if answer.alarm:
+            self._say(LogLevel.WARNING, NAME, answer.alarm)
         for name, (estimate, bound) in answer.values.items():
             self._show(name, estimate)
             self._show(f"{name}.s", bound)

@@ -15,30 +15,34 @@ LENGTH = struct.Struct(">I")
 LONGEST_FRAME = 1 << 20
 LONGEST_LINE = 1 << 14
 MOST_VALUES = 64
+LONGEST_TEXT = 500
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,9}")  # what NAMED_VALUE_FLOAT has room for
 
 
 @dataclass(frozen=True)
 class Setup:
     """aircraft: its name, or the path of its file. calibration: directory. details: facts of the sensors. every_s: of flight
-    between two answers. model: name or file of what is estimated; empty: lateral."""
+    between two answers. model: name or file of what is estimated; empty: lateral. watch: with the gap monitor beside it."""
 
     aircraft: str
     calibration: str
     details: Mapping[str, str]
     every_s: float
     model: str = ""
+    watch: bool = False
 
 
 @dataclass(frozen=True)
 class CompanionReply:
     """values: derivative -> estimate and bound, those that can be told. words: one line for a person. trouble: why there is
-    no more."""
+    no more. point: a line on the test point that is just over; alarm: what the gap monitor has to say; empty for nothing new."""
 
     time: float = math.nan
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     words: str = ""
     trouble: str = ""
+    point: str = ""
+    alarm: str = ""
 
     def line(self) -> bytes:
         """As the companion writes it."""
@@ -86,8 +90,8 @@ def read_answer(line: bytes) -> CompanionReply | None:
             if _NAME.fullmatch(name) and len(pair) == 2
         }
         time = math.nan if answer["time"] is None else float(answer["time"])
-        words, trouble = str(answer["words"]), str(answer["trouble"])
+        texts = [str(answer.get(name, ""))[:LONGEST_TEXT] for name in ("words", "trouble", "point", "alarm")]
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError, OverflowError):
         return None
     finite = {n: v for n, v in pairs.items() if all(map(math.isfinite, v))}
-    return CompanionReply(time, finite, words[:500], trouble[:500])
+    return CompanionReply(time, finite, *texts)

@@ -63,13 +63,16 @@ PITCH_LIBRARY = tuple(CandidateManoeuvre(f"elevator {kind}", elevator=kind) for 
 @dataclass(frozen=True, slots=True)
 class ManoeuvreAdvice:
     """What to fly. worst: the derivative furthest from its wanted bound; now, then: that bound in units of the wanted one,
-    before and after the manoeuvre; share: of the library's usual peaks that is flown, so that the response stays small."""
+    before and after the manoeuvre; share: of the library's usual peaks that is flown, so that the response stays small; peaks:
+    control -> [rad] that are flown; seconds: of moving it, after which hands are off until `LONG` are over."""
 
     manoeuvre: str
     worst: str
     now: float
     then: float
     share: float
+    peaks: Mapping[str, float]
+    seconds: float
 
 
 def next_manoeuvre(
@@ -107,8 +110,16 @@ def next_manoeuvre(
         if best_candidate is None or largest_ratio < best_candidate[0]:
             best_candidate = (largest_ratio, candidate, share, ratios_then)
     assert best_candidate is not None
+    _, chosen, share, ratios_then = best_candidate
+    kinds = {
+        "aileron": (chosen.aileron, AILERON),
+        "rudder": (chosen.rudder, RUDDER),
+        "elevator": (chosen.elevator, ELEVATOR),
+    }
+    peaks = {control: share * peak for control, (kind, peak) in kinds.items() if kind}
+    seconds = sum(length for kind, _ in kinds.values() if kind for _, length in PULSES[kind])
     return ManoeuvreAdvice(
-        best_candidate[1].title, worst_name, ratios_now[worst_name], best_candidate[3][worst_name], best_candidate[2]
+        chosen.title, worst_name, ratios_now[worst_name], ratios_then[worst_name], share, peaks, seconds
     )
 
 

@@ -198,13 +198,14 @@ class LiveAircraft:
     engineering estimate).
 
     modelled: what the gap monitor holds against flight, as beliefs of a model, with a standard deviation of zero where it states
-    none; None: what the aircraft file believes.
+    none; None: what the aircraft file believes. throws: control -> least and greatest deflection [rad], where known.
     """
 
     name: str
     airframe: Airframe
     sources: Mapping[str, str] = field(default_factory=dict)
     modelled: Airframe | None = None
+    throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     regressions: tuple[PlaneRegression, ...] = (LATERAL,)
 
     @property

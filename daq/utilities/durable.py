@@ -126,6 +126,14 @@ def whole_text(path: Path, newline: str | None = "") -> Iterator[IO[str]]:
 
 
 @contextmanager
+def whole_file(path: Path) -> Iterator[IO[bytes]]:
+    """An open file of bytes that takes the name `path` at the end, as `whole` says: for libraries that take no name which is no
+    text."""
+    with whole(path) as new, new.open("wb") as file:
+        yield file
+
+
+@contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
     """A new folder beside `path` to fill, which takes its place at the end; when the block raises, `path` is as it was."""
     make_directories(path.parent)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.utilities.durable import make_directories, whole
+from daq.utilities.durable import make_directories, whole_file
 from daq.utilities.outputs import write_json
 from daq.utilities.plain_words import visible
 from estimation.campaign.keys import key_of, versions
@@ -90,7 +90,7 @@ def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> Non
     import pyarrow.parquet as pq
 
     make_directories(path.parent)
-    with whole(path) as new:
+    with whole_file(path) as new:
         pq.write_table(table_of(rows, columns), new, compression="zstd")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from daq.utilities.durable import clear_leftovers, lock_file, make_directories, open_log, whole
+from daq.utilities.durable import clear_leftovers, lock_file, make_directories, open_log, whole_file
 from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
 from estimation.campaign.tasks import CampaignError, Row
 
@@ -79,7 +79,8 @@ class Store:
         import pyarrow.parquet as pq
 
         try:
-            table = pq.ParquetFile(path).read()
+            with path.open("rb") as file:
+                table = pq.ParquetFile(file).read()
             version = int((table.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
             if version > VERSION:
                 raise CampaignError(
@@ -145,7 +146,7 @@ def write_part(table: "pa.Table", folder: Path, stem: str, content: Iterable[str
     path = folder / f"{stem}-{digest}.parquet"
     try:
         make_directories(folder)
-        with whole(path) as new:
+        with whole_file(path) as new:
             pq.write_table(table, new, compression="zstd")
     except OSError as error:
         raise CampaignError(f"{path}: cannot be written ({error.strerror or error}); make room there") from error

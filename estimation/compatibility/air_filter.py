@@ -28,7 +28,7 @@ INTERVAL = 0.2
 """Time between nodes [s]: several to a gust of 50 m, and to the time in which an attitude error changes."""
 
 UPDRAUGHT_S = 60.0
-"""[s] over which an updraught lasts, at most: a kilometre at the speeds of small aircraft, the width of a thermal and its sink."""
+"""[s] over which an updraught lasts, at most: a kilometre for a small aircraft, the width of a thermal and its sink."""
 
 PASSES = 3
 """Runs about the last result; the air velocity moves by less than 1 mm/s in the fourth (checked on simulated flights)."""
@@ -41,8 +41,9 @@ class Assumptions:
     trim_sideslip [rad]: mean sideslip of a symmetric aircraft whose pilot or autopilot coordinates (propeller, rigging);
     it matters where the heading hardly changes, for there crosswind and sideslip look alike. manoeuvre_sideslip [rad] over
     manoeuvre_s: sideslip about it. vertical_wind [m/s]: mean updraught over UPDRAUGHT_S; over a longer flight it averages out by
-    the root of the time. wind [m/s]: either way, about the first guess. wind_drift [m/s per root second]: 1 m/s in 20 minutes. airspeed_scale: position error and calibration
-    factor of the pitot (PX4 and ArduPilot start from 1 and find a few per cent). bias [m/s2]: accelerometer of an autopilot
+    the root of the time. wind [m/s]: either way, about the first guess. wind_drift [m/s per root second]: 1 m/s in 20 minutes.
+    airspeed_scale: position error and calibration factor of the pitot (PX4 and ArduPilot start from 1 and find a few per cent).
+    bias [m/s2]: accelerometer of an autopilot
     after its own calibration. fix [m/s]: horizontal, vertical noise of a GNSS velocity. fix_age [s]: of it when logged.
     airspeed_age [s]: of an airspeed (tubes, and the mean of a few samples that autopilots log); not looked for, it shows as a
     vertical wind of g times the age, because an aircraft that descends gains speed.

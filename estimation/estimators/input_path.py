@@ -2,8 +2,8 @@
 
 A servo that lags takes some share of its way within the first interval after an edge. Where edges come at any time of an
 interval that share scatters from nothing to all that the servo can do; where a sequencer steps on the sampling clock it is the
-same at every edge, does not average out, and cannot be read off the samples; nor can it where what is logged is a command, whatever
-its edges look like (`clocked_controls`).
+same at every edge, does not average out, and cannot be read off the samples; nor can it where what is logged is a command,
+whatever its edges look like (`clocked_controls`).
 
 There two numbers a control stand for what the record does not say: how much later than its samples the surface acts (earlier,
 where negative: a command that was logged up to one logging interval after it was given), and how far beyond the straight line it

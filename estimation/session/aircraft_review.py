@@ -20,9 +20,10 @@ SIGNS = {
 """Signs in the conventions of this house; damping and lift slope hold for any aircraft in normal flight, stiffnesses for a
 stable one."""
 
-GYRATION = {"Ixx": ("span", 0.10, 0.60), "Iyy": ("chord", 0.3, 6.0), "Izz": ("span", 0.15, 0.75)}
+GYRATION = {"Ixx": ("span", 0.10, 0.60), "Iyy": ("chord", 0.3, 6.0), "Izz": ("span", 0.15, 1.4)}
 """Radius of gyration over half the span, or over the chord: twice as far out as any aircraft of Raymer, table 16.1
-(0.22-0.34 and 0.34-0.52 of the half span), pitch wider still since chords say little about lengths."""
+(0.22-0.34 and 0.34-0.52 of the half span), pitch wider still since chords say little about lengths, and yaw as far as aircraft
+whose fuselage is longer than their wing: 0.74 of a T-38, 0.99 of an F-104, 1.15 of an X-15 (Heffley and Jewell, NASA CR-2144)."""
 
 FAR_OFF = (0.3, 2.0)
 """The same, beyond which no choice of chord explains it: span or area is in another unit."""

@@ -17,6 +17,7 @@ from estimation.session.evidence import parameter_scatter, with_airspeed_error
 from estimation.session.fast_modes import fast_modes, with_fast_modes
 from estimation.session.session import EstimationSession, FlightEstimates
 from estimation.session.structured import StructureWish, with_structure_tests
+from estimation.session.thinned import thinned
 from estimation.session.verdict import verdict
 from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
@@ -62,6 +63,7 @@ def estimate(
             f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
         )
     model, flights = without_sensor(model, flights)
+    flights = thinned(model, flights, keep_held=extras.keep_held)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
     session = _fitted(task, estimators, joint)
     if structure is not StructureWish.OFF:

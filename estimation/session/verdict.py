@@ -42,6 +42,7 @@ COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 
 APART = 3.0  # joint bounds between two methods that should agree
 OUTSIDE = 1.0  # of its own bound that a joint estimate may lie beyond all its members
 NOTABLE = 1.0  # of its bound by which a printed value has to be moved, before what moves it forbids a recommendation
+EXPLAINS = 0.2  # r2 that some output has to reach: a record at rest, or of noise alone, has none
 BEYOND = 1.5  # times what any other flight reached, from which a flight stretches a shared linear model
 
 
@@ -152,6 +153,10 @@ def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None
     for doubt in doubts_of(result):
         if doubt.kind in (DoubtKind.SIGN, DoubtKind.CHANNEL_SIGN, DoubtKind.UNIT):
             case.against.setdefault(method, doubt.text)
+    r2 = [f.r2 for fit in result.flights for f in fit.fit.values() if math.isfinite(f.r2)]
+    if r2 and max(r2) < EXPLAINS:
+        text = f"it explains none of the outputs (r2 {max(r2):.2f} at most): nothing here moves as the model says"
+        case.object_to(method, DoubtKind.UNEXPLAINED, text)
     if not result.informative:
         case.against.setdefault(method, "it can tell none of the derivatives")
 

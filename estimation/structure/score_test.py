@@ -155,14 +155,11 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
         if strongest is None:
             break
         next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
-        rivals = [
-            k
-            for k, t in enumerate(scores)
-            if k not in (*taken_up, strongest)
-            and abs(t.score) > RIVAL * abs(scores[strongest].score)
-            and abs(next_scores[k].score) < THRESHOLD
-            and _possible(t, result, as_rival=True)
-        ]
+        rivals = _rivals(scores, next_scores, taken_up, strongest, result)
+        if (derivative := derivative_instead(scores, strongest, rivals, result)) is not None:
+            strongest = derivative
+            next_scores = _scores(linear, (*taken_up, strongest), result, filtered)
+            rivals = _rivals(scores, next_scores, taken_up, strongest, result)
         differs = _differences(linear, strongest, rivals, scores)
         apart = max(
             (d / result.parameters[n].std_coloured for n, d in differs.items() if _has_bound(result, n)), default=0.0
@@ -172,6 +169,30 @@ def structure_of(linear: LinearisedFit, result: Result, *, filtered: bool = Fals
         taken_up.append(strongest)
         scores = next_scores
     return StructureTest(tuple(first), tuple(lacks))
+
+
+def _rivals(
+    scores: Sequence[Tested], next_scores: Sequence[Tested], taken_up: Sequence[int], strongest: int, result: Result
+) -> list[int]:
+    """What would have served as well as the strongest: nearly as high a score, and no more needed once that is in."""
+    return [
+        k
+        for k, t in enumerate(scores)
+        if k not in (*taken_up, strongest)
+        and abs(t.score) > RIVAL * abs(scores[strongest].score)
+        and abs(next_scores[k].score) < THRESHOLD
+        and _possible(t, result, as_rival=True)
+    ]
+
+
+def derivative_instead(scores: Sequence[Tested], strongest: int, rivals: Sequence[int], result: Result) -> int | None:
+    """A derivative that serves as well as a product of inertia: one that flights tell belongs to the model, an inertia to the
+    aircraft file; the bounds span what the other would make of the estimates."""
+    if scores[strongest].candidate.kind is not CandidateKind.INERTIA:
+        return None
+    linear = [k for k in rivals if scores[k].candidate.kind is CandidateKind.LINEAR]
+    derivatives = [k for k in linear if _possible(scores[k], result)]
+    return max(derivatives, key=lambda k: abs(scores[k].score), default=None)
 
 
 def held_out(linear: LinearisedFit, taken_up: Sequence[int], candidate: int) -> float | None:

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 FLYING, FLYING_S = 9.0, 2.0  # m/s and s from which on the aircraft flies, as the ground station has them
 GRID_S, FINEST_S = 0.05, 0.045  # s between scans that are looked at, as on board; faster ones are left out in between
+EVEN, EVEN_SHARE = 0.1, 0.8  # of the usual step, and of all steps: what is even differs by less in more of them
 FEWEST_S = 10.0  # s of manoeuvring below which nothing was watched to speak of
 
 
@@ -123,7 +124,16 @@ def _planes(model: Model, terms: LinearTerms) -> list[MonitoredPlane]:
 def grid_of(flight: Flight) -> float:
     """Seconds between scans that are looked at: of fast ones a whole number of intervals, about those on board."""
     step = float(np.median(_steps(flight)))
-    return step * max(1, round(GRID_S / step)) if step < FINEST_S else GRID_S
+    if step < FINEST_S:
+        return step * max(1, round(GRID_S / step))
+    return step / max(1, round(step / GRID_S)) if _even(flight) else GRID_S
+
+
+def _even(flight: Flight) -> bool:
+    """Whether scans come evenly, but for some that are lost; those of a decimated link do not."""
+    steps = _steps(flight)
+    step = float(np.median(steps))
+    return float(np.quantile(np.abs(steps - step), EVEN_SHARE)) < EVEN * step
 
 
 def _manoeuvring(flight: Flight, grid: float, terms: LinearTerms) -> tuple[list[Sample], float]:
@@ -163,6 +173,9 @@ def conditions_of(flight: Flight, plane: MonitoredPlane) -> NullConditions:
         levels["speed"] = float(np.median(flying))
     levels["grid"] = grid_of(flight)
     levels["rate"] = min(1.0 / levels["grid"], 1.0 / float(np.mean(_steps(flight))))
+    if _even(flight) and (step := float(np.median(_steps(flight)))) >= FINEST_S:
+        levels["loss"] = max(0.0, 1.0 - step * levels["rate"])
+        levels["rate"] = 1.0 / step
     return replace(defaults, **levels)  # type: ignore[arg-type]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from daq.utilities.durable import whole, whole_text
+from daq.utilities.durable import whole, whole_file, whole_text
 from daq.utilities.errors import UserError
 from groundstation.calibration.recording import open_flight
 from groundstation.flight.tables import ColumnTable, TableColumn, flight_table
@@ -91,7 +91,7 @@ def save_table(table: ColumnTable, target: Path, units_row: bool) -> tuple[str, 
 
             from groundstation.flight.tables import arrow_table
 
-            with whole(target) as new:
+            with whole_file(target) as new:
                 pq.write_table(arrow_table(table), new)
         case _:
             nameless = write_matlab(table, target)

@@ -58,7 +58,8 @@ def _write_parquet(flight: FlightView, path: Path) -> None:
     import pyarrow.parquet as pq
 
     table = pa.table({"time": flight.time, **dict(flight.columns), "segment": flight.segment})
-    pq.write_table(table.replace_schema_metadata({METADATA_NAME: json.dumps(_provenance_to(flight))}), path)
+    with path.open("wb") as file:
+        pq.write_table(table.replace_schema_metadata({METADATA_NAME: json.dumps(_provenance_to(flight))}), file)
 
 
 def _provenance_to(flight: FlightView) -> dict[str, Any]:

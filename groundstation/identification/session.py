@@ -2,15 +2,17 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from numpy.linalg import LinAlgError
 
 from daq.identification.airframe import Sample
 from daq.identification.estimates import LiveEstimates, joined
 from daq.identification.in_order import OrderedEstimator
+from daq.identification.monitor.monitor import Alarm
 from daq.identification.movement import ManoeuvreDetector
 from daq.identification.next_manoeuvre import ManoeuvreAdvice, next_manoeuvre
+from daq.identification.point_quality import FlownPoint, PointMeter
 from daq.identification.regression import LiveAircraft
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.schema import CalibrationError
@@ -36,7 +38,8 @@ class LiveState:
 
     wanted: derivative -> bound to be reached [1/rad]. to_go: derivative -> seconds of manoeuvring as of now until then, 0 when
     there, inf where nothing is gained. excitation: control -> rms movement of the last seconds [rad], as signals. together: pairs
-    that are not told apart. late: scans that came late and are not in the numbers yet.
+    that are not told apart. late: scans that came late and are not in the numbers yet. point: the test point under way,
+    or the last; before: bounds [1/rad] when it began.
     """
 
     time: float
@@ -48,6 +51,8 @@ class LiveState:
     together: tuple[Together, ...]
     advice: ManoeuvreAdvice | None
     late: int
+    point: FlownPoint | None = None
+    before: Mapping[str, float] = field(default_factory=dict)
 
 
 class LiveIdentification:
@@ -83,6 +88,8 @@ class LiveIdentification:
         self._meters = {
             signal: ExcitationMeter(RECENT_S) for r in aircraft.regressions for signal in r.controls.values()
         }
+        self._points = PointMeter(tuple(self._meters), aircraft.throws)
+        self._bounds_before: dict[str, float] = {}
         self._pace = TimeToBound()
         self._last: Sample | None = None
         self._look_at = self._advise_at = self._revise_at = -math.inf
@@ -124,6 +131,10 @@ class LiveIdentification:
             self.trouble = f"live identification rests: {error or type(error).__name__}"
         return self.state
 
+    def new_alarms(self, *, finish: bool = False) -> list[Alarm]:
+        """What the gap monitor has to say since it was last asked. finish: after going through all that has come."""
+        return [] if self.watch is None else self.watch.step(finish=finish)
+
     def _work(self, *, finish: bool) -> None:
         revise = self._last is not None and self._last.time >= self._revise_at and not self._behind
         if revise and self._last is not None:
@@ -159,6 +170,7 @@ class LiveIdentification:
             self._begin_watch(sample.time)
         if any(r.credible(sample) for r in self.aircraft.regressions):
             self._last = sample
+            self._points.add(sample)
             for signal, meter in self._meters.items():
                 meter.add(sample.time, getattr(sample, signal))
 
@@ -176,6 +188,12 @@ class LiveIdentification:
                 for r in self.aircraft.regressions
             ]
             self._advice = max((a for a in advice if a is not None), key=lambda a: a.now, default=None)
+        point = self._points.point
+        if point is not None and (
+            self.state is None or self.state.point is None or self.state.point.begin != point.begin
+        ):
+            derivatives = {} if self.state is None else self.state.estimates.derivatives
+            self._bounds_before = {n: d.std for n, d in derivatives.items()}
         return LiveState(
             last.time,
             self.aircraft,
@@ -186,6 +204,8 @@ class LiveIdentification:
             together(information),
             self._advice,
             self._alignment.late + self._behind,
+            point,
+            self._bounds_before,
         )
 
     def _value(self, name: str, estimates: LiveEstimates) -> float:

@@ -4,13 +4,17 @@ import math
 from collections.abc import Iterator
 
 from daq.identification.estimates import LiveDerivative
-from daq.identification.next_manoeuvre import ManoeuvreAdvice
+from daq.identification.next_manoeuvre import LONG, ManoeuvreAdvice
+from daq.identification.point_quality import CONTROL_WORDS
 from groundstation.identification.session import LiveState
 
 LONGEST_S = 600.0  # to go; beyond, it is said that this flying does not bring it
 SAID = 4  # derivatives in the short line
+GO_ON_S = 60.0  # to go of a bound from which the input under way is not worth going on with
+WORTH = 1.1  # times narrower, from which a bound counts as gained by a point
+LEAST_PEAK = math.radians(0.5)  # of a control that counts as flown
+LINE = 99  # letters of a line on the link: two messages of STATUSTEXT
 EXCITED = math.radians(0.5)  # rad rms of the last seconds from which a control counts as being moved
-CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
 FIRST = "a doublet of each control: nothing can be told before both have moved"
 
 
@@ -73,7 +77,78 @@ def advice_lines(state: LiveState) -> Iterator[str]:
             f"{pair.first} and {pair.second} are told only together (correlation {pair.correlation:+.2f}): "
             "trust their ratio more than either"
         )
+    yield from point_lines(state)
     yield f"next: {next_words(state)}"
+
+
+def point_lines(state: LiveState) -> Iterator[str]:
+    """The test point under way or just flown: what it was, what it has brought and will bring, and what to do with it."""
+    point = state.point
+    if point is None:
+        return
+    moves = ", ".join(
+        f"{CONTROL_WORDS[n]} {math.degrees(v):.1f} deg" for n, v in point.peaks.items() if v >= LEAST_PEAK
+    )
+    gust = max(point.gusts.values(), default=math.nan)
+    air = f", gusts {math.degrees(gust):.1f} deg" if math.isfinite(gust) else ""
+    status = "under way" if point.moving else "flown"
+    yield f"test point {status}: {moves or 'nothing'} for {point.seconds:.1f} s at {point.speed:.1f} m/s{air}"
+    for fault in point.faults:
+        yield f"test point: {fault}"
+    gained = [(name, factor) for name, factor in _gained(state) if factor >= WORTH]
+    if gained:
+        yield "test point has narrowed " + ", ".join(f"{name} {factor:.1f} times" for name, factor in gained[:SAID])
+    yield f"test point: {point_decision(state)}"
+
+
+def point_decision(state: LiveState) -> str:
+    """Whether to go on, to stop, to repeat it, or to fly something else."""
+    point = state.point
+    if point is None:
+        return "none flown yet"
+    open_bounds = {n: state.to_go.get(n, math.inf) for n, bound in state.wanted.items() if bound > 0.0}
+    lacking = {n: seconds for n, seconds in open_bounds.items() if seconds > 0.0}
+    if not lacking:
+        return "stop, every wanted bound is reached"
+    within = sorted((seconds, n) for n, seconds in lacking.items() if seconds <= GO_ON_S)
+    if point.moving and within:
+        coming = ", ".join(f"{n} in {max(seconds, 1.0):.0f} s" for seconds, n in within[:SAID])
+        return f"go on, at this rate bounds are reached of {coming}"
+    if point.moving:
+        return "stop, this input brings no bound within a minute"
+    if point.faults:
+        return f"repeat it: {point.faults[0]}"
+    if state.advice is not None and set(state.advice.peaks) == {
+        CONTROL_WORDS[n] for n, v in point.peaks.items() if v >= LEAST_PEAK
+    }:
+        return "good; once more of the same axis brings most"
+    return "good; need not be repeated"
+
+
+def _gained(state: LiveState) -> list[tuple[str, float]]:
+    """Derivatives with the bound before the point over the one now, most gained first; those that are told."""
+    told = ((n, state.estimates.derivatives[n]) for n in state.aircraft.shown if state.estimates.derivatives[n].told)
+    factors = [(n, state.before.get(n, math.inf) / d.std) for n, d in told if d.std > 0.0]
+    return sorted(((n, f) for n, f in factors if math.isfinite(f)), key=lambda pair: -pair[1])
+
+
+def point_line(state: LiveState) -> str:
+    """A point that is over in one line of a few dozen letters, as it goes down the link."""
+    point = state.point
+    assert point is not None
+    reached = sum(seconds == 0.0 for seconds in state.to_go.values())
+    moves = " ".join(f"{CONTROL_WORDS[n]} {math.degrees(v):.0f}" for n, v in point.peaks.items() if v >= LEAST_PEAK)
+    worst = "" if state.advice is None else f", {state.advice.worst} {state.advice.now:.1f}x"
+    verdict = "repeat" if point.faults else "good"
+    return f"point {moves} deg: {verdict}; {reached}/{len(state.to_go)} there{worst}; next {next_short(state)}"[:LINE]
+
+
+def next_short(state: LiveState) -> str:
+    """What to fly next, in as few letters as may be."""
+    if state.advice is None:
+        return "-"
+    peaks = " ".join(f"{math.degrees(v):.1f}" for v in state.advice.peaks.values())
+    return f"{state.advice.manoeuvre} {peaks} deg {state.advice.seconds:.0f} s"
 
 
 def next_words(state: LiveState) -> str:
@@ -91,8 +166,9 @@ def next_words(state: LiveState) -> str:
 
 
 def _advised(a: ManoeuvreAdvice) -> str:
-    size = "" if a.share > 0.95 else f" at {100 * a.share:.0f} % of usual size"
-    return f"{a.manoeuvre}{size} (bound of {a.worst} from {a.now:.1f} to {a.then:.1f} times the wanted one)"
+    size = " and ".join(f"{math.degrees(peak):.1f}" for peak in a.peaks.values())
+    flown = f"{a.manoeuvre}, {size} deg for {a.seconds:.1f} s, then hands off to {LONG:.0f} s"
+    return f"{flown} (bound of {a.worst} from {a.now:.1f} to {a.then:.1f} times the wanted one)"
 
 
 def number(d: LiveDerivative) -> str:

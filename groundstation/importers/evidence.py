@@ -30,7 +30,7 @@ SLOWEST_FILTER = 2.0
 FEWEST_SPEEDS = 50
 """Samples of either from which it can be told."""
 LATENESS = np.arange(0.0, 0.81, 0.04)
-"""[s] by which CTUN.As is looked for behind ARSP.Airspeed: the autopilot smooths the one with a time constant of a quarter second."""
+"""[s] by which CTUN.As is looked for behind ARSP.Airspeed, which the autopilot smooths with some quarter second."""
 BETTER = 0.7
 """Spread of their difference, over that at the same time, from which one is seen to be later than the other."""
 SAME_SPEED = 0.03

@@ -5,6 +5,7 @@ kept too, wrapped into TUNNEL messages of system 0 that stock tools skip; `read_
 sees exactly the byte stream that came in.
 """
 
+import os
 import re
 import struct
 from collections.abc import Iterator
@@ -27,6 +28,8 @@ _STAMP = struct.Struct(">Q")
 _STAMP_FROM, _STAMP_TO = 1_000_000, 4_102_444_800_000_000  # up to the year 2100
 _RECORD = re.compile(rb"\x00[\x00-\x0e].{6}(?=[\xfd\xfe])", re.DOTALL)  # a time before 2100, a frame's first byte
 _FLUSH_BYTES = 4096
+LARGEST = 1 << 30
+"""Bytes of a log after which another is begun: three days of a 57600 baud radio, and half of what is read of one file."""
 
 
 class TlogError(UserError):
@@ -34,16 +37,29 @@ class TlogError(UserError):
 
 
 class TlogWriter:
-    """Appends records; a few kilobytes at most are still in memory when the process is killed."""
+    """Appends records; a few kilobytes at most are still in memory when the process is killed.
 
-    def __init__(self, path: Path) -> None:
+    Where a log is `largest` bytes long the next one is begun beside it: telemetry.tlog, telemetry_1.tlog, telemetry_2.tlog.
+    """
+
+    def __init__(self, path: Path, largest: int = LARGEST) -> None:
+        self._first, self._largest, self._number = path, largest, 0
         try:
-            self.file = LastingLog(path)
+            while self.path.is_file() and self.path.stat().st_size >= largest:
+                self._number += 1
+            self.file = LastingLog(self.path)
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
-        self.path = path
         self._wrapper = FrameEncoder(0, 0)
         self._sound = True
+
+    @property
+    def path(self) -> Path:
+        """The log that is written now."""
+        return self._named(self._number)
+
+    def _named(self, number: int) -> Path:
+        return self._first.with_stem(f"{self._first.stem}_{number}") if number else self._first
 
     def write(self, item: MavlinkFrame | Junk, utc_ns: int) -> None:
         """Keep a frame, or bytes that are none."""
@@ -74,6 +90,10 @@ class TlogWriter:
         self._sound = False
         self.file.look_after()
         self.flush()
+        if os.fstat(self.file.descriptor()).st_size >= self._largest:
+            full, self.file = self.file, LastingLog(self._named(self._number + 1))
+            self._number += 1
+            full.close()
 
     def close(self) -> None:
         self.file.close()

@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import os
 import re
 import unicodedata
 from collections.abc import Iterator
@@ -171,3 +172,21 @@ def test_words_of_strangers_are_no_commands_of_latex(word: str) -> None:
     made = _latex_text(word)
     bare = re.sub(r"\\(textbackslash|textasciicircum)\{\}|\$\\sim\$|\\[_#%&${}]", "", made)
     assert not set(bare) & set("\\#%&$^_~{}\n\u202e"), made
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_name_that_is_no_text_is_read_and_written(
+    tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight, out = tmp_path / os.fsdecode(b"fl\xffug.csv"), tmp_path / os.fsdecode(b"out\xfe" + ending.encode())
+    flight.write_text("time,p,q\n" + "".join(f"{0.05 * i},{0.1 * (i % 7)},{0.01 * i}\n" for i in range(100)))
+    for words in (
+        ["import", flight, "-o", out, "--accept-implausible"],
+        ["info", out],
+        ["export", out, "-o", tmp_path / "o.parquet"],
+    ):
+        with pytest.raises(SystemExit) as ended:
+            sideslip.main([str(w) for w in words])
+        said = capsys.readouterr()
+        assert ended.value.code == 0, said.err
+        assert harmless(said.out + said.err)

@@ -1,9 +1,9 @@
 """Logs as ArduPlane's own firmware writes them, of aeroplanes with known derivatives, and what `analyse` makes of them.
 
-`python -m tests.studies.arduplane_logs [NAME...] [--hz 25] [--out DIR]`: each aeroplane flies legs in FBWA and, between them, seconds
-of MANUAL with doublets. What such a log does to a record is in it: outputs logged at 25 or 50 Hz and changed before that, gyros and
-accelerometers behind their low-pass, airspeed smoothed over three tenths of a second, fixes that are old, an attitude that wanders,
-no vane, ARSPD_RATIO that is not Bernoulli's. Own equations of motion, apart from those of the estimators.
+`python -m tests.studies.arduplane_logs [NAME...] [--hz 25] [--out DIR]`: each aeroplane flies legs in FBWA and, between them,
+seconds of MANUAL with doublets. What such a log does to a record is in it: outputs logged at 25 or 50 Hz and changed before that,
+gyros and accelerometers behind their low-pass, airspeed smoothed over a quarter second, fixes that are old, an attitude that
+wanders, no vane, ARSPD_RATIO that is not Bernoulli's. Own equations of motion, apart from those of the estimators.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
@@ -59,6 +60,8 @@ AEROPLANES = {
     "stiff": Aeroplane(1.9, 0.45, 0.24, 2.1, (0.11, 0.15, 0.24, 0.01), 26.0),
 }  # fmt: skip
 WIND = (3.2, -2.1)
+PHASES = (0.013, 0.031, 0.002, 0.024, 0.037, 0.009, 0.018)
+"""[s] by which a pilot moves off the clock of the log, turn by turn."""
 ATTITUDE_ERROR = 0.004
 """[rad] of an EKF's attitude, which comes and goes."""
 LAUNCH = 22.0
@@ -157,7 +160,10 @@ def flown(aeroplane: Aeroplane, legs: int = 12, size: float = 1.0) -> dict[str, 
             speed = float(np.sqrt(x[:3] @ x[:3]))
             throttle = float(np.clip(0.1 + 0.08 * (aeroplane.speed - speed), 0.0, 0.7)) if not by_hand else throttle
             if by_hand:
-                pulse = np.round(np.array([0.0, trimmed, 0.0]) + doublets(into - leg, int(turn), size))
+                pulse = np.round(
+                    np.array([0.0, trimmed, 0.0])
+                    + doublets(into - leg - PHASES[int(turn) % len(PHASES)], int(turn), size)
+                )
             else:
                 bank = (0.5 if into < leg - 3.0 else 0.0) * (1 if int(turn) % 4 < 2 else -1)
                 wanted = 0.05 + 0.02 * float(np.clip(120.0 + x[12], -8, 8))
@@ -297,34 +303,30 @@ def written(name: str, folder: Path, seed: int, hz: float, old: bool = False) ->
 
 def surfaces(lag: float) -> str:
     """A map of three servos."""
-    text = "format = 1\n"
+    rows = []
     for surface, column, end in (("aileron", "C1", 22.0), ("elevator", "C2", 22.0), ("rudder", "C4", 25.0)):
-        text += f'[servos.{surface}]\ncolumn = "RCOU.{column}"\ntrim = 1500\ntravel = [[1000, {end}], [2000, -{end}]]\nunit = "deg"\nlag = {lag}\n'
-    return (
-        text
-        + "[columns]\n"
-        + "".join(
-            f'delta_{s[0]} = {{ column = "servo.{s}", hold = true }}\n' for s in ("elevator", "aileron", "rudder")
-        )
-    )
+        rows += [f"[servos.{surface}]", f'column = "RCOU.{column}"', "trim = 1500"]
+        rows += [f"travel = [[1000, {end}], [2000, -{end}]]", 'unit = "deg"', f"lag = {lag}"]
+    columns = [f'delta_{s[0]} = {{ column = "servo.{s}", hold = true }}' for s in ("elevator", "aileron", "rudder")]
+    return "\n".join(["format = 1", *rows, "[columns]", *columns, ""])
 
 
-def judged(answer: Mapping[str, object], name: str) -> str:
-    """One line: recommended, and how far the main derivatives are off in bounds, with the widest bound."""
+def judged(answer: Mapping[str, Any], name: str) -> str:
+    """What is recommended, and a line for each main derivative: truth, how far off in bounds and per cent, bound in per cent."""
     estimate = answer["estimate"]
     if not estimate:
         return f"{name}: {answer['verdict']}"
-    flight = estimate["flights"][0]  # type: ignore[index]
+    flight = estimate["flights"][0]
     method = flight["recommended"]["method"]
-    found = flight["methods"]["ml" if method == "none" else method]["parameters"]
-    true = AEROPLANES[name].true
-    parts = []
+    found, true = flight["methods"]["ml" if method == "none" else method]["parameters"], AEROPLANES[name].true
+    lines = [f"{name}: {estimate['model']}, recommended {method}: {flight['recommended']['why'][:200]}"]
     for n in MAIN:
         value, std = found[n]["estimate"], found[n]["std_coloured"]
-        parts.append(
-            f"{n} {value:.4f}({true[n]:g}) {(value - true[n]) / std:+.1f}b {(value / true[n] - 1) * 100:+.1f}% w{abs(std / true[n]) * 100:.0f}{'' if found[n]['identifiable'] else 'X'}"
+        away = f"{(value - true[n]) / std:+.1f} bounds, {value / true[n] - 1:+.1%}; bound {abs(std / true[n]):.1%}"
+        lines.append(
+            f"   {n:8} {value:+.4f} for {true[n]:+.4f}: {away}{'' if found[n]['identifiable'] else ', untold'}"
         )
-    return f"{name}: {estimate['model']} {method} {flight['recommended']['why'][:200]}\n   " + "\n   ".join(parts)  # type: ignore[index]
+    return "\n".join(lines)
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from tests.torture.soak import soak
 from tests.torture.trials import Tally, Trials, ground_killed, shim, two
 from tests.torture.verbs import VERBS, made_inputs
 
-PARTS = ("verbs", "two", "ground", "soak", "fuzz")
+PARTS = ("killed", "full", "two", "ground", "soak", "fuzz")
 FUZZ_A_MINUTE = 250  # cases, on an idle core
 SOAK_PACE = 5.0  # simulated seconds a second
 A_GROUND_S = 6.0  # seconds that one killed ground station takes
@@ -44,7 +44,7 @@ def main() -> int:
         "| what | trials | faults | slowest [s] | of it processor [s] | most memory [MB] |\n|---|---|---|---|---|---|",
         flush=True,
     )
-    if {"verbs", "two"} & set(parts):
+    if {"killed", "full", "two"} & set(parts):
         wrong |= _verbs(given.verb or list(VERBS), parts, given.kills, given.writes, rng)
     if "ground" in parts:
         wrong |= _told("ground station killed", ground_killed(given.kills, rng))
@@ -81,8 +81,9 @@ def _verbs(verbs: list[str], parts: Sequence[str], kills: int, writes: int, rng:
         inputs, library = made_inputs(base / "inputs"), shim(base)
         for verb in verbs:
             trials = Trials(verb, base, inputs, rng, library)
-            if "verbs" in parts:
+            if "killed" in parts:
                 wrong |= _told(f"{verb}, killed", trials.killed(kills))
+            if "full" in parts:
                 wrong |= _told(f"{verb}, disk full", trials.full(writes))
             if "two" in parts:
                 open_verbs.callback(trials.close)

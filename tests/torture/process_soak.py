@@ -12,6 +12,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from socket import SOCK_STREAM
 
 from daq.clock import RealClock
 from daq.contract.recordings.reading import read_recording
@@ -77,7 +78,7 @@ def hour_of_ground(seconds: float) -> HourOfGround:
         folder, port = Path(name), free_port()
         (folder / "g.toml").write_text(
             f'[link]\nports = ["udpin:127.0.0.1:{port}"]\n'
-            f"[view]\nport = {free_port()}\nweb_port = {free_port()}\n[identification]\naircraft = 'cdfp'\n"
+            f"[view]\nport = {free_port(SOCK_STREAM)}\nweb_port = {free_port(SOCK_STREAM)}\n[identification]\naircraft = 'cdfp'\n"
         )
         command = [
             sys.executable,

@@ -45,10 +45,10 @@ def soak(seconds: float, seed: int = 1) -> Soak:
         warm = files = 0
         for _ in _flown(rig, station, min(WARM_S, seconds / 4), seed, 0):
             pass
-        warm, files = resident(), _open_files()
+        warm, files = resident(), open_files()
         for _ in _flown(rig, station, seconds, seed + 1, round(min(WARM_S, seconds / 4) * 20)):
             pass
-        grown, opened = resident() - warm, _open_files() - files
+        grown, opened = resident() - warm, open_files() - files
         station.close()
         summary = rig.ground.summary()
         lost = sum(b - a + 1 for a, b in summary["scans_lost"])
@@ -74,5 +74,5 @@ def resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
-def _open_files() -> int:
+def open_files() -> int:
     return sum(1 for _ in Path("/proc/self/fd").iterdir())

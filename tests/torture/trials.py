@@ -17,7 +17,7 @@ from typing import Any
 
 from daq.utilities.durable import ENDING
 from tests.torture.held import Ended, Held
-from tests.torture.verbs import GROWING, NEW_ONLY, VERBS, Inputs
+from tests.torture.verbs import CUT_AT_AN_END, GROWING, NEW_ONLY, OWN_ONLY, VERBS, Inputs
 
 LIMIT_S = 120.0
 """Of a trial, by the clock: a busy machine has ten of them at once."""
@@ -133,6 +133,8 @@ class Trials:
                     return data.endswith(MCAP_END)
                 case ".parquet":
                     return data[:4] == data[-4:] == b"PAR1"
+                case ".csv" if path.name in CUT_AT_AN_END:
+                    return data.endswith(b"\n") and len({line.count(b",") for line in data.splitlines()}) == 1
                 case ".html":
                     return data.rstrip().endswith(b"</html>")
         except ValueError:
@@ -218,7 +220,9 @@ def two(one: Trials, other: Trials) -> Tally:
         end = trial.held.ended()
         timer.cancel()
         tally.ended(trial.verb, end, end.status == -signal.SIGKILL)
-        refused = (2,) if trial.verb in NEW_ONLY or one is other or _folders(one) & _folders(other) else ()
+        refused = (
+            (2,) if trial.verb in (*NEW_ONLY, *OWN_ONLY) or one is other or _folders(one) & _folders(other) else ()
+        )
         what = f"{one.verb} beside {other.verb}: {trial.verb} ended with {end.status}: {end.words[-200:]}"
         tally.judge(what, end.status not in (trial.held.status, *refused))
     for path in one.here.rglob("*"):
@@ -245,14 +249,15 @@ def ground_killed(times: int, rng: random.Random) -> Tally:
         command = [sys.executable, "-m", "sideslip"]
         quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "cwd": here}
         flying = subprocess.Popen(
-            [*command, "fly", "quiet", "--port", f"udp:127.0.0.1:{port}", "--out", "a", "--speed", "1"], **quiet
+            [*command, "fly", "long_flight", "--port", f"udp:127.0.0.1:{port}", "--out", "a", "--speed", "1"], **quiet
         )
         try:
-            for _ in range(times):
+            for n in range(times):
                 station = subprocess.Popen(
                     [*command, "ground", "g.toml", "--out", "s"], stdin=subprocess.DEVNULL, **quiet
                 )
-                time.sleep(rng.uniform(2.5, 6.0))
+                _listening(here / "s" / "ground.log", n + 1, station)
+                time.sleep(rng.uniform(0.0, 4.0))
                 tally.judge(f"ground: ended by itself: {station.poll()}", station.poll() is not None)
                 station.kill()
                 _, said = station.communicate()
@@ -265,7 +270,24 @@ def ground_killed(times: int, rng: random.Random) -> Tally:
                     log.close()
                 tally.judge(f"ground: {held} scans in the journals, {before} before", held < before)
                 before = held
+            last = subprocess.run(
+                [*command, "ground", "g.toml", "--out", "s", "--duration", "5", "--json", "g.json"],
+                check=False,
+                **quiet,
+            )
+            on_disk = json.loads((here / "g.json").read_text())["scans_on_disk"]
+            tally.judge(f"ground: in the end status {last.returncode}: {last.stderr[-200:]!r}", last.returncode != 0)
+            tally.judge(f"ground: {on_disk} scans on the disk in the end, {before} before", on_disk < before)
         finally:
             flying.kill()
             flying.communicate()
     return tally
+
+
+def _listening(log: Path, times: int, station: "subprocess.Popen[bytes]") -> None:
+    """Wait until so many ground stations have said, in the log that they share, that they listen."""
+    until = time.monotonic() + LIMIT_S
+    while time.monotonic() < until and station.poll() is None:
+        if log.is_file() and log.read_bytes().count(b"listening") >= times:
+            return
+        time.sleep(0.05)

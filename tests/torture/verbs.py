@@ -27,18 +27,22 @@ VERBS: Mapping[str, str] = {
     "reconstruct": "reconstruct SHORT -o out.mcap --json out.json",
     "aircraft new": "aircraft new glider -o out.toml",
     "estimate": "estimate SHORT --method ls --json out.json --save-model out.toml --figure out.png",
-    "match": "match MODEL SHORT --json out.json --figure out.png --histories out.mcap",
+    "match": "match MODEL SHORT --json out.json --figure out.png --histories folder",
     "performance": "performance SHORT --json out.json --figure out.png --report report",
     "frequency": "frequency SHORT --input delta_a --output p --json out.json -o out.png --report report",
     "design": "design --model lateral --aircraft cdfp --kind doublet --time 4 -o out.toml --json out.json",
     "watch": "watch FLIGHT --hours 1 --json out.json --report report",
     "campaign": "campaign SHORT --method ls --serial --out data --json out.json",
-    "gap": "gap SHORT --nulls 20 --json out.json --report report",
+    "gap": "gap SHORT --nulls 20 --json out.json",
     "analyse": "analyse TABLE -o folder --json out.json",
     "fly": "fly SCENARIO --out flown --json out.json",
     "ground --replay": "ground --replay TLOG --speed max --out session --json out.json",
 }
 NEW_ONLY = ("recover", "aircraft new")  # refuse a name that is there
+OWN_ONLY = ("export neutral",)  # replaces what it wrote itself, and no file of another's
+CUT_AT_AN_END = (
+    "truth.csv",
+)  # of a simulated flight that Ctrl-C or SIGTERM ends early: all its lines, and they are whole
 GROWING = (".journal", ".tlog", ".log", ".lock")
 """Endings of what is read while it grows: kept whole as far as it goes, not whole or not at all."""
 

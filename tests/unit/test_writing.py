@@ -16,6 +16,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("daq/actuation/pwm/heartbeat.py", "open:wb"): "a device of the kernel",
     ("daq/utilities/durable.py", "open:a+b"): "the one place",
     ("daq/utilities/durable.py", "open:w"): "the one place",
+    ("daq/utilities/durable.py", "open:wb"): "the one place",
     ("daq/utilities/durable.py", "os.open:w"): "the one place",
     ("daq/utilities/durable.py", "write_bytes"): "the one place",
     ("daq/contract/link/dialect/generate.py", "write_text"): "makes source text of this program, run by its developers",

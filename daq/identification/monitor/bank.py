@@ -5,7 +5,7 @@ aircraft itself (a surface that sticks, ice, a mass that shifts).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from daq.identification.regression import LATERAL, LONGITUDINAL, PlaneRegression
 
@@ -14,7 +14,8 @@ from daq.identification.regression import LATERAL, LONGITUDINAL, PlaneRegression
 class MonitoredEffect:
     """One effect. step: its size for the signature, in `unit`. equation: where it enters. title: for a person.
 
-    prior: standard deviation [unit] of what the model itself may be wrong by; 0 for what it does not have.
+    prior: standard deviation [unit] of what the model itself may be wrong by; 0 for what it does not have. moves: parameter ->
+    what a step changes of it, for an effect that is of several.
     """
 
     name: str
@@ -23,6 +24,7 @@ class MonitoredEffect:
     step: float
     unit: str
     prior: float = 0.0
+    moves: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,10 @@ class MonitoredPlane:
     """What is predicted and named of one plane.
 
     regression: whose derivatives these are. channels: outputs of the predictor, whose innovations are looked at: states, that of
-    the vane first, then forces; equations: where an innovation of each belongs. delays: effects that make each of the regression's
-    controls late. constants, least: steps of the constants, and least steps of a derivative by coefficient, for those believed to
-    be about zero; other derivatives are stepped by a tenth. levels: standard deviation of the constants: trim and offsets drift.
-    weak: what an estimate of a good flight leaves open by 5 % and not 1. missing: what the model does not have.
+    the vane first, then forces; equations: where an innovation of each belongs. delays: effects that make each of the controls
+    late. constants, least: steps of the constants, and least steps of a derivative by coefficient, for those believed to be about
+    zero; other derivatives are stepped by a tenth. levels: standard deviation of the constants: trim and offsets drift. weak:
+    what an estimate of a good flight leaves open by 5 % and not 1. missing: what the model does not have.
     """
 
     regression: PlaneRegression
@@ -134,6 +136,21 @@ TITLES: Mapping[str, str] = {
 }
 
 
+MASS_STEP, CG_STEP = 0.05, 0.02  # share of the mass; part of the chord
+
+
+def _loading(values: Mapping[str, float]) -> tuple[MonitoredEffect, ...]:
+    """A mass that is another, thrust and drag still in balance, and a centre of gravity that has moved: what coefficients about
+    the old one would show."""
+    lift = {n: v for n, v in values.items() if n.startswith("CL_")}
+    heavier = {n: -MASS_STEP * v for n, v in lift.items()} | {"CD_k": 2.0 * MASS_STEP * values.get("CD_k", 0.0)}
+    aft = {f"Cm_{n.removeprefix('CL_')}": CG_STEP * v for n, v in lift.items() if n != "CL_q"}
+    return (
+        MonitoredEffect("mass", "mass has changed, share of it", "CL", MASS_STEP, "1", 0.0, heavier),
+        MonitoredEffect("cg", "centre of gravity has moved aft, in chords", "Cm", CG_STEP, "1", 0.0, aft),
+    )
+
+
 def bank(
     values: Mapping[str, float], stds: Mapping[str, float], plane: MonitoredPlane = LATERAL_PLANE
 ) -> tuple[MonitoredEffect, ...]:
@@ -153,4 +170,4 @@ def bank(
             share = PRIOR_WEAK if name in plane.weak else PRIOR
             prior = stds.get(name, max(share * value, share * plane.least[equation]))
         effects.append(MonitoredEffect(name, TITLES.get(name, f"derivative {name}"), equation, step, "1/rad", prior))
-    return (*effects, *missing)
+    return (*effects, *missing, *(_loading(values) if plane is PITCH_PLANE else ()))

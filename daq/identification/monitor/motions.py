@@ -54,7 +54,7 @@ def between(first: Measured, last: Measured, part: float) -> Measured:
     return type(first)(*(a + part * (b - a) for a, b in zip(first, last, strict=True)))
 
 
-class PredictedMotion(ABC, Generic[Measured]):
+class MotionOfPlane(ABC, Generic[Measured]):
     """States and forces of a plane, in the order of its channels. values: derivative -> array, what is missing zero."""
 
     def __init__(self, airframe: Airframe, values: Mapping[str, Array], plane: MonitoredPlane) -> None:
@@ -85,7 +85,7 @@ class PredictedMotion(ABC, Generic[Measured]):
         return x
 
 
-class LateralMotion(PredictedMotion[Inputs]):
+class LateralMotion(MotionOfPlane[Inputs]):
     """Rates of beta, p, r, phi and the side force ay."""
 
     def forces(self, x: Array, u: Inputs, gust: Array | float = 0.0) -> Array:
@@ -118,7 +118,7 @@ class LateralMotion(PredictedMotion[Inputs]):
         )
 
 
-class PitchMotion(PredictedMotion[ElevatorInputs]):
+class PitchMotion(MotionOfPlane[ElevatorInputs]):
     """Rates of alpha, q, theta and the forces ax, az; airspeed, thrust and the lateral motion are measured."""
 
     def forces(self, x: Array, u: ElevatorInputs, gust: Array | float = 0.0) -> Array:

@@ -120,8 +120,8 @@ def fly(
             scans.append(_scan(time, x, inputs, motion, gust, conditions, rng, plane))
         command = pilot.command(commands[k], x)
         next_surfaces = command + (surfaces - command) * fade
-        drive = partial(between, inputs, pilot.inputs(x, next_surfaces))
-        x = motion.advance(x, drive, step, gust)  # type: ignore[arg-type]  # inputs of the same plane
+        drive = partial(between, inputs, pilot.inputs(x, next_surfaces))  # type: ignore[type-var]  # of the same plane
+        x = motion.advance(x, drive, step, gust)  # type: ignore[arg-type]
         surfaces = next_surfaces
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
     return scans

@@ -66,7 +66,8 @@ class PredictorBank:
             f"{vane}_bias": self._vane_bias,
         }
         for k, effect in enumerate(effects, start=1):
-            (table[effect.name] if effect.name in table else places[effect.name])[k, 0] += effect.step
+            for name, change in (effect.moves or {effect.name: effect.step}).items():
+                (table[name] if name in table else places[name])[k, 0] += change
         self._motion = motion_of(plane, airframe, table)
         self._scans: list[FlightsScan] = []  # the last three
         self._surfaces = [SurfacesBetween(airframe.servo_lag) for _ in plane.surfaces]

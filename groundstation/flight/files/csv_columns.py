@@ -5,6 +5,7 @@ other lengths - is left to the slow road, which knows what to say.
 """
 
 import csv
+import io
 import itertools
 import mmap
 import re
@@ -156,9 +157,9 @@ def plain_columns(
         decimal_point=decimal,
     )
     try:
-        table = csv.read_csv(
-            pa.BufferReader(source) if isinstance(source, bytes) else str(source), options, cells, numbers
-        )
+        # Opened here: a file name need not be text, and Arrow's has to be.
+        with io.BytesIO(source) if isinstance(source, bytes) else source.open("rb") as file:
+            table = csv.read_csv(file, options, cells, numbers)
     except pa.ArrowInvalid:
         return None
     table = _with_a_number(table)

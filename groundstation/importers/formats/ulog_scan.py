@@ -23,6 +23,8 @@ SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 HEADER = 16
 _TYPES = frozenset(b"BFIMPQARDLCSO")
 _DATA = ord("D")
+_SAMPLE_HEAD = struct.Struct("<HBH")  # length without these three bytes, kind, topic
+_NONE = (1, 0)
 _SIZES = {
     "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "int64_t": 8, "uint64_t": 8,
     "float": 4, "double": 8, "bool": 1, "char": 1,
@@ -63,6 +65,7 @@ class UlogScan:
         self._formats: dict[str, tuple[_Field, ...]] = {}
         # shortest and longest sample by message id, 0 where not announced
         self._topics = np.zeros((2, 2**16), np.int64)
+        self._bounds: dict[int, tuple[int, int]] = {}  # the same
         self._announced = self._fields = 0
         self._sync = -1
         self._appended: list[int] = []  # offsets where data were appended after a crash
@@ -78,6 +81,10 @@ class UlogScan:
         """Go through the file once."""
         start = HEADER
         while start < len(self._data):
+            first, start = start, self._sound_data(start)
+            if start > first:
+                self._body.append(self._data[first:start])
+                continue
             size = self._message_size(start)
             following = start + size if size else self._following(start + 1)
             boundary = next((offset for offset in self._appended if start < offset < following), None)
@@ -86,6 +93,19 @@ class UlogScan:
             if not (size and self._keep(self._data[start + 2], self._data[start + 3 : start + size])):
                 self.skipped += following - start
             start = following
+
+    def _sound_data(self, at: int) -> int:
+        """Where the samples of known topics end that begin at `at` and follow one another: most of a log, in one tight loop."""
+        data, bounds, head = self._data, self._bounds, _SAMPLE_HEAD.unpack_from
+        end = min((offset for offset in self._appended if offset > at), default=len(data))
+        while at + _SAMPLE_HEAD.size <= end:
+            size, kind, topic = head(data, at)
+            shortest, longest = bounds.get(topic, _NONE)
+            following = at + 3 + size
+            if kind != _DATA or not shortest <= size - 2 <= longest or following > end:
+                break
+            at = following
+        return at
 
     def _message_size(self, at: int) -> int:
         """Length of the message at `at` with its head, 0 where none begins."""
@@ -190,7 +210,7 @@ class UlogScan:
         shortest, _ = self._expanded(fields[:unpadded], DEEPEST)
         if self._topics[1, topic] or longest >= MOST_BYTES - 2 or self._fields + count > MOST_FIELDS:
             return False
-        self._topics[:, topic] = shortest, longest
+        self._topics[:, topic] = self._bounds[topic] = shortest, longest
         self._fields += count
         self._announced += 1
         self._body.append(_message(ord("A"), body))

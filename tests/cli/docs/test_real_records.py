@@ -4,6 +4,7 @@ The records themselves are not here. Truth is a short period of the same build-u
 """
 
 import csv
+import json
 import math
 import shutil
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from tests.cli.docs.blocks import commands_of
 from tests.cli.docs.follow import follow
+from tests.studies import t38_points
 from tests.unit.estimation.campaign.running import ROOT
 
 PAGES = ROOT / "docs" / "validation"
@@ -111,10 +113,41 @@ def test_short_periods_of_the_page_on_the_t38(tmp_path: Path, rng: np.random.Gen
             value, bound = map(float, row[column].split(" ± "))
             assert abs(value - truth) < 3 * bound + 0.005 * truth, (column, speed, truth)
             assert bound < 0.2 * truth
+    points = list(t38_points.table(json.loads((tmp_path / "t38.json").read_text())))
+    assert len([p for p in points if p.startswith("| ")]) == 1 + len(t38_points.PUBLISHED)
+    assert sum("above the Mach numbers flown" in p for p in points) == 3
 
 
-def dutch_roll(damped: bool, rng: np.random.Generator) -> list[dict[str, str]]:
-    """24 s with a rudder pulse, by linear equations; the side force filtered and reversed as in the record."""
+def test_a_line_through_stretches_holds_what_they_scatter(rng: np.random.Generator) -> None:
+    """Bounds of half the scatter: 95 % of what further flights have lies inside all the same."""
+    inside, count = 0, 300
+    for _ in range(count):
+        mach = np.array(t38_points.STRETCHES)
+        values = -0.6 - 0.5 * (mach - 0.7) + 0.06 * rng.standard_normal(5)
+        line = t38_points.Line.through(mach, values, np.full(5, 0.03))
+        other = -0.6 - 0.5 * (0.8 - 0.7) + 0.06 * rng.standard_normal()
+        low, high = np.quantile(line.draw(0.8, rng, 2000), [0.025, 0.975])
+        inside += low < other < high
+    assert 0.90 < inside / count < 0.995
+
+
+def test_the_short_period_of_a_point_is_the_closed_form() -> None:
+    """At the speed and density of the standard atmosphere that go with Mach number and dynamic pressure."""
+    pressure, mach = 101325.0, 0.6  # sea level: 340.3 m/s of sound
+    derivatives = {n: np.array([TRUTH[n]]) for n in t38_points.NAMES}
+    frequency, damping = t38_points.short_period(0.7 * pressure * mach**2, mach, derivatives)
+    speed, density = mach * 340.294, 1.225
+    lift = 0.5 * density * speed * AREA * TRUTH["CL_alpha"] / MASS
+    moment = 0.5 * density * speed**2 * AREA * CHORD / IYY
+    spin = -moment * TRUTH["Cm_q"] * CHORD / (2 * speed)
+    omega = math.sqrt(-moment * TRUTH["Cm_alpha"] + lift * spin)
+    assert float(frequency[0]) == pytest.approx(omega / (2 * math.pi), rel=2e-3)
+    assert float(damping[0]) == pytest.approx((lift + spin) / (2 * omega), rel=2e-3)
+
+
+def dutch_roll(damped: bool, rng: np.random.Generator, *, rolls: bool = False) -> list[dict[str, str]]:
+    """24 s with a rudder pulse, or rolls from side to side, by linear equations; the side force filtered and reversed as in the
+    record."""
     step, rows = 0.001, []
     beta = phi = p = r = shown = 0.0
     for k in range(24_000):
@@ -122,6 +155,9 @@ def dutch_roll(damped: bool, rng: np.random.Generator) -> list[dict[str, str]]:
         pulse = 5.0 * DEG * (1 if 1 < t < 2 else -1 if 2 < t < 3 else 0)
         rudder = pulse - (0.12 * r if damped else 0.0)
         aileron = 2.0 * DEG * (1 if 8 < t < 9 else -1 if 9 < t < 10 else 0)
+        if rolls:
+            pulse, aileron = 0.0, 2.5 * DEG * (1 if 2 < t < 6 else -1 if 7 < t < 14 else 1 if 16 < t < 19 else 0)
+            rudder = 1.0 * DEG * (1 if 20 < t < 21 else 0)
         side = -0.12 * beta * 95 + 2.0 * rudder
         shown += (side - shown) * step / 0.03
         if k % 100 == 0:
@@ -135,7 +171,7 @@ def dutch_roll(damped: bool, rng: np.random.Generator) -> list[dict[str, str]]:
                     "pitch_rate_deg_s": f"{0.03 * noise[3]:.5f}",
                     "yaw_rate_deg_s": f"{r / DEG + 0.03 * noise[4]:.5f}",
                     "lateral_g": f"{-shown / G + 0.001 * noise[5]:.6f}",
-                    "aileron_deg": f"{aileron / DEG:.5f}",
+                    "aileron_deg": f"{-aileron / DEG:.5f}",
                     "elevator_deg": "0.0",
                     "rudder_deg": f"{-rudder / DEG:.5f}",
                     "tas_knots": f"{185 + 0.05 * noise[6]:.3f}",
@@ -154,12 +190,21 @@ def dutch_roll(damped: bool, rng: np.random.Generator) -> list[dict[str, str]]:
 def test_dutch_rolls_of_the_page_on_the_citation(tmp_path: Path, rng: np.random.Generator) -> None:
     for name, damped in (("dutch_roll", False), ("dutch_roll_damper_on", True)):
         write(tmp_path / f"{name}.csv", dutch_roll(damped, rng))
+    write(tmp_path / "aperiodic_roll.csv", dutch_roll(False, rng, rolls=True))
     shutil.copytree(PAGES, tmp_path / "docs" / "validation")
     commands = commands_of(PAGES / "citation.md")
-    assert [c.split()[1] for c in commands] == ["import", "import", "estimate"]
-    printed = [follow(command, tmp_path, ROOT) for command in commands][-1]
+    assert [c.split()[1] for c in commands] == ["import", "import", "estimate", "import", "estimate"]
+    printed = [follow(command, tmp_path, ROOT) for command in commands][2]
     assert "beta not measured" in printed
     assert "is the sign of delta_r turned" not in printed
     table = list(csv.DictReader((tmp_path / "citation-report" / "tables" / "modes.csv").read_text().splitlines()))
     rolls = [float(row["natural frequency [rad/s]"].split(" ± ")[0]) for row in table if row["mode"] == "Dutch roll"]
     assert rolls == pytest.approx([2.55, 2.55], rel=0.05)
+    matrix = np.array(
+        [[-0.12, 0.09, -1.0, G / 95], [-6.0, -2.2, 0.9, 0.0], [5.6, -0.25, -0.35, 0.0], [0.0, 1.0, 0.08, 0.0]]
+    )
+    fastest = float(np.linalg.eigvals(matrix).real.min())
+    table = list(csv.DictReader((tmp_path / "roll-report" / "tables" / "modes.csv").read_text().splitlines()))
+    (roll,) = [row["eigenvalue [1/s]"] for row in table if row["mode"] == "roll"]
+    value, bound = (float(v) for v in roll.replace("'", "").split(" ± "))
+    assert abs(value - fastest) < 3 * bound + 0.05 * abs(fastest)

@@ -202,3 +202,15 @@ def test_replacing_waits_for_nobody(tmp_path: Path) -> None:
         one.write_text("1")
         two.write_text("2")
     assert (tmp_path / "a").read_text() == "1"
+
+
+def test_the_look_whether_a_folder_takes_files_leaves_nothing_even_when_it_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import os, pathlib\nfrom daq.utilities import durable\nfrom daq.utilities.outputs import check_folder\n"
+        "pathlib.Path.unlink = lambda *_, **__: os.kill(os.getpid(), 9)\n"
+        f"check_folder('--json', pathlib.Path({str(tmp_path)!r}))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
+    assert len(list(tmp_path.iterdir())) == 1
+    durable.try_folder(tmp_path)
+    assert list(tmp_path.iterdir()) == []

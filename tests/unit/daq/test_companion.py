@@ -36,10 +36,11 @@ class Heard:
     def __init__(self) -> None:
         self.said: list[tuple[LogLevel, str]] = []
         self.shown: dict[str, float] = {}
+        self.told: list[str] = []
 
     def companion(self, *command: str, every_s: float = 5.0) -> Companion:
         config = IdentificationConfig(every_s=every_s, command=command)
-        return Companion(config, "cdfp", str(CALIBRATION), self.say, self.show)
+        return Companion(config, "cdfp", str(CALIBRATION), self.say, self.show, self.told.append)
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
         assert name == "identification"

@@ -96,7 +96,7 @@ def test_more_sets_without_a_bound_are_refused_and_off_is_the_default() -> None:
 
 
 def test_old_answers_are_no_news() -> None:
-    companion = Companion(IdentificationConfig(every_s=2.0), "cdfp", "", lambda *_: None, lambda *_: None)
+    companion = Companion(IdentificationConfig(every_s=2.0), "cdfp", "", *[lambda *_: None] * 3)
     assert companion.known() is None  # not started
     companion._process = object()  # type: ignore[assignment]  # one that never says more
     assert companion.known() is None

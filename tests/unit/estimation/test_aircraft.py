@@ -266,6 +266,14 @@ def test_doubtful_numbers_are_warned_of(change: dict[str, object], check: str, s
     assert any(n.check == check and said in n.text for n in warned)
 
 
+def test_a_fuselage_longer_than_the_wing_is_usual() -> None:
+    """An X-15: 6.8 m of span, 15 m of length; a yaw inertia 20 times too large is not."""
+    craft = Aircraft("x", 6.8, 18.6, 3.1, 6600.0, 5000.0, 108000.0, 111000.0, 800.0)
+    assert not [n for n in review_aircraft(craft) if "Izz" in n.text]
+    wrong = replace(craft, Iyy=2.2e6, Izz=2.2e6)
+    assert [n for n in review_aircraft(wrong) if "Izz" in n.text]
+
+
 def test_built_in_aircraft_are_beyond_doubt() -> None:
     for name in built_in_aircraft():
         assert {n.verdict for n in review_aircraft(load_aircraft(name))} == {"ok"}

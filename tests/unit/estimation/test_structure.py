@@ -13,6 +13,8 @@ from estimation.session import runner
 from estimation.session.sanity_checks import DoubtKind
 from estimation.session.session import EstimationSession
 from estimation.session.structured import StructureWish
+from estimation.structure.candidates import GRAVITY_OFF, Candidate, CandidateKind, structure_candidates
+from estimation.structure.score_test import Tested as Score
 from groundstation.flight import Flight
 from tests.studies.random_aeroplanes import Aeroplane, Situation, fly
 
@@ -119,6 +121,27 @@ def test_a_lag_or_a_scale_is_named_and_auto_brings_the_estimates_back(situation:
     told = auto.results["ml"].parameters
     for name in ("Cl_p", "Cl_da", "Cn_beta", "Cn_r"):
         assert abs(told[name].estimate - truth[name]) < 3.5 * told[name].std_coloured, name
+
+
+def test_a_large_yaw_by_aileron_is_named_beside_another_ixz() -> None:
+    """A rolling tail yaws by more than a quarter of its roll: as likely as a product of inertia that nobody measured."""
+    roll = abs(craft_and_file()[0].derivatives["Cl_da"])
+    flights, aircraft, _ = flown(Situation("rolling tail", hidden={"Cn_da": 0.5 * roll}))
+    found = estimated(flights, aircraft).flights[0]
+    assert found.verdict is not None
+    assert found.verdict.recommended.method == "none"
+    assert {"Ixz", "Cn_da"} <= set(found.verdict.recommended.lacks)
+
+
+@pytest.mark.parametrize(("scale", "lacking"), [(1.003, False), (1.06, True)])
+def test_gravity_is_no_scale_of_an_accelerometer(scale: float, lacking: bool) -> None:
+    """0.3 % is what gravity differs by at 10 km; 6 % is a calibration."""
+    candidate = Candidate("scale_az", CandidateKind.SCALE, null=1.0, channel="az", least=GRAVITY_OFF["az"])
+    assert Score(candidate, -12.0, scale, {}).significant is lacking
+    (offered,) = [
+        c for c in structure_candidates(load_model("longitudinal", craft_and_file()[1])) if c.name == "scale_az"
+    ]
+    assert offered.least == candidate.least
 
 
 def test_the_flight_of_another_weight_is_named_with_its_ratio() -> None:

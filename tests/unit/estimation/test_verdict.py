@@ -145,6 +145,28 @@ def test_a_joint_estimate_outside_its_members_is_doubted(calm: Mapping[str, Resu
     assert outside.recommended.method == NOBODY
 
 
+def test_what_tells_no_derivative_is_not_recommended(calm: Mapping[str, Result]) -> None:
+    derivatives = set(calm["ml"].model.free_names) - {"CY_0", "Cl_0", "Cn_0"}
+    blind = {
+        n: replace(e, identifiable=False, std_coloured=0.0) if n in derivatives else replace(e, identifiable=True)
+        for n, e in calm["ml"].parameters.items()
+    }
+    answer = verdict({"ml": replace(calm["ml"], parameters=blind)}).recommended
+    assert answer.method == NOBODY
+    assert "none of the derivatives" in answer.why
+
+
+def test_a_record_of_noise_alone_recommends_nothing() -> None:
+    rng = np.random.default_rng(411)
+    flight = fly(Case(noise=NOISE), rng)[0][0]
+    still = {n: 1e-6 * rng.standard_normal(len(flight)) for n in ("p", "r", "beta", "phi", "ay", "delta_a", "delta_r")}
+    session = runner.estimate(load_model("lateral", "cdfp"), [flight.with_columns(**still)], load_aircraft("cdfp"))
+    answer = session.flights[0].verdict
+    assert answer is not None
+    assert answer.recommended.method == NOBODY
+    assert "none of the outputs" in answer.recommended.why
+
+
 def test_a_method_that_did_not_converge_is_not_recommended(calm: Mapping[str, Result]) -> None:
     lost = replace(calm["ml"], status=output_error_module.Status.STALLED, text="stalled")
     found = verdict({"ml": lost, "fem": calm["fem"], "ls": calm["ls"]})

@@ -223,8 +223,36 @@ def test_both_planes_are_watched_at_once_and_what_cannot_be_predicted_is_named(
     with pytest.raises(EstimationError, match="nothing is simulated here"):
         watch(load_model("six-dof", aircraft), flight, aircraft, hours=1.0)
     assert planes == [("lateral", 0.5)]
-    with pytest.raises(EstimationError, match="does not know Cn_alpha of model"):
-        strange = load_model("lateral", aircraft).plus(
-            terms={"Cn": "Cn_alpha * alpha"}, parameters=[Parameter("Cn_alpha", 0.0)]
+    with pytest.raises(EstimationError, match="does not know CD_de of model"):
+        strange = load_model("longitudinal", aircraft).plus(
+            terms={"CD": "CD_de * delta_e"}, parameters=[Parameter("CD_de", 0.0)]
         )
         watch(strange, flight, aircraft, hours=1.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "grid", "rate"),
+    [(0.1, 0.05, 10.0), (1 / 12, 1 / 24, 12.0), (0.05, 0.05, 20.0), (0.02, 0.04, 25.0), (0.01, 0.05, 20.0)],
+)
+def test_simulated_scans_come_as_those_of_the_flight(step: float, grid: float, rate: float) -> None:
+    """Even scans at any rate; a tenth of them lost is a tenth lost, and a decimated link is none of these."""
+    time = step * np.arange(600)
+    columns = {n: np.zeros(600) for n in (*LATERAL_PLANE.channels, "delta_a", "delta_r")} | {"V": np.full(600, 16.0)}
+    whole = conditions_of(Flight.build("even", time, columns), LATERAL_PLANE)
+    assert (whole.grid, whole.rate, whole.loss) == (
+        pytest.approx(grid),
+        pytest.approx(rate),
+        pytest.approx(0.0, abs=1e-3),
+    )
+    there = np.arange(600) % 10 != 4
+    lossy = conditions_of(Flight.build("lossy", time[there], {n: v[there] for n, v in columns.items()}), LATERAL_PLANE)
+    assert lossy.grid == pytest.approx(grid)
+    assert lossy.rate * (1.0 - lossy.loss) == pytest.approx(min(0.9 / step, rate), rel=0.02)
+
+
+def test_scans_of_a_decimated_link_lie_on_the_grid_on_board() -> None:
+    sent = np.diff(np.floor(np.arange(800) * 0.575), prepend=-1.0) > 0
+    time = 0.05 * np.flatnonzero(sent)
+    columns = {n: np.zeros(time.size) for n in (*LATERAL_PLANE.channels, "V", "delta_a", "delta_r")}
+    found = conditions_of(Flight.build("link", time, columns), LATERAL_PLANE)
+    assert (found.grid, found.rate, found.loss) == (0.05, pytest.approx(11.5, rel=0.01), 0.0)

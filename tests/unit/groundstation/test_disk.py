@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 from daq.contract.recordings.reading import read_recording
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, frames_of
 from daq.utilities.rotating_log import RotatingLog
 from groundstation.live.watches import FREE, LEFT, FreeSpace
 from groundstation.receiver.ports import LinkConfig
 from groundstation.receiver.storage.lasting_log import LastingLog
-from tests.support.link_rig import Rig
+from groundstation.receiver.tlog import TlogWriter, read_tlog
+from tests.support.link_rig import START_UTC_NS, Rig
 from tests.unit.groundstation.test_receive import LISTEN, fly
 
 
@@ -140,3 +142,21 @@ def test_a_log_begins_a_new_file_when_it_is_long_and_keeps_the_last_ones(tmp_pat
     words = "".join((tmp_path / n).read_text() for n in ("ground.log.2", "ground.log.1", "ground.log"))
     assert words.splitlines() == [f"line {n:03d}" for n in range(60 - len(words.splitlines()), 60)]
     assert max(p.stat().st_size for p in tmp_path.iterdir()) <= 100
+
+
+def test_a_long_telemetry_log_goes_on_in_the_next_file_and_a_new_session_in_the_last(tmp_path: Path) -> None:
+    encoder, sent = FrameEncoder(1, 1), []
+    for _ in range(2):
+        writer = TlogWriter(tmp_path / "telemetry.tlog", largest=4000)
+        for number in range(300):
+            sent.append(encoder.message("STATUSTEXT", severity=6, text=f"line {number}"))
+            (frame,) = frames_of(FrameDecoder().feed(sent[-1]))
+            writer.write(frame, START_UTC_NS + number)
+            if number % 10 == 0:
+                writer.look_after()
+        writer.close()
+    logs = [tmp_path / "telemetry.tlog", *(tmp_path / f"telemetry_{n}.tlog" for n in range(1, 20))]
+    logs = [log for log in logs if log.exists()]
+    assert len(logs) == len(list(tmp_path.iterdir())) >= 5
+    assert all(log.stat().st_size < 5000 for log in logs)
+    assert [data for log in logs for _, data in read_tlog(log)] == sent

@@ -210,7 +210,6 @@ FACTS = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", range(16))
 def test_the_end_of_a_flight_is_handed_over_or_refused_in_words_whatever_was_said_of_it(
     tmp_path: Path, seed: int

@@ -3,6 +3,7 @@
 import json
 import re
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from daq.contract.recordings.reading import read_recording
 from daq.transport.mavlink_codec import FrameEncoder, message_types
 from daq.transport.ports import memory_pair
 from groundstation.calibration.facts import reported
+from groundstation.live.aircraft_monitor import MonitorView
 from groundstation.live.config import GroundConfig
 from groundstation.live.handover import hand_over
 from groundstation.live.station import Station
@@ -38,7 +40,8 @@ BAD = ("nan", "inf", "-inf", "1e999", "-1e300", "many", "", "\x1b[2J", "9" * 400
 class Sky:
     """A running ground station with one sound aircraft, and a sender that says what the test wants."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, make_view: Callable[[int], MonitorView | None] | None = None) -> None:
+        folder.mkdir(exist_ok=True)
         self.rig = Rig(None, ground=LinkConfig(ports=("memory",), transmit=False))
         self.ours, self.theirs = memory_pair()
         self.receiver = Receiver(
@@ -46,8 +49,9 @@ class Sky:
         )
         self.lines: list[str] = []
         self.station = Station(
-            GroundConfig(), self.receiver, self.rig.clock, folder, echo=self.lines.append, aircraft=live_aircraft
-        )
+            GroundConfig(), self.receiver, self.rig.clock, folder,
+            make_view=make_view, echo=self.lines.append, aircraft=live_aircraft,
+        )  # fmt: skip
         self.rng = np.random.default_rng(71)
         self.number = self.heard = 0
         self.last_sent = b""

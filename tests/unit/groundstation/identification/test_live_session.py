@@ -14,6 +14,7 @@ from daq.contract.scan import Scan, encode_scan
 from daq.identification.airframe import SIGNALS, Belief, Sample
 from daq.identification.live import LiveEstimator
 from daq.identification.movement import ManoeuvreDetector
+from daq.identification.regression import LONGITUDINAL
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, estimate_recursively, samples_of
@@ -315,7 +316,8 @@ def test_a_model_is_held_against_flight_with_what_it_states_of_its_bounds(tmp_pa
 def test_a_model_of_the_other_plane_is_estimated_and_one_that_is_not_linear_refused(tmp_path: Path) -> None:
     write_model(load_model("longitudinal", load_aircraft("cdfp")), tmp_path / "m.toml")
     aircraft = live_aircraft("cdfp", None, str(tmp_path / "m.toml"))
-    assert aircraft.modelled is None  # the gap monitor goes on with what the aircraft file believes
+    assert aircraft.modelled is not None  # the gap monitor holds its values against flight
+    assert set(aircraft.modelled.beliefs) == set(LONGITUDINAL.derivatives)
     assert [r.name for r in aircraft.regressions] == ["longitudinal"]
     write_model(load_model("lateral", load_aircraft("cdfp")).with_biases("beta"), tmp_path / "biased.toml")
     with pytest.raises(EstimationError, match="bias_beta is none of them"):
