@@ -166,12 +166,12 @@ class AirTruth:
         self._next = -math.inf
         self._standing: set[str] = set()
         self._auto_zero = auto_zero
-        self._moved = False
+        self._moved = self._zeroed = False
         self._zero_count = -self._scales.pascal_at_zero / self._scales.pascal if self._scales.pascal else math.nan
 
     def zeroed(self, count: float) -> None:
         """The pitot was zeroed at this count, by whomever."""
-        self._zero_count, self._auto_zero = count, False
+        self._zero_count, self._auto_zero, self._zeroed = count, False, True
 
     def look(self, scan: Scan) -> list[SensorContradiction]:
         """Take a scan; once a second, what has become wrong since the last look."""
@@ -207,6 +207,7 @@ class AirTruth:
         scans = list(self._scans)
         speeds = [s for s in map(ground_speed, scans) if s is not None]
         if len(speeds) < 2 or min(speeds) < MOVING_M_S:
+            yield from self._still_zero(scans)
             return
         self._moved = True
         yield from self._pitot(scans, fmean(speeds))
@@ -219,6 +220,16 @@ class AirTruth:
         if force is not None and force[2] > -0.3 * GRAVITY:
             seen_z = f"mean specific force on body z is {force[2]:+.1f} m/s2 in flight (at most {-0.3 * GRAVITY:.1f})"
             yield SensorContradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
+
+    def _still_zero(self, scans: Sequence[Scan]) -> Iterator[SensorContradiction]:
+        """Before the first motion: whether a pitot that was zeroed still rests there."""
+        rest = pitot_at_rest(scans, self._scales) if self._zeroed and not self._moved else None
+        if rest is None or not rest.steady:
+            return
+        moved_pa = (rest.count - self._zero_count) * self._scales.pascal
+        if abs(moved_pa) > OFFSET_PA:
+            words = f"pitot rests at {moved_pa:+.0f} Pa since it was zeroed (limit {OFFSET_PA:.0f}): zero it again"
+            yield SensorContradiction("pitot zero", words)
 
     def _pitot(self, scans: Sequence[Scan], speed: float) -> Iterator[SensorContradiction]:
         pitot = counts(scans, "pitot_pressure")

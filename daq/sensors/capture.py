@@ -12,7 +12,7 @@ from struct import Struct
 from typing import Annotated
 
 import fastcrc
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, Address, Driver, Reading, SelfTestError, SensorSection, Wait, WrongChipError
@@ -38,7 +38,8 @@ class CaptureConfig(SensorSection):
 
     driver `capture` is the co-processor on I2C; `mavlink_servo` listens to an autopilot's SERVO_OUTPUT_RAW on the
     serial `device` instead (no digital inputs then), `sbus` to a receiver's SBUS behind an
-    inverter. pwm_inputs: how many of the six are wired and must be alive.
+    inverter; `gpio` times the pulses at `lines` of the GPIO `chip`, in the order of the
+    outputs. pwm_inputs: how many of the six are wired and must be alive.
     """
 
     driver: str = "capture"
@@ -47,7 +48,17 @@ class CaptureConfig(SensorSection):
     debounce_ms: Annotated[int, Field(ge=0, le=250)] = 10
     pwm_inputs: Annotated[int, Field(ge=0, le=6)] = 4
     device: str = "/dev/ttyACM0"
+    chip: str = "/dev/gpiochip0"
+    lines: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(max_length=6)] = ()
     baud: Annotated[int, Field(ge=1200)] = 115200
+
+    @model_validator(mode="after")
+    def _lines_for_pulses(self) -> "CaptureConfig":
+        if (self.driver == "gpio") != bool(self.lines) or len(set(self.lines)) != len(self.lines):
+            raise ValueError(
+                "lines: numbers of the GPIO lines of pwm_1 and so on, each once, with driver = 'gpio' only"
+            )
+        return self
 
 
 class ChecksumError(OSError):

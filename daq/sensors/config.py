@@ -28,6 +28,7 @@ from daq.sensors.bmp390 import Bmp390, StaticConfig
 from daq.sensors.bmp581 import Bmp581
 from daq.sensors.capture import Capture, CaptureConfig
 from daq.sensors.dlvr import Dlvr
+from daq.sensors.gpio_pwm import GpioPwm
 from daq.sensors.icm20948 import Icm20948, ImuConfig
 from daq.sensors.icm42688 import Icm42688
 from daq.sensors.ms4525do import Ms4525do, PitotConfig
@@ -54,6 +55,7 @@ CHIPS: tuple[type[Driver], ...] = (
     Capture,
     MavlinkServo,
     Sbus,
+    GpioPwm,
     AutopilotGroup,
     Ublox,
 )
@@ -186,6 +188,11 @@ class SensorsConfig(SensorConfigSection):
         if capture is not None and capture.driver == MavlinkServo.name:
             return capture.device, capture.baud
         return None if self.autopilot is None else (self.autopilot.device, self.autopilot.baud)
+
+    @property
+    def without_bus(self) -> bool:
+        """Whether pulse widths come from GPIO lines or a receiver's SBUS."""
+        return self.capture is not None and self.capture.driver in (GpioPwm.name, Sbus.name)
 
     @property
     def has_sbus(self) -> bool:

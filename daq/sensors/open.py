@@ -51,7 +51,7 @@ class Hardware:
 
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
-    of_port = {"gnss", *config.derived, *config.from_sender, *(("capture",) if config.has_sbus else ())}
+    of_port = {"gnss", *config.derived, *config.from_sender, *(("capture",) if config.without_bus else ())}
     bus = None
     if set(config.fitted) - of_port:
         bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock)

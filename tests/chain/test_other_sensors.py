@@ -81,7 +81,7 @@ def test_other_pitots_barometer_and_imu_measure_the_flight(
         run.run()
         assert run.assembly.sampler.health().ready
     flight = calibrate_recording(tmp_path / "flight" / "onboard")
-    gone = (flight.time > flight.time[0] + 4.8) & (flight.time < flight.time[0] + 7.0)
+    gone = (flight.time > flight.time[0] + 4.2) & (flight.time < flight.time[0] + 7.0)
     for column, limit in (("V", 0.15), ("p_static", 12.0), ("p", 0.02), ("q", 0.02), ("az", 0.3)):
         error = (flight.columns[column] - truth_of(tmp_path, column)[: len(flight.time)])[~gone]
         assert np.isfinite(error).mean() > 0.97, column

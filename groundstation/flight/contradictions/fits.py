@@ -98,6 +98,8 @@ def scale_by_ground(time: Array, c: Columns) -> tuple[FitWithError, FitWithError
 
 def ratio_of(first: Array, second: Array) -> FitWithError | None:
     """Median of first over second and its 1 sigma, of samples that are measured and of which the second is not small."""
+    if not np.isfinite(second).any():
+        return None
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(second > 0.3 * np.nanmedian(second), first / second, np.nan)
     ratio = ratio[np.isfinite(ratio)]

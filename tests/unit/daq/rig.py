@@ -74,7 +74,7 @@ def rig(
     start: bool = True,
     source: TruthSource | None = None,
 ) -> Rig:
-    """A rig; fault times count from its construction. `start` sets the sensors up first, which takes 0.3 s."""
+    """A rig; fault times count from its construction. `start` sets the sensors up first, which takes 0.6 s."""
     clock = SimulatedClock(UTC0, start_monotonic_ns=5_000_000_000)
     models = SensorModels() if bus is None else SensorModels(bus=bus)
     fault_set = FaultSet(parse_faults(faults, "test"), clock.monotonic_ns(), 1)

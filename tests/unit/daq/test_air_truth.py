@@ -65,6 +65,18 @@ def test_offset_at_rest_is_measured_and_zeroed_whatever_its_level(offset: float)
     assert zeros[0].count == pytest.approx(8191.5 + offset / PASCAL, abs=1.5)
 
 
+def test_a_zero_that_no_longer_holds_before_motion_is_told_once() -> None:
+    truth = AirTruth(CONFIG)
+    for scan in scans(6, pascal=37.0):
+        truth.look(scan)
+        truth.zero()
+    assert said(truth, scans(8, pascal=40.0, start=120)) == []
+    (sentence,) = said(truth, scans(8, pascal=62.0, start=280))
+    assert sentence.endswith("Pa since it was zeroed (limit 10): zero it again")
+    assert "rests at +1" in sentence or "rests at +2" in sentence
+    assert said(truth, scans(8, pascal=62.0, noise_pa=30.0, start=440)) == []  # wind
+
+
 @pytest.mark.parametrize(
     "kind",
     [

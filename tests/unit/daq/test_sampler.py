@@ -211,7 +211,7 @@ def test_slow_bus_drops_the_least_important_and_keeps_the_deadline() -> None:
 )
 def test_stuck_value_is_seen(device: str, group: str, limit_s: float) -> None:
     r = rig(({"kind": "stuck_value", "device": device, "start_s": 2.0, "stop_s": 7.0},))
-    r.fly(1.5)
+    r.fly(1.2)
     before = r.fly(limit_s)
     assert SensorState.STUCK not in states(before, group)[: int(limit_s * 20 * 0.7)]
     stuck = r.fly(2.0)
@@ -236,7 +236,7 @@ def test_spikes_are_marked_and_a_new_level_is_accepted() -> None:
 
 def test_supply_dip_resets_all_chips_and_all_come_back_with_their_settings() -> None:
     r = rig(({"kind": "power_dip", "start_s": 3.0, "stop_s": 3.02},))
-    before = r.fly(2.5)[-1].values
+    before = r.fly(2.2)[-1].values
     r.fly(12.0)
     scan = r.fly(1.0)[-1]
     assert all(st.state in (OK, SensorState.OFF) for st in scan.groups.values())

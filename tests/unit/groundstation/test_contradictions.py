@@ -6,6 +6,7 @@ import pytest
 from daq.utilities.constants import GRAVITY
 from groundstation.flight import Flight, Provenance, read_flight
 from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
+from groundstation.flight.contradictions.fits import ratio_of
 from tests.unit.groundstation.turning import RHO, Columns, turning_flight
 
 
@@ -142,3 +143,8 @@ def test_a_receiver_that_cannot_follow_a_dutch_roll_is_no_contradiction() -> Non
     force = ("vn", "ve", "vd", "ax", "ay", "az")
     assert force not in found_in(swinging(1.0))
     assert found_in(swinging(0.75))[force].ratio == pytest.approx(0.75, abs=0.04)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_ratio_of_what_was_never_measured_is_none_and_no_warning() -> None:
+    assert ratio_of(np.full(9, np.nan), np.full(9, np.nan)) is None
