@@ -2,7 +2,7 @@
 
 `python -m tests.studies.live_pitch_statistics [--flights 40] [--rates 10 12.5 20 50 100]`: flights of the project's simulator,
 elevator and throttle by hand, derivatives about those believed, flown at 100 Hz and thinned. The last
-result is kept in docs/live.md.
+result is kept in docs/validation/live.md.
 """
 
 import argparse

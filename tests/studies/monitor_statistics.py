@@ -4,7 +4,7 @@
 derivatives are flown by the monitor's own equations of motion, with other random numbers than its calibration; sudden failures by
 the simulator through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute. Times are
 counted from the scan that is the first to differ from the same flight without the effect, same draws, by the noise of a channel:
-before that no input has shown it. The last result is kept in docs/live.md and docs/validation/live.md.
+before that no input has shown it. The last result is kept in docs/validation/live.md and docs/validation/live.md.
 """
 
 import argparse
