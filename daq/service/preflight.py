@@ -19,6 +19,7 @@ from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.storage import Storage, in_memory
 from daq.service.checks import PreflightCheck, PreflightVerdict, RadioReport, graded, rest_checks, sender_checks
+from daq.service.cross_checks import cross_checks
 
 _LEVEL_SCANS = 10  # half a second at 20 Hz
 _FIX_3D = 3
@@ -76,6 +77,7 @@ def run_preflight(
     checks = [
         *_sensor_checks(summary, scans),
         *rest_checks(config, scans),
+        *cross_checks(config, scans, sampler.metadata),
         *sender_checks(config, scans, sampler.refusals()),
         _timing_check(config, lateness_us),
         _clock_check(config, clock, scans[-1], int(sampler.metadata().get("gnss.rollovers", 0))),
