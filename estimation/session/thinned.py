@@ -15,7 +15,6 @@ from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.equation_error import equation_error
-from estimation.estimators.frequency_domain.transformed import state_matrices
 from estimation.models.base import Model
 from estimation.prepare.conditioned import condition_columns
 from estimation.prepare.flight_data import FOR_REGRESSION, without_absent_outputs
@@ -107,6 +106,8 @@ def _filtered(flight: Flight, values: Array, measured: Mask, factor: int) -> Arr
 
 def _fastest_mode(model: Model, flight: Flight) -> float | None:
     """Largest eigenvalue [rad/s] of the motion about what was flown; None where no regression tells it."""
+    from estimation.estimators.frequency_domain.transformed import state_matrices  # with scipy
+
     factor = max(1, int(1.0 / flight.sample_interval / UNKNOWN))
     part = _liveliest(model, flight, LOOKED_AT * factor)
     try:

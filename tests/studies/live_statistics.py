@@ -2,7 +2,8 @@
 
 `python -m tests.studies.live_statistics [SET ...] [--flights 200]`: every set below unless named. Flights of two simulators
 that share no code with the estimator: `tests.studies.second_truth` (second) and `firmware_sim.runs.direct` (sim), at 20 Hz and
-at 11.5 Hz with 5 % lost (scans of the 20 Hz grid, so 50, 100, 150 ... ms apart). The last result is kept in docs/validation/live.md.
+at 11.5 Hz with 5 % lost (scans of the 20 Hz grid, so 50, 100, 150 ... ms apart).
+The last result is kept in docs/validation/live.md.
 """
 
 import argparse

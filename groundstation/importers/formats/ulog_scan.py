@@ -97,7 +97,7 @@ class UlogScan:
     def _sound_data(self, at: int) -> int:
         """Where the samples of known topics end that begin at `at` and follow one another: most of a log, in one tight loop."""
         data, bounds, head = self._data, self._bounds, _SAMPLE_HEAD.unpack_from
-        end = min((offset for offset in self._appended if offset > at), default=len(data))
+        end = min([len(data), *(offset for offset in self._appended if offset > at)])
         while at + _SAMPLE_HEAD.size <= end:
             size, kind, topic = head(data, at)
             shortest, longest = bounds.get(topic, _NONE)

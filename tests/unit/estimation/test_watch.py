@@ -112,7 +112,7 @@ def test_nothing_is_said_of_a_flight_that_the_model_describes(
     assert not (tmp_path / "s.mcap").exists()
 
 
-# A bias of a vane and a rolling trim that shifts are told from each other in few flights (docs/validation/live.md): where is what counts.
+# A bias of a vane and a rolling trim that shifts are told from each other in few flights: where is what counts.
 @pytest.mark.usefixtures("known_thresholds")
 @pytest.mark.parametrize(
     ("name", "right"),

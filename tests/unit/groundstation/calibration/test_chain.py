@@ -119,7 +119,7 @@ def test_verb_writes_the_flight_and_says_what_it_did(flown: Path, tmp_path: Path
 
 
 def test_recording_without_calibration_asks_for_one(tmp_path: Path) -> None:
-    simulate_flight(load_scenario("rich"), tmp_path, duration_s=1.0)
+    simulate_flight(load_scenario("rich"), tmp_path, duration_s=1.5)
     with pytest.raises(CalibrationError, match="--calibration"):
         calibrate_recording(tmp_path / "onboard")
     assert len(calibrate_recording(tmp_path / "onboard", "cdfp")) > 10
