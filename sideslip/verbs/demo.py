@@ -3,8 +3,7 @@
 import os
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +16,7 @@ from daq.utilities.outputs import tried_folder
 from sideslip.chain import ChainFlight, fly_scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Sequence
 
 DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
 DEMO_HIDDEN = ("Cn_da", 1.0)
@@ -45,17 +44,14 @@ def demo(out: Path) -> int:
     click.echo(
         "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
     )
-    plain, hidden = _fly_all(out)
-    for line in map(_delivered, DEMO_FLIGHTS, plain):
-        click.echo(line)
-    flights = [_named_copy(flight.onboard, out, name) for name, flight in zip(DEMO_FLIGHTS, plain, strict=True)]
-    *train, holdout = [_named_copy(flight.onboard, out, f"hidden_{i}") for i, flight in enumerate(hidden)]
-
-    gap = ("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
-    with _beside(*gap) as gap_words:
-        _estimates(flights, out)
-        click.echo("\n5  Three flights with something hidden in the aircraft; the gap workflow is not told what\n")
-        click.echo(gap_words())
+    with ProcessPoolExecutor(min(WORKERS, os.cpu_count() or 1), mp_context=get_context("spawn")) as workers:
+        plain, hidden = _take_off(out, workers)
+        with ThreadPoolExecutor(1) as beside:
+            gap_words = beside.submit(_gap, hidden, out)
+            flights = _landed(plain, out)
+            _estimates(flights, out)
+            click.echo("\n5  Three flights with something hidden in the aircraft; the gap workflow is not told what\n")
+            click.echo(gap_words.result())
 
     from estimation.report.front import write_front_page
 
@@ -133,61 +129,56 @@ def _estimates(flights: list[Path], out: Path) -> None:
         "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
     )
     saved = ("--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")
-    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief", *saved)
+    _run("estimate", *flights, "--method", "ml,ngn", "--joint", "--brief", *saved)
 
     click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
     proof = ("--json", report / "match.json", "--figure", report / "match.svg")
     _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", *proof)
 
 
-@contextmanager
-def _beside(*arguments: object) -> "Iterator[Callable[[], str]]":
-    """A verb in a process of its own; yields what waits for its end and returns its words."""
-    text = [str(a) for a in arguments]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sideslip", "--quiet", *text],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        encoding="utf-8",
+def _gap(flown: "Sequence[Future[ChainFlight]]", out: Path) -> str:
+    """The gap workflow in a process of its own, as soon as its flights have landed, the last one held out; what it prints."""
+    report = out / "report"
+    *train, holdout = [_named_copy(f.result().onboard, out, f"hidden_{i}") for i, f in enumerate(flown)]
+    text = [
+        str(word)
+        for word in ("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
+    ]
+    command = [sys.executable, "-m", "sideslip", "--quiet", *text]
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", check=False
     )
-
-    def words() -> str:
-        printed, _ = process.communicate()
-        if process.returncode not in (0, 1):
-            raise UserError(f"demo: sideslip {text[0]} ended with status {process.returncode}: {printed.strip()}")
-        return f"$ sideslip {' '.join(text)}\n\n{printed.rstrip()}"
-
-    try:
-        yield words
-    finally:
-        process.kill()
-        process.wait()
+    if done.returncode not in (0, 1):
+        raise UserError(f"demo: sideslip gap ended with status {done.returncode}: {done.stdout.strip()}")
+    return f"$ sideslip {' '.join(text)}\n\n{done.stdout.rstrip()}"
 
 
-def _fly_all(out: Path) -> tuple[list[ChainFlight], list[ChainFlight]]:
-    """The four flights, and those of an aircraft with one hidden effect, the held out one last; two at a time."""
+def _take_off(out: Path, workers: ProcessPoolExecutor) -> "tuple[list[Future[ChainFlight]], list[Future[ChainFlight]]]":
+    """The four flights, and those of an aircraft with one hidden effect, the held out one last."""
     from firmware_sim.runs.campaign import CampaignFlights
     from firmware_sim.world.scenario import load_scenario
-    from sideslip.verbs.delivery import Progress
 
     hidden_flights = CampaignFlights(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED, training_speeds=DEMO_SPEEDS)
-    with (
-        ProcessPoolExecutor(min(WORKERS, os.cpu_count() or 1), mp_context=get_context("spawn")) as workers,
-        Progress("flying") as bar,
-    ):
-        plain = [
-            workers.submit(fly_scenario, load_scenario(name).altered(radio=DEMO_RADIO), out / name)
-            for name in DEMO_FLIGHTS
-        ]
-        hidden = [
-            workers.submit(fly_scenario, scenario, out / f"hidden_{number}", seed=seed, backfill=False)
-            for number, (scenario, seed) in enumerate(hidden_flights.scenarios())
-        ]
-        for done, flight in enumerate(as_completed([*plain, *hidden]), 1):
-            flight.result()
-            bar(done / len([*plain, *hidden]))
-        return [f.result() for f in plain], [f.result() for f in hidden]
+    plain = [
+        workers.submit(fly_scenario, load_scenario(name).altered(radio=DEMO_RADIO), out / name) for name in DEMO_FLIGHTS
+    ]
+    hidden = [
+        workers.submit(fly_scenario, scenario, out / f"hidden_{number}", seed=seed, backfill=False)
+        for number, (scenario, seed) in enumerate(hidden_flights.scenarios())
+    ]
+    return plain, hidden
+
+
+def _landed(flown: "Sequence[Future[ChainFlight]]", out: Path) -> list[Path]:
+    """Wait for the four flights, and say what came down of each; their files."""
+    from sideslip.verbs.delivery import Progress
+
+    with Progress("flying") as bar:
+        for done, _ in enumerate(as_completed(flown), 1):
+            bar(done / len(flown))
+    for name, flight in zip(DEMO_FLIGHTS, flown, strict=True):
+        click.echo(_delivered(name, flight.result()))
+    return [_named_copy(f.result().onboard, out, name) for name, f in zip(DEMO_FLIGHTS, flown, strict=True)]
 
 
 def _delivered(name: str, flight: ChainFlight) -> str:
