@@ -7,6 +7,7 @@ from scipy.signal import savgol_filter
 
 from estimation.compatibility.reconstruction import Compatibility
 from estimation.compatibility.records import with_rate_derivatives
+from estimation.structure.odd_flights import CORRECTION_BOUNDS
 from groundstation.flight import Flight
 
 
@@ -42,7 +43,10 @@ def correct_flight(flight: Flight, result: Compatibility) -> Flight:
         if unidentifiable
         else []
     )
-    detail = {**flight.provenance.detail, "compatibility": {n: float(v) for n, v in value.items()}}
+    bounds = {n: float(f.std_coloured) for n, f in result.factors.items() if n in value and np.isfinite(f.std_coloured)}
+    detail = {
+        **flight.provenance.detail, "compatibility": {n: float(v) for n, v in value.items()}, CORRECTION_BOUNDS: bounds
+    }  # fmt: skip
     result_flight = flight.with_columns(**columns).with_notes(note, *warnings)
     return replace(result_flight, provenance=replace(flight.provenance, detail=detail))
 

@@ -21,7 +21,15 @@ from estimation.prepare.flight_data import FlightData, without_absent_outputs
 from estimation.session.session import EstimationSession
 from estimation.structure.candidates import Candidate, CandidateKind, structure_candidates, with_candidates
 from estimation.structure.linearised import linearise_fit
-from estimation.structure.odd_flights import OddFlight, first_part, follows_controls, odd_flights
+from estimation.structure.odd_flights import (
+    OddFlight,
+    Scales,
+    attenuations,
+    first_part,
+    follows_controls,
+    odd_flights,
+    scale_bounds,
+)
 from estimation.structure.score_test import Lack, StructureTest, structure_of
 from groundstation.flight import Flight
 
@@ -198,7 +206,10 @@ def _of_basis(
     _, ready = without_absent_outputs(session.model, replace(task, model=session.model).data)
     if basis is None:
         basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
-    structure, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
+    scales = {
+        f.name: {**scale_bounds(f), **attenuations(session.model, d)} for f, d in zip(task.flights, ready, strict=True)
+    }
+    structure, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors, scales)
     follows = {m: follows_controls(usable[m], ready) for m in FILTERS if m in usable}
     return replace(structure, follows={m: text for m, text in follows.items() if text}), odd
 
@@ -213,12 +224,12 @@ def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
 
 
 def _of_result(
-    basis: Result, recommended: Result, ready: list[FlightData], places: Collection[str]
+    basis: Result, recommended: Result, ready: list[FlightData], places: Collection[str], scales: Scales
 ) -> tuple[StructureTest, tuple[OddFlight, ...]]:
     """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
     others.
 
-    places: sensors whose places are stated, so that readings are brought to the CG.
+    places: sensors whose places are stated, so that readings are brought to the CG; scales: what instruments may be off.
     """
     filtered = recommended.method in FILTERS
     linearised_result = recommended if filtered else basis
@@ -229,7 +240,7 @@ def _of_result(
         linear = linear.without(CandidateKind.PLACE)
     structure = structure_of(linear, recommended, filtered=filtered)
     names = [lack.leading.candidate.name for lack in structure.lacks]
-    odd = odd_flights(linear.absorbing(names), recommended)
+    odd = odd_flights(linear.absorbing(names), recommended, scales)
     differ = {o.flight for o in odd if o.moves > MOVES}
     if differ and len(linear.flights) > len(differ) + 1:
         linear = replace(linear, flights=tuple(f for f in linear.flights if f.name not in differ))

@@ -10,7 +10,7 @@ control (`follows_controls`). Long flights are tested by their first part (`exce
 hour would take longer than its fit.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from estimation.estimators.normal_equations import pseudo_inverse
 from estimation.estimators.result import FlightFit, Result, finite_or_none
-from estimation.models.base import ParameterRole
+from estimation.estimators.uncertainty import input_movement, inputs_beside
+from estimation.models.base import Model, ParameterRole
 from estimation.models.dependence import force_states
 from estimation.prepare.flight_data import FlightData, Segment
 from estimation.structure.candidates import CandidateKind, force_lines
 from estimation.structure.linearised import LinearisedFit
+from groundstation.flight import Flight
 
 MOST_SAMPLES = 16_000
 """Of one flight: 80 s at 200 Hz, a quarter of an hour at 20 Hz. With some 50 columns and as many draws of the inputs that is
@@ -162,20 +164,48 @@ class _Hypothesis:
     null: float = 1.0
 
 
-def odd_flights(linear: LinearisedFit, result: Result) -> tuple[OddFlight, ...]:
+CORRECTION_BOUNDS = "compatibility_bounds"
+"""Of a flight's provenance: factor that was taken out -> its corrected bound."""
+
+
+def scale_bounds(flight: Flight) -> dict[str, float]:
+    """Channel -> share by which its scale may still be off, one standard deviation: of the factors that were taken out."""
+    detail = flight.provenance.detail
+    bounds, factors = detail.get(CORRECTION_BOUNDS), detail.get("compatibility")
+    if not isinstance(bounds, dict) or not isinstance(factors, dict):
+        return {}
+    return {
+        name.removeprefix("K_"): float(bound) / float(factors.get(name, 1.0))
+        for name, bound in bounds.items()
+        if name.startswith("K_")
+    }
+
+
+Scales = Mapping[str, Mapping[str, float]]
+"""Flight -> channel -> share by which its scale, or the derivatives beside a control, may be off, one standard deviation."""
+
+
+def attenuations(model: Model, data: FlightData) -> dict[str, float]:
+    """Control -> share by which noise of its record may make the derivatives beside it too small: that noise's part of the
+    movement (errors in variables; Fuller 1987, eq. 1.1.9)."""
+    movement = input_movement(model, [data])
+    return {control: min(1.0, (noise / rms) ** 2) for control, (rms, noise) in movement.items() if rms > 0.0 < noise}
+
+
+def odd_flights(linear: LinearisedFit, result: Result, scales: Scales) -> tuple[OddFlight, ...]:
     """The flight that differs most from the others, if any does; with two flights there is no telling which, and the first is
-    taken.
+    taken. scales: what instruments of each flight may be off, which is no difference of the aircraft.
 
     One flight that differs makes the others look odd beside the joint estimate, so the oddest is named alone.
     """
     if len(linear.flights) < 2:
         return ()
-    judged = [_of_flight(linear, result, i) for i in range(len(linear.flights))]
+    judged = [_of_flight(linear, result, scales, i) for i in range(len(linear.flights))]
     oddest = max(judged, key=lambda found: found[0])
     return () if oddest[1] is None else (oddest[1],)
 
 
-def _of_flight(linear: LinearisedFit, result: Result, index: int) -> tuple[float, OddFlight | None]:
+def _of_flight(linear: LinearisedFit, result: Result, scales: Scales, index: int) -> tuple[float, OddFlight | None]:
     """(chi-square over its freedom, the flight as odd where it is so beyond chance)."""
     from scipy.stats import chi2
 
@@ -185,7 +215,7 @@ def _of_flight(linear: LinearisedFit, result: Result, index: int) -> tuple[float
     theta = spread @ rest[:n, -1]
     products = linear.flights[index]
     score = products.gram[: n + k, -1] - products.gram[: n + k, :n] @ theta
-    covariance = _covariance(linear, index, spread)
+    covariance = _covariance(linear, result.model, index, spread, scales)
     weight, rank = _inverse(covariance[:n, :n])
     surprise = float(score[:n] @ weight @ score[:n])
     probability = min(1.0, len(linear.flights) * float(chi2.sf(surprise, max(rank, 1))))
@@ -207,7 +237,7 @@ def _of_flight(linear: LinearisedFit, result: Result, index: int) -> tuple[float
     return surprise / max(rank, 1), odd
 
 
-def _covariance(linear: LinearisedFit, index: int, spread: Array) -> Array:
+def _covariance(linear: LinearisedFit, model: Model, index: int, spread: Array, scales: Scales) -> Array:
     """Covariance of one flight's scores at the estimate of the others."""
     n, products = linear.n + len(linear.tested), linear.flights[index]
     gram = products.gram[:n, :n]
@@ -215,8 +245,23 @@ def _covariance(linear: LinearisedFit, index: int, spread: Array) -> Array:
     for draws, size in ((products.noise[:n], 1.0), (products.edges[:n], linear.edges)):
         if draws.shape[1]:
             total = total + size / draws.shape[1] * (draws @ draws.T)
+    for column in _by_scales(linear, model, index, spread, scales):
+        total = total + np.outer(column, column)
     common = products.common[:n]
     return np.asarray(INFLATED * (total + common @ linear.common @ common.T))
+
+
+def _by_scales(linear: LinearisedFit, model: Model, index: int, spread: Array, scales: Scales) -> Iterator[Array]:
+    """(columns,) what one standard deviation of each channel's scale, in this flight or in another, does to this one's scores."""
+    names = (*linear.shared, *(c.name for c in linear.tested))
+    n, values = len(names), np.concatenate([linear.values, np.zeros(len(linear.tested))])
+    gram = linear.flights[index].gram[:n]
+    for i, flight in enumerate(linear.flights):
+        for channel, bound in scales.get(flight.name, {}).items():
+            beside = [name in linear.shared and channel in inputs_beside(model, name) for name in names]
+            along = np.where(beside, values, [name == f"scale_{channel}" for name in names])
+            score = bound * (flight.gram[:n, :n] @ along)
+            yield score if i == index else -gram[:, : linear.n] @ (spread @ score[: linear.n])
 
 
 def _explained(
