@@ -83,6 +83,10 @@ class JsbsimOracle:
         second, fast = self._asked(state, rho, ATTITUDES[1])
         return np.asarray(first + (second - first) * (alpha_dot - slow) / (fast - slow))
 
+    def _loads(self) -> Array:
+        """(6,) forces and moments over the dynamic pressure, as JSBSim has them at present."""
+        return np.array([self.fdm[n] for n in (*FORCES, *MOMENTS)]) / self.fdm["aero/qbar-psf"]
+
     def _asked(self, state: dict[str, float], rho: float, attitude: float, least: int = 1) -> tuple[Array, float]:
         fdm = self.fdm
         fdm["ic/h-sl-ft"] = density_altitude(rho) / FOOT
@@ -95,8 +99,12 @@ class JsbsimOracle:
         for _ in range(max(least, 2 if self.surfaces.lift_squared else 1)):
             fdm.run_ic()
         self._check(state)
-        pressure = fdm["aero/qbar-psf"]
-        loads = np.array([fdm[n] for n in (*FORCES, *MOMENTS)]) / pressure
+        loads = self._loads()
+        if not np.isfinite(
+            loads
+        ).all():  # once in hundreds of processes JSBSim answers so what it answers when asked again
+            fdm.run_ic()
+            loads = self._loads()
         if not np.isfinite(loads).all():
             raise SimulationError(
                 f"{self.path}: its aerodynamics makes no number of V {state['V']:.3g} m/s, alpha"
