@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from estimation.answers.answer import Answer, Rows, panels
+from estimation.answers.answer import Answer, Rows
+from estimation.answers.files import bars
 
 if TYPE_CHECKING:
     from estimation.campaign.plan import CampaignPlan
@@ -129,9 +130,7 @@ class CampaignAnswer(Answer):
 
     def plot(self, ax: Any = None) -> Any:
         """How many flights were estimated, and how many not."""
-        (axes,) = panels(ax, 1, (7.0, 1.6))
-        axes.barh(["estimated", "failed"], [self.outcome.done, len(self.outcome.failed)])
-        return axes
+        return bars({"estimated": self.outcome.done, "failed": len(self.outcome.failed)}, ax)
 
 
 def _plan(

@@ -108,12 +108,17 @@ def export(
 
 
 def _written(
-    file: object, kind: str, files: Sequence[Path], lines: Sequence[str] = (), notes: Sequence[str] = ()
+    file: object,
+    kind: str,
+    files: Sequence[Path],
+    lines: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    sound: bool = True,
 ) -> FileAnswer:
     content = {
         "version": 1, "from": str(file), "to": kind, "files": [str(f) for f in files], "notes": [*lines, *notes]
     }  # fmt: skip
-    return FileAnswer(content, (*(f"{f}: written" for f in files), *lines, *(f"  note: {n}" for n in notes)))
+    return FileAnswer(content, (*(f"{f}: written" for f in files), *lines, *(f"  note: {n}" for n in notes)), sound)
 
 
 def _to_simulator(
@@ -169,8 +174,7 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
         proved.sentence(),
         proved.of_the_steps(),
     ]
-    answer = _written(file, "jsbsim", [exported.file], lines)
-    return FileAnswer(answer.content, answer.sentences, not proof.failed)
+    return _written(file, "jsbsim", [exported.file], lines, sound=not proof.failed)
 
 
 def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> FileAnswer:

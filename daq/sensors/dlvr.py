@@ -19,10 +19,9 @@ class Dlvr(Ms4525do):
 
     def _adopt_settings(self) -> None:
         super()._adopt_settings()
-        scale, _ = nominal_transfer(self._config)
+        scale, offset = nominal_transfer(self._config)
         self.max_step = {"pitot_pressure": JUMP_PA / scale}
-        low, high = self._config.span_pa
-        self._ends = tuple((p - nominal_transfer(self._config)[1]) / scale for p in (low, high))
+        self._ends = tuple((pascal - offset) / scale for pascal in self._config.span_pa)
 
     def read(self) -> Reading:
         reading = super().read()

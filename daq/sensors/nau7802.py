@@ -75,9 +75,8 @@ class Nau7802(Driver):
         bus.write_i2c_block_data(address, CTRL1, [self._ctrl1, self._ctrl2])
         bus.write_byte_data(address, ADC_SETTINGS, CHOPPER_OFF)
         bus.write_byte_data(address, PGA_POWER, PGA_CAPACITOR)
-        yield (
-            250 * MS
-        )  # regulator and bridge settle, as long as the makers of boards wait: SparkFun's and Adafruit's libraries
+        # regulator and bridge settle, as long as the makers of boards wait: SparkFun's and Adafruit's libraries
+        yield 250 * MS
         yield from self._calibrate()
         bus.write_byte_data(address, PU_CTRL, RUNNING)
         yield _SETTLING * SECOND // self._config.rate_hz

@@ -269,7 +269,6 @@ def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[Recons
 
 def motion_figure(flights: Sequence[ReconstructedFlight], number: int, marked: Sequence["Flight"] = ()) -> Picture:
     """One part of Figure 7, the number-th from 0; flights: the flights beside each other; marked: whose marks are drawn."""
-
     by_name = {flight.name: flight for flight in marked}
     names = flights[0].outputs
     with styled():

@@ -10,9 +10,10 @@ control (`follows_controls`). Long flights are tested by their first part (`exce
 hour would take longer than its fit.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,11 +175,17 @@ def scale_bounds(flight: Flight) -> dict[str, float]:
     bounds, factors = detail.get(CORRECTION_BOUNDS), detail.get("compatibility")
     if not isinstance(bounds, dict) or not isinstance(factors, dict):
         return {}
+    scales = {n: (bound, factors.get(n)) for n, bound in bounds.items() if str(n).startswith("K_")}
     return {
-        name.removeprefix("K_"): float(bound) / float(factors.get(name, 1.0))
-        for name, bound in bounds.items()
-        if name.startswith("K_")
+        name.removeprefix("K_"): min(1.0, abs(bound / factor))
+        for name, (bound, factor) in scales.items()
+        if _is_number(bound) and _is_number(factor) and factor != 0.0
     }
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    """A flight's provenance is text of somebody else's file."""
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 Scales = Mapping[str, Mapping[str, float]]
@@ -200,12 +207,15 @@ def odd_flights(linear: LinearisedFit, result: Result, scales: Scales) -> tuple[
     """
     if len(linear.flights) < 2:
         return ()
-    judged = [_of_flight(linear, result, scales, i) for i in range(len(linear.flights))]
+    moved = _moved_scores(linear, result.model, scales)
+    judged = [_of_flight(linear, result, moved, i) for i in range(len(linear.flights))]
     oddest = max(judged, key=lambda found: found[0])
     return () if oddest[1] is None else (oddest[1],)
 
 
-def _of_flight(linear: LinearisedFit, result: Result, scales: Scales, index: int) -> tuple[float, OddFlight | None]:
+def _of_flight(
+    linear: LinearisedFit, result: Result, moved: Sequence[Sequence[Array]], index: int
+) -> tuple[float, OddFlight | None]:
     """(chi-square over its freedom, the flight as odd where it is so beyond chance)."""
     from scipy.stats import chi2
 
@@ -215,7 +225,7 @@ def _of_flight(linear: LinearisedFit, result: Result, scales: Scales, index: int
     theta = spread @ rest[:n, -1]
     products = linear.flights[index]
     score = products.gram[: n + k, -1] - products.gram[: n + k, :n] @ theta
-    covariance = _covariance(linear, result.model, index, spread, scales)
+    covariance = _covariance(linear, index, spread, moved)
     weight, rank = _inverse(covariance[:n, :n])
     surprise = float(score[:n] @ weight @ score[:n])
     probability = min(1.0, len(linear.flights) * float(chi2.sf(surprise, max(rank, 1))))
@@ -237,31 +247,36 @@ def _of_flight(linear: LinearisedFit, result: Result, scales: Scales, index: int
     return surprise / max(rank, 1), odd
 
 
-def _covariance(linear: LinearisedFit, model: Model, index: int, spread: Array, scales: Scales) -> Array:
-    """Covariance of one flight's scores at the estimate of the others."""
+def _covariance(linear: LinearisedFit, index: int, spread: Array, moved: Sequence[Sequence[Array]]) -> Array:
+    """Covariance of one flight's scores at the estimate of the others. moved: as of `_moved_scores`."""
     n, products = linear.n + len(linear.tested), linear.flights[index]
     gram = products.gram[:n, :n]
     total = gram + gram[:, : linear.n] @ spread @ gram[: linear.n]
     for draws, size in ((products.noise[:n], 1.0), (products.edges[:n], linear.edges)):
         if draws.shape[1]:
             total = total + size / draws.shape[1] * (draws @ draws.T)
-    for column in _by_scales(linear, model, index, spread, scales):
-        total = total + np.outer(column, column)
+    for i, scores in enumerate(moved):
+        for score in scores:  # what another flight's scale does, it does by way of the estimate
+            column = score if i == index else -gram[:, : linear.n] @ (spread @ score[: linear.n])
+            total = total + np.outer(column, column)
     common = products.common[:n]
     return np.asarray(INFLATED * (total + common @ linear.common @ common.T))
 
 
-def _by_scales(linear: LinearisedFit, model: Model, index: int, spread: Array, scales: Scales) -> Iterator[Array]:
-    """(columns,) what one standard deviation of each channel's scale, in this flight or in another, does to this one's scores."""
+def _moved_scores(linear: LinearisedFit, model: Model, scales: Scales) -> list[list[Array]]:
+    """By flight, (columns,) what one standard deviation of each of its channels' scales does to its own scores."""
     names = (*linear.shared, *(c.name for c in linear.tested))
     n, values = len(names), np.concatenate([linear.values, np.zeros(len(linear.tested))])
-    gram = linear.flights[index].gram[:n]
-    for i, flight in enumerate(linear.flights):
-        for channel, bound in scales.get(flight.name, {}).items():
-            beside = [name in linear.shared and channel in inputs_beside(model, name) for name in names]
-            along = np.where(beside, values, [name == f"scale_{channel}" for name in names])
-            score = bound * (flight.gram[:n, :n] @ along)
-            yield score if i == index else -gram[:, : linear.n] @ (spread @ score[: linear.n])
+    inputs = [inputs_beside(model, name) if name in linear.shared else frozenset[str]() for name in names]
+
+    def along(channel: str) -> Array:
+        beside = [channel in i for i in inputs]
+        return np.asarray(np.where(beside, values, [name == f"scale_{channel}" for name in names]))
+
+    return [
+        [bound * (flight.gram[:n, :n] @ along(channel)) for channel, bound in scales.get(flight.name, {}).items()]
+        for flight in linear.flights
+    ]
 
 
 def _explained(

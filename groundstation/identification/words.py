@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from daq.identification.estimates import LiveDerivative
 from daq.identification.next_manoeuvre import LONG, ManoeuvreAdvice
-from daq.identification.point_quality import CONTROL_WORDS
+from daq.identification.point_quality import CONTROL_WORDS, FlownPoint
 from groundstation.identification.session import LiveState
 
 LONGEST_S = 600.0  # to go; beyond, it is said that this flying does not bring it
@@ -86,9 +86,7 @@ def point_lines(state: LiveState) -> Iterator[str]:
     point = state.point
     if point is None:
         return
-    moves = ", ".join(
-        f"{CONTROL_WORDS[n]} {math.degrees(v):.1f} deg" for n, v in point.peaks.items() if v >= LEAST_PEAK
-    )
+    moves = ", ".join(f"{control} {degrees:.1f} deg" for control, degrees in _flown(point).items())
     gust = max(point.gusts.values(), default=math.nan)
     air = f", gusts {math.degrees(gust):.1f} deg" if math.isfinite(gust) else ""
     status = "under way" if point.moving else "flown"
@@ -99,6 +97,11 @@ def point_lines(state: LiveState) -> Iterator[str]:
     if gained:
         yield "test point has narrowed " + ", ".join(f"{name} {factor:.1f} times" for name, factor in gained[:SAID])
     yield f"test point: {point_decision(state)}"
+
+
+def _flown(point: FlownPoint) -> dict[str, float]:
+    """Control -> peak [deg], of those that count as flown."""
+    return {CONTROL_WORDS[n]: math.degrees(v) for n, v in point.peaks.items() if v >= LEAST_PEAK}
 
 
 def point_decision(state: LiveState) -> str:
@@ -118,9 +121,7 @@ def point_decision(state: LiveState) -> str:
         return "stop, this input brings no bound within a minute"
     if point.faults:
         return f"repeat it: {point.faults[0]}"
-    if state.advice is not None and set(state.advice.peaks) == {
-        CONTROL_WORDS[n] for n, v in point.peaks.items() if v >= LEAST_PEAK
-    }:
+    if state.advice is not None and state.advice.peaks.keys() == _flown(point).keys():
         return "good; once more of the same axis brings most"
     return "good; need not be repeated"
 
@@ -137,7 +138,7 @@ def point_line(state: LiveState) -> str:
     point = state.point
     assert point is not None
     reached = sum(seconds == 0.0 for seconds in state.to_go.values())
-    moves = " ".join(f"{CONTROL_WORDS[n]} {math.degrees(v):.0f}" for n, v in point.peaks.items() if v >= LEAST_PEAK)
+    moves = " ".join(f"{control} {degrees:.0f}" for control, degrees in _flown(point).items())
     worst = "" if state.advice is None else f", {state.advice.worst} {state.advice.now:.1f}x"
     verdict = "repeat" if point.faults else "good"
     return f"point {moves} deg: {verdict}; {reached}/{len(state.to_go)} there{worst}; next {next_short(state)}"[:LINE]

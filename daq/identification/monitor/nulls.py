@@ -32,10 +32,8 @@ LEVEL_BANK, LEVEL_RATE = (
     0.15,
     0.05,
 )  # rad of aileron per rad of bank and per rad/s of roll: a pilot keeps the wings level
-HOLD_PITCH, HOLD_RATE = (
-    0.25,
-    0.05,
-)  # rad of elevator per rad of attitude and per rad/s of pitching: a pilot holds his attitude
+HOLD_PITCH, HOLD_RATE = 0.25, 0.05
+"""rad of elevator per rad of attitude and per rad/s of pitching: a pilot holds his attitude."""
 DENSITY = 1.2  # kg/m3
 GUST_TIME = 1.0  # s, correlation time of gusts: some 17 m
 NO_LAG = 0.035  # s, servo where the aircraft states none

@@ -157,7 +157,6 @@ def typeset(equation: str) -> Markup:
 
 def history_figure(h: Histories, result: GapResult) -> Picture:
     """Measured, before and after of every channel of one flight, and what is left."""
-
     units = {s.name: s.unit for s in result.model_before.outputs}
     with styled():
         figure, axes = grid(len(result.outputs), 2, 1.45, own_scales=True, sharex=True)

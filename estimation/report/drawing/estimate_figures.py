@@ -97,7 +97,6 @@ def _scatter_panel(axis: Any, session: "EstimationSession", name: str) -> None:
 
 def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
     """Figure 9: measured and estimated histories with the controls below. of_paper: the caption says so."""
-
     model = next(iter(f.results.values())).model  # without the outputs that this flight does not measure
     fits = {m: r.flights[0] for m, r in f.results.items() if r.flights and r.model.output_names == model.output_names}
     first = next(iter(fits.values()))
@@ -172,7 +171,6 @@ def correlation_figure(result: Result, whose: str) -> Picture:
 def proof_figure(proofs: Sequence[tuple[str, "ProofOfMatch"]], refitted: str, of_paper: bool) -> Picture:
     """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof);
     refitted: what was not; of_paper: the caption says so."""
-
     rows = max(len(proof.outputs) for _, proof in proofs)
     with styled():
         figure, axes = grid(rows, len(proofs), 1.25, own_scales=True, sharex="col")

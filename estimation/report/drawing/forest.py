@@ -69,7 +69,6 @@ def forest_figure(rows: "Sequence[AnswerRow]") -> Picture | None:
 
 def strips_figure(result: "Result") -> Picture | None:
     """Measured and estimated motion of the first flight of a result, one low strip a channel, with r2 at its end."""
-
     fit, outputs = result.flights[0], result.model.outputs
     if not outputs:
         return None

@@ -100,9 +100,8 @@ class JsbsimOracle:
             fdm.run_ic()
         self._check(state)
         loads = self._loads()
-        if not np.isfinite(
-            loads
-        ).all():  # once in hundreds of processes JSBSim answers so what it answers when asked again
+        if not np.isfinite(loads).all():
+            # once in hundreds of processes JSBSim answers so what it answers when it is asked again
             fdm.run_ic()
             loads = self._loads()
         if not np.isfinite(loads).all():

@@ -37,6 +37,14 @@ def test_what_a_correction_leaves_open_is_a_share_of_its_factor() -> None:
     assert scale_bounds(corrected) == pytest.approx({"beta": 0.025})
 
 
+@pytest.mark.parametrize(("bound", "factor"), [("x", 1.0), (0.02, 0.0), (float("nan"), 1.0), (0.02, None), ([], {})])
+def test_numbers_of_somebody_else_s_provenance_that_are_none_say_nothing(bound: object, factor: object) -> None:
+    flight = ss.open(RECORDINGS / "cdfp_ld4.mcap")
+    detail = {"compatibility": {"K_beta": factor}, CORRECTION_BOUNDS: {"K_beta": bound}}
+    strange = dataclasses.replace(flight, provenance=dataclasses.replace(flight.provenance, detail=detail))
+    assert scale_bounds(strange) == {}
+
+
 def test_noise_of_a_control_takes_its_share_of_the_movement_off_the_derivatives_beside_it() -> None:
     model, rng = load_model("lateral", "cdfp"), np.random.default_rng(8)
     whole = ss.open(RECORDINGS / "cdfp_ld4.mcap")
