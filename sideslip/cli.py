@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
+from daq.utilities.bytecode import REMEDY
 from daq.utilities.durable import DISK_ERRNOS
 from daq.utilities.errors import UserError
 from daq.utilities.packages import missing
@@ -227,7 +228,9 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         return _error_line(str(error))
     except ModuleNotFoundError as error:
         return _error_line(str(missing(error, f"sideslip {(words or [''])[0]}".rstrip())))
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as error:
+        if isinstance(error.__cause__, EOFError):  # click takes it for Ctrl-D at a prompt, and there is none
+            return _error_line(f"{REMEDY} under {Path(__file__).parents[1]} and its environment")
         click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
         return 130 if interrupts is None else interrupts.status
     except BrokenPipeError as error:  # of a file that is a pipe: its reader has seen enough

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -88,6 +89,39 @@ def test_a_disk_without_room_leaves_the_old_file_and_one_sentence(what: str, roo
     assert len(done.stderr.strip().splitlines()) == 1
     assert [p.name for p in tmp_path.iterdir()] == ([] if what == "aircraft" else [out.name])
     assert what == "aircraft" or out.read_text() == "OLD"
+
+
+def _compiling(
+    words: list[str], folder: Path, act: Callable[[], None] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run Python with its compiled modules in `folder`."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    environment["PYTHONPYCACHEPREFIX"] = str(folder)
+    command = [sys.executable, *words]
+    return subprocess.run(
+        command, env=environment, cwd=ROOT, capture_output=True, text=True, preexec_fn=act, check=False
+    )
+
+
+CHECK = ["-m", "sideslip", "aircraft", "check", "cdfp"]
+
+
+def test_a_full_disk_leaves_no_compiled_module_that_cannot_be_read(tmp_path: Path) -> None:
+    """Python 3.11 leaves what fitted of one, and every later import of it ends in an EOFError."""
+    assert _compiling(["-c", "import runpy, resource, sideslip.entry"], tmp_path).returncode == 0
+    assert _compiling(CHECK, tmp_path, lambda: _smaller_files(3000)).returncode == 0
+    done = _compiling(CHECK, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_compiled_module_cut_short_is_named_with_its_remedy(tmp_path: Path) -> None:
+    assert _compiling(CHECK, tmp_path).returncode == 0
+    module = next(tmp_path.rglob("aircraft_review.cpython-*.pyc"))
+    module.write_bytes(module.read_bytes()[:3000])
+    done = _compiling(CHECK, tmp_path)
+    assert done.returncode == 2
+    assert "__pycache__" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP])
