@@ -68,6 +68,8 @@ def log(truth: dict[str, np.ndarray], **options: object) -> bytes:
     f = measured(truth)
     airspeed = float(options.pop("airspeed", 1.0))  # type: ignore[arg-type]
     tables = autopilots.ardupilot(f, **options)  # type: ignore[arg-type]
+    _, labels, _, fields = tables["ARSP"]
+    fields[labels.split(",").index("Temp")][:] = np.median(f["p_static"] / f["rho"]) / 287.05 - 273.15  # of its own air
     servo = pulses(truth)
     letters, labels, time, _ = tables["RCOU"]
     tables["RCOU"] = (letters, labels, time, [servo["left"], servo["right"], 0 * time, servo["rudder"]])
@@ -141,9 +143,9 @@ def test_a_high_field_has_the_density_of_its_pressure(tmp_path: Path, truth: dic
     thinner = 0.84
     f = {n: v * thinner if n in ("rho", "p_static") else v for n, v in truth.items()}
     flight, found = followed(tmp_path, log(f, e2t=e2t))
-    assert np.nanmedian(flight["rho"]) == pytest.approx(thinner * np.median(truth["rho"]), rel=0.04)
+    assert np.nanmedian(flight["rho"]) == pytest.approx(thinner * np.median(truth["rho"]), rel=0.005)
     assert found.verdict.recommended.method == "ml"
-    away = bounds_off(found, 1.0 / thinner, 0.0 if e2t else 0.04)
+    away = bounds_off(found, 1.0 / thinner)
     assert max(map(abs, away.values())) < 3.5, away
 
 
@@ -158,14 +160,14 @@ def test_boots_ports_and_a_gimbal_are_not_mixed_into_one_motion(tmp_path: Path, 
     assert max(map(abs, away.values())) < 3.5, away
 
 
-@pytest.mark.parametrize("hz", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("hz", [2.0, 4.0])
 def test_slow_telemetry_is_not_recommended(tmp_path: Path, truth: dict[str, np.ndarray], hz: float) -> None:
     data = telemetry(truth, slice(None), every=round(50.0 / hz))
     (tmp_path / "log.tlog").write_bytes(data)
     models = recipe(import_data(tmp_path / "log.tlog")).models
     assert not any(m.able for m in models)
     with contextlib.suppress(UserError):  # refused is as good
-        _, found = followed(tmp_path, data, ("ml", "ls"), "log.tlog")
+        _, found = followed(tmp_path, data, ("ls",), "log.tlog")
         assert found.verdict.recommended.method == "none"
 
 
