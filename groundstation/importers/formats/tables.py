@@ -39,7 +39,10 @@ _DIGIT = re.compile(r"\d")
 _BLANK_LINES = re.compile(r"^(?:[^\S\n]*+(?:#[^\n]*+)?\n)++", re.MULTILINE)
 """Lines in a row with nothing in them but a remark."""
 _LINE = re.compile(r"[^\n]+")
-NAME_THE_TIME = "name the time column in a mapping file (--map; 'import FILE --draft-map' proposes one), or the rate where there is none: [time] rate_hz = 50"
+NAME_THE_TIME = (
+    "name the time column in a mapping file (--map; --draft-map proposes one), or the rate where there is none: "
+    "[time] rate_hz = 50"
+)
 
 
 def _bare(header: str) -> str:
