@@ -21,7 +21,7 @@ from estimation.gap.effects.base import Effect, Form
 from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
-from estimation.prepare.flight_data import AS_USUAL, FlightData, Preparation
+from estimation.prepare.flight_data import AS_USUAL, FlightData
 from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
