@@ -155,6 +155,10 @@ class Criteria:
     restless_margin: float = criterion(2.0, "thresholds",
         "where named effects bring the gap within the nulls', a rest below it is restless scatter", FOREIGN)
 
+    noise_held: float = criterion(100.0, "2 log likelihood",
+        "flights that are likelier by more with a hypothesis and its own noise are asked again with that noise",
+        "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")
+
     # ---- which hypotheses are fitted, and how they are weighed
     full_fits: int = criterion(10, "hypotheses", "best by linear theory that get a full fit")
     always_fitted: int = criterion(4, "hypotheses", "best by linear theory that get one however weak they are")

@@ -2,8 +2,8 @@
 
 Controls of a model that pitches keep what follows the motion, and their measured values by steps: an elevator acts on a light
 and little damped motion. What de-noising takes off it besides noise goes into pitch damping and the derivatives by the elevator
-(`estimation.signals.controls`), far beyond their bounds. A lateral motion forgives both, but for very quiet gyros: there the noise
-that measured values bring costs as much as the rounding does.
+(`estimation.signals.controls`), far beyond their bounds. A lateral motion forgives both, but for very quiet gyros: the noise of
+measured values costs as much there as the rounding does.
 """
 
 from collections.abc import Sequence

@@ -225,6 +225,11 @@ def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: 
     """
     rates = [i for i, s in enumerate(model.outputs) if s.name in RATE_OF.values()]
     ratios = [_loudest(model, part, flight, rates) for flight in flights for part in flight.segments]
+    return are_loud(ratios, criteria)
+
+
+def are_loud(ratios: Sequence[float], criteria: Criteria) -> bool:
+    """Whether the usual one of the changes that a control's noise makes of a rate stands out of the noise of that rate."""
     return bool(ratios) and float(np.median(ratios)) > criteria.loud_control
 
 

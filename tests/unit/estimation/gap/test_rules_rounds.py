@@ -25,6 +25,7 @@ from estimation.gap.search.accept import (
 from estimation.gap.search.confirm import FittedHypothesis
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
+from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
 from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
@@ -352,6 +353,7 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(searching, "deeper_fit", lambda baseline, fit: leads.get(baseline.name))
     monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
     setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
     state = run_rounds(setting, base("first"))
     assert seen == [("first", 0), ("second", 0), ("third", 0)]
@@ -361,3 +363,25 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     score = 3.0  # of a threshold of 4
     run_rounds(setting, base("first"))
     assert seen == [("first", 0)]
+
+
+@pytest.mark.parametrize(("likelier", "held"), [(90.0, False), (110.0, True)])
+def test_noise_holds_an_effect_where_flights_are_clearly_likelier_with_it(likelier: float, held: bool) -> None:
+    assert holds_an_effect(likelier, AS_SET) is held
+
+
+def test_a_round_is_asked_once_more_with_noise_that_holds_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    sharp, first, seen = stub(name="sharp"), stub(name="first"), []
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append((baseline.name, number))
+        return stub(threshold=4.0, baseline=baseline)
+
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: sharp)
+    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    state = run_rounds(setting, first)
+    assert seen == [("first", 0), ("sharp", 0)]
+    assert [r.baseline.name for r in state.rounds] == ["sharp"]
