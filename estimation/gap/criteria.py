@@ -155,6 +155,9 @@ class Criteria:
     restless_margin: float = criterion(2.0, "thresholds",
         "where named effects bring the gap within the nulls', a rest below it is restless scatter", FOREIGN)
 
+    many_derivatives: int = criterion(3, "derivatives",
+        "a base that holds its derivatives is refitted in all of them where so many, one beside the other, are off",
+        "by hand: one that is wrong is an answer; with all derivatives off by up to 10 % six stand out")
     noise_held: float = criterion(100.0, "2 log likelihood",
         "flights that are likelier by more with a hypothesis and its own noise are asked again with that noise",
         "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")
