@@ -167,7 +167,7 @@ def _begun(folder: Path) -> None:
     raise AssertionError("the ground station did not begin")
 
 
-@pytest.mark.parametrize("what", ["reader gone", "reader asleep", "terminal gone"])
+@pytest.mark.parametrize("what", ["reader gone", "reader asleep", "terminal gone", "stopped"])
 def test_the_ground_station_goes_on_whatever_becomes_of_its_terminal(what: str, tmp_path: Path) -> None:
     reading, writing = os.pipe()
     station = _ground(tmp_path, writing, 3.0)
@@ -178,6 +178,10 @@ def test_the_ground_station_goes_on_whatever_becomes_of_its_terminal(what: str, 
             os.close(reading)
         if what == "terminal gone":
             station.send_signal(signal.SIGHUP)
+        if what == "stopped":  # Ctrl-Z and fg
+            station.send_signal(signal.SIGSTOP)
+            time.sleep(1.0)
+            station.send_signal(signal.SIGCONT)
         _, said = station.communicate(timeout=60)
     finally:
         station.kill()
