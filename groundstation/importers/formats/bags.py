@@ -181,7 +181,7 @@ def _protobuf(schema: Any) -> Decode:
 def _sqlite(path: Path) -> Bag:
     bag = Bag()
     try:
-        with sqlite3.connect(f"file:{path.resolve()}?mode=ro", uri=True) as file:
+        with sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True) as file:
             tables = {row[0] for row in file.execute("select name from sqlite_master where type = 'table'")}
             if not {"topics", "messages"} <= tables:
                 raise ImportDataError(f"{path}: an SQLite file, but no ROS 2 bag: it has no tables topics and messages")

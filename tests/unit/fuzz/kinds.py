@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import sqlite3
 import struct
 import zlib
 from collections.abc import Callable
@@ -120,6 +121,40 @@ def lying_topic(data: bytes, rng: Rng) -> bytes:
     made += seeds.ulog_message(b"A", bytes([int(rng.integers(3)), int(rng.integers(4)), 0]) + name)
     at = int(rng.choice([59, 59, 59, int(rng.integers(min(16, len(data)), len(data) + 1))]))
     return data[:at] + made + data[at:]
+
+
+def lying_rows(data: bytes, rng: Rng) -> bytes:
+    """An SQLite file, sound, with cells that hold what is none of theirs."""
+    values = (
+        None,
+        "",
+        "nan",
+        "\0",
+        "[" * 900,
+        b"\xff\xfe",
+        b"",
+        -1,
+        0,
+        2**62,
+        -(2**63),
+        1e308,
+        float("inf"),
+        "uint64[99999999] x",
+    )
+    columns = {"topics": ("name", "type", "id"), "messages": ("topic_id", "timestamp", "data"),
+               "message_definitions": ("topic_type", "encoding", "encoded_message_definition")}  # fmt: skip
+    file = sqlite3.connect(":memory:")
+    with contextlib.suppress(sqlite3.Error), contextlib.closing(file):
+        file.deserialize(data)
+        for table in rng.choice(list(columns), int(rng.integers(1, 4))):
+            column = rng.choice(columns[str(table)])
+            value = values[int(rng.integers(len(values)))]
+            where = "" if rng.random() < 0.3 else f" where rowid % 7 = {int(rng.integers(7))}"
+            with contextlib.suppress(sqlite3.IntegrityError, sqlite3.OperationalError):
+                file.execute(f"update {table} set {column} = ?{where}", (value,))
+        file.commit()
+        return bytes(file.serialize())
+    return flip_bits(data, rng)
 
 
 # -------------------------------------------------------------------------------------------------------------- readers
@@ -371,8 +406,11 @@ KINDS: dict[str, Kind] = {
         Kind("signing key", ".key", seeds.key_inputs, (*BYTES, *TEXT), (_key,), 0.5),
         Kind("signing state", ".state", seeds.state_inputs, (*TEXT, *TEXT, *BYTES), (_state,), 0.5),
         Kind("recording", ".mcap", seeds.recording_inputs, BYTES,
-             (verb("verify", "FILE"), verb("info", "FILE"), verb("calibrate", "FILE", "-o", "OUT", "--salvage")), 0.5, quick=4),
+             (verb("verify", "FILE"), verb("info", "FILE"), verb("calibrate", "FILE", "-o", "OUT", "--salvage"),
+              verb("recover", "FILE", "-o", "OUT")), 0.5, quick=4),
         Kind("bag", ".mcap", seeds.bag_inputs, BYTES, (verb("info", "FILE"), IMPORT), quick=8),
+        Kind("sqlite bag", ".db3", seeds.sqlite_bag_inputs, (*BYTES, *[lying_rows] * 6), (verb("info", "FILE"), IMPORT), 0.5,
+             quick=8),
         Kind("campaign plan", ".toml", seeds.campaign_inputs, TOML, (_campaign,)),
         Kind("manoeuvre", ".toml", seeds.manoeuvre_inputs, TOML, (_manoeuvre,)),
         Kind("limits", ".toml", seeds.limits_inputs, TOML, (_limits,)),

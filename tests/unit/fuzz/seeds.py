@@ -2,6 +2,7 @@
 
 import io
 import json
+import sqlite3
 import struct
 from collections.abc import Mapping
 from functools import cache
@@ -385,3 +386,25 @@ def bag_inputs() -> list[bytes]:
         writer.finish()
         made.append(stream.getvalue())
     return made
+
+
+def sqlite_bag_inputs() -> list[bytes]:
+    """A ROS 2 bag in SQLite of standard messages, which carries no definition, and of described ones."""
+    file = sqlite3.connect(":memory:")
+    file.executescript(
+        "create table topics(id integer primary key, name text, type text, serialization_format text, offered_qos_profiles text);"
+        "create table messages(id integer primary key, topic_id integer, timestamp integer, data blob);"
+        "create table message_definitions(id integer, topic_type text, encoding text, encoded_message_definition text);"
+    )
+    file.execute("insert into topics values(1, '/imu', 'own_msgs/msg/Imu', 'cdr', '')")
+    file.execute("insert into topics values(2, '/air', 'std_msgs/msg/Float64', 'cdr', '')")
+    text = "uint64 timestamp\nfloat32[3] gyro_rad\n"
+    file.execute("insert into message_definitions values(1, 'own_msgs/msg/Imu', 'ros2msg', ?)", (text,))
+    for k in range(200):
+        stamp = 10**18 + 50_000_000 * k
+        bodies = (struct.pack("<Q3f", k, 0.1, 0.2, 0.3), struct.pack("<d", 0.1 * k))
+        for topic, body in enumerate(bodies, 1):
+            row = (topic, stamp, b"\0\1\0\0" + body)
+            file.execute("insert into messages(topic_id, timestamp, data) values(?, ?, ?)", row)
+    file.commit()
+    return [bytes(file.serialize())]

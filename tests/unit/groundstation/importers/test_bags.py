@@ -116,6 +116,12 @@ def test_standard_messages_come_in_our_axes(tmp_path: Path, plugin: StoragePlugi
     assert any("axes turned from x forward, y left, z up" in n.text for n in flight.notes)
 
 
+def test_a_bag_whose_name_an_address_would_read_otherwise(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3, ros_messages())
+    odd = bag.rename(tmp_path / "flight 100%25?mode=x#2.db3")
+    assert len(import_data(odd).time) > 100
+
+
 def test_messages_of_px4_go_by_the_names_of_its_own_log(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in PX4.items():
