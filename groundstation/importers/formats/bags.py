@@ -197,7 +197,7 @@ def _sqlite(path: Path) -> Bag:
                 decode = decoders.get(number)
                 if decode is not None and isinstance(data, bytes) and isinstance(stamp, int):
                     bag.add_message(*topics[number], stamp, data, decode)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: where SQLite's own words quote bytes of the file
         if not bag.topics:
             raise ImportDataError(f"{path}: damaged SQLite bag ({error})") from error
         bag.notes.append(f"the bag is damaged ({error}); the whole messages before are used")

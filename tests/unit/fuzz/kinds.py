@@ -144,7 +144,7 @@ def lying_rows(data: bytes, rng: Rng) -> bytes:
     columns = {"topics": ("name", "type", "id"), "messages": ("topic_id", "timestamp", "data"),
                "message_definitions": ("topic_type", "encoding", "encoded_message_definition")}  # fmt: skip
     file = sqlite3.connect(":memory:")
-    with contextlib.suppress(sqlite3.Error), contextlib.closing(file):
+    with contextlib.suppress(sqlite3.Error, UnicodeDecodeError), contextlib.closing(file):
         file.deserialize(data)
         for table in rng.choice(list(columns), int(rng.integers(1, 4))):
             column = rng.choice(columns[str(table)])

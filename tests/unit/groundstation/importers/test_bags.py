@@ -122,6 +122,15 @@ def test_a_bag_whose_name_an_address_would_read_otherwise(tmp_path: Path) -> Non
     assert len(import_data(odd).time) > 100
 
 
+def test_a_bag_whose_damage_sqlite_quotes_in_bytes_that_are_no_text(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3, ros_messages())
+    spoilt = tmp_path / "spoilt.db3"
+    spoilt.write_bytes(bag.read_bytes().replace(b"CREATE TABLE topics", b"CREATE TABL\xcf topics"))
+    assert spoilt.read_bytes() != bag.read_bytes()
+    with pytest.raises(ImportDataError, match=r"spoilt\.db3: damaged SQLite bag"):
+        import_data(spoilt)
+
+
 def test_messages_of_px4_go_by_the_names_of_its_own_log(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in PX4.items():
