@@ -3,7 +3,8 @@
 `python -m tests.studies.gap_mutation [--only NAME ...] [--page FILE]` (kept: tests/unit/estimation/gap/mutation.md): each
 criterion by 30 % down and up (whole numbers by one; quantiles by 30 % of what is beyond them, since they end at one), in a
 process of its own in which the one record that every module holds has the other number; then
-tests/unit/estimation/gap/test_rules_*.py, no flights. Exit status 1 where one survives. The page has a row for every criterion and the first test that turned red.
+tests/unit/estimation/gap/test_rules_*.py, no flights. Exit status 1 where one survives. The page has a row for every criterion
+and the first test that turned red.
 """
 
 import argparse
