@@ -54,6 +54,17 @@ def test_the_support_takes_away_what_it_says(tmp_path: Path) -> None:
     assert done.stdout == "False False\n"
 
 
+def test_the_program_starts_where_python_keeps_compiled_modules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As it does unless somebody has switched that off."""
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    monkeypatch.setenv("PYTHONPYCACHEPREFIX", str(tmp_path / "compiled"))
+    done = run(tmp_path, "--version")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert any((tmp_path / "compiled").rglob("cli.*.pyc"))
+
+
 def test_logs_are_imported_and_estimated(tmp_path: Path) -> None:
     time = np.arange(0, 10, 0.05)
     savemat(tmp_path / "log.mat", {"time": time, "p": np.sin(time), "V": 15 + 0 * time})
