@@ -22,6 +22,7 @@ from tests.unit.estimation.test_performance import AREA, MASS, glide
 
 PAGES = ROOT / "docs" / "validation"
 STUDY = re.compile(r"python -m (tests\.studies\.\w+)([^`#\n]*)")
+LONG_S = 600.0  # of a campaign, or a watch with its thresholds, on a busy machine
 BY_THEIR_HEAD = {"tests.studies.t38_points"}  # takes one file, and no parser
 
 
@@ -69,7 +70,7 @@ def test_the_fleet_of_the_page_with_two_flights_each(tmp_path: Path) -> None:
     assert text.count("count = 6") == 4
     plan.write_text(text.replace("count = 6", "count = 2").replace("-0.0853", "-0.052").replace("25.0", "20.0"))
     (command,) = commands_of(PAGES / "fleet.md")
-    printed = follow(command, tmp_path, ROOT)
+    printed = follow(command, tmp_path, ROOT, limit_s=LONG_S)
     differing = re.findall(r"^\s*(\w+) \(ml\): .*?number (\d) less .*?number (\d) .*they differ", printed, flags=re.M)
     assert ("Cl_da", "3", "1") in differing
     assert {"Cl_da"} == {name for name, *_ in differing}
@@ -88,8 +89,8 @@ def test_a_fault_of_the_page_is_found_by_its_commands(tmp_path: Path) -> None:
     (path,) = faults.flown("elevon_stuck", [5], "lateral", tmp_path)
     path.rename(tmp_path / "flight.csv")
     estimate, watch = commands_of(PAGES / "faults.md")
-    follow(estimate, tmp_path, ROOT)
-    printed = follow(f"{watch} --hours 1", tmp_path, ROOT, status=1)
+    follow(estimate, tmp_path, ROOT, limit_s=LONG_S)
+    printed = follow(f"{watch} --hours 1", tmp_path, ROOT, status=1, limit_s=LONG_S)
     assert "the model no longer holds" in printed
     alarms = json.loads((tmp_path / "watch.json").read_text())["alarms"]
     assert faults.BEGINS_S < alarms[0]["time"] < faults.BEGINS_S + 10.0
