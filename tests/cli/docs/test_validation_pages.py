@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import write_flight
-from tests.cli.docs.blocks import commands_of
+from tests.cli.docs.blocks import commands_of, files_of, write_files
 from tests.cli.docs.follow import follow
 from tests.studies import faults
 from tests.support.paths import ROOT
@@ -95,6 +95,44 @@ def test_a_fault_of_the_page_is_found_by_its_commands(tmp_path: Path) -> None:
     alarms = json.loads((tmp_path / "watch.json").read_text())["alarms"]
     assert faults.BEGINS_S < alarms[0]["time"] < faults.BEGINS_S + 10.0
     assert {"time", "equation", "leading"} <= set(alarms[0])
+
+
+def poses(rng: np.random.Generator, damping: float, control: float, speed: float) -> list[str]:
+    """12 s of rolling turns as a hall records them at 100 Hz: position, quaternion, command; pitch and height are constant."""
+    step, theta = 0.001, 0.08
+    phi = p = psi = north = east = command = 0.0
+    lines = ["time,x,y,z,qw,qx,qy,qz,aileron"]
+    for k in range(12_000):
+        t = k * step
+        if k % 10 == 0:
+            c, s = np.cos(0.5 * np.array([phi, theta, psi])), np.sin(0.5 * np.array([phi, theta, psi]))
+            pose = [
+                north, east, -1.5, c[0] * c[1] * c[2] + s[0] * s[1] * s[2], s[0] * c[1] * c[2] - c[0] * s[1] * s[2],
+                c[0] * s[1] * c[2] + s[0] * c[1] * s[2], c[0] * c[1] * s[2] - s[0] * s[1] * c[2],
+            ]  # fmt: skip
+            seen = np.array(pose) + 5e-4 * rng.standard_normal(7)
+            lines.append(",".join(f"{v:.6f}" for v in (t, *seen, command)))
+        wanted = 0.12 * (1 if t % 2.4 < 0.6 else -1 if t % 2.4 < 1.2 else 0) * (-1 if int(t / 2.4) % 2 else 1)
+        command += step * (wanted - command) / 0.05
+        p_dot = damping * p + control * command
+        psi, north, east = (
+            psi + step * 9.80665 / speed * np.tan(phi), north + step * speed * np.cos(psi), east + step * speed * np.sin(psi)
+        )  # fmt: skip
+        phi, p = phi + step * p, p + step * p_dot
+    return lines
+
+
+def test_poses_of_ones_own(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Positions and quaternions alone, at 3 m/s."""
+    truth = {"L_p": -8.0, "L_da": 52.0, "V": 3.1}
+    (tmp_path / "poses.csv").write_text("\n".join(poses(rng, *truth.values())) + "\n")
+    write_files(files_of(PAGES / "sportcub.md"), tmp_path)
+    for command in commands_of(PAGES / "sportcub.md"):
+        follow(command, tmp_path, ROOT)
+    told = json.loads((tmp_path / "poses.json").read_text())["flights"][0]["methods"]["ml"]["parameters"]
+    for name, value in truth.items():
+        assert abs(told[name]["estimate"] - value) < 4 * told[name]["std_coloured"] + 1e-3 * abs(value), name
+        assert told[name]["std_coloured"] < 0.03 * abs(value), name
 
 
 def test_performance_of_the_page(tmp_path: Path) -> None:
