@@ -6,7 +6,7 @@ sensor. Two tables are of one flight where they cover the same time and give dif
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -23,7 +23,7 @@ from groundstation.importers.attitude import with_attitudes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD, read_table, table_log
 from groundstation.importers.mapping import ColumnSource, FileFormat, Map, Time, built_in_map
-from groundstation.importers.series import Log, TimeSeries
+from groundstation.importers.series import MESSAGE, Log, TimeSeries
 
 FALLS_BACK = 1.0
 """[s] by which a message is earlier than the one before only after a restart: out of order they are by milliseconds."""
@@ -120,26 +120,38 @@ def joined_topics(tables: Sequence[tuple[Path, Log, Map]]) -> tuple[Log, Map] | 
     start = min(log.origin for _, log, _ in tables)
     times = [next(iter(log.series.values())).time + (log.origin - start) for _, log, _ in tables]
     columns = [_flight_columns(log, mapping) for _, log, mapping in tables]
-    if not all(columns) or sum(map(len, columns)) > len(set().union(*columns)):
+    of_topics = all(MESSAGE in log.detail for _, log, _ in tables)  # stamped by one clock: never records in a row
+    if not all(columns) or (not of_topics and sum(map(len, columns)) > len(set().union(*columns))):
         return None
     if not all(_overlap(a, b) for a, b in combinations(times, 2)):
         return None
     series: dict[str, TimeSeries] = {}
     units: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     sources: dict[str, tuple[ColumnSource, ...]] = {}
+    taken: set[str] = set()
     for (path, log, mapping), time, names in zip(tables, times, columns, strict=True):
         labels = {n: (n if n not in series else f"{path.stem}.{n}") for n in log.series}
         series |= {label: TimeSeries(time, log.series[n].values) for n, label in labels.items()}
         units |= {label: log.units[n] for n, label in labels.items() if n in log.units}
         mapped = {t.column for alternatives in mapping.columns.values() for s in alternatives for t in s.parts}
-        sources |= {n: s for n, s in mapping.columns.items() if n not in sources or n in names}
+        kinds |= {labels.get(n, n): kind for n, kind in log.kinds.items()}
+        chosen = {n: s for n, s in mapping.columns.items() if n not in sources or (n in names and n not in taken)}
+        sources |= {n: tuple(_relabelled(source, labels) for source in s) for n, s in chosen.items()}
+        taken |= names
         unmapped = [label for n, label in labels.items() if n not in mapped]
         sources |= {re.sub(r"\W+", "_", label): (ColumnSource(column=label, unit="1"),) for label in unmapped}
     notes = [n for _, log, _ in tables for n in log.notes]
     text = f"{len(tables)} files that cover the same time and hold different columns: joined on time as one flight"
     _, first, mapping = tables[0]
-    log = replace(first, series=series, units=units, common=False, notes=(*notes, text), origin=start)
+    log = replace(first, series=series, units=units, kinds=kinds, common=False, notes=(*notes, text), origin=start)
     return log, mapping.model_copy(update={"columns": sources, "segment": None, "segment_rows": ()})
+
+
+def _relabelled(source: ColumnSource, labels: Mapping[str, str]) -> ColumnSource:
+    """A source whose columns have other labels in the joined log; an expression as it is."""
+    terms = tuple(t.model_copy(update={"column": labels.get(t.column, t.column)}) for t in source.terms)
+    return source.model_copy(update={"column": labels.get(source.column or "", source.column), "terms": terms})
 
 
 def _flight_columns(log: Log, mapping: Map) -> set[str]:

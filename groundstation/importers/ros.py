@@ -5,6 +5,8 @@ attitude is turned from east-north-up to north-east-down.
 """
 
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +17,24 @@ from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.bag_series import Topic
 from groundstation.importers.formats.bags import read_bag
 from groundstation.importers.mapping import ColumnSource, Map, built_in_map
-from groundstation.importers.series import Log, TimeSeries
+from groundstation.importers.series import MESSAGE, Log, TimeSeries
 
 _PX4 = re.compile(r"px4_msgs/msg/(\w+)")
 PX4_US = 1e-6
 _SIDE = {"x": 1, "y": -1, "z": -1}  # sign of a body axis of ROS in ours
+TURNED = "messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)"
+_BY_FIELDS: Mapping[str, frozenset[str]] = {
+    "sensor_msgs/msg/Imu": frozenset({"angular_velocity.x", "linear_acceleration.x"}),
+    "geometry_msgs/msg/TwistStamped": frozenset({"twist.linear.x", "twist.linear.z"}),
+    "geometry_msgs/msg/PoseStamped": frozenset({"pose.orientation.w", "pose.position.z"}),
+    "geometry_msgs/msg/QuaternionStamped": frozenset({"quaternion.w", "quaternion.z"}),
+    "sensor_msgs/msg/NavSatFix": frozenset({"latitude", "longitude", "altitude", "status.status"}),
+    "sensor_msgs/msg/FluidPressure": frozenset({"fluid_pressure", "variance"}),
+    "sensor_msgs/msg/Temperature": frozenset({"temperature", "variance"}),
+    "mavros_msgs/msg/VfrHud": frozenset({"airspeed", "groundspeed", "throttle", "climb"}),
+}
+"""Kind of message -> fields by which a table of it is known."""
+_FIELD = "field."  # what `rostopic echo -p` writes before the name of each
 
 
 def read_ros(path: Path) -> tuple[Log, Map]:
@@ -41,9 +56,37 @@ def read_ros(path: Path) -> tuple[Log, Map]:
         raise ImportDataError(f"{path}: no numbers in the messages of this bag")
     notes = [*bag.notes]
     if rotated:
-        notes.append("messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)")
+        notes.append(TURNED)
     log = Log("bag", series, notes=tuple(notes), kinds=kinds)
     return log, Map(format=1, title="bag", columns={n: tuple(s) for n, s in columns.items()})
+
+
+def of_topic_table(path: Path, log: Log, mapping: Map) -> tuple[Log, Map]:
+    """A table that holds the messages of one topic (bagpy, `rostopic echo -p`), with the mapping that its kind of message makes
+    of the columns that no other gives; any other table as it is."""
+    labels = {f"{path.stem}.{n.removeprefix(_FIELD)}": n for n in log.series}
+    fields = {n.removeprefix(_FIELD) for n in log.series}
+    kind = next((k for k, needed in _BY_FIELDS.items() if needed <= fields), None)
+    if kind is None:
+        return log, mapping
+    made = {n: log.series[label] for n, label in labels.items()}
+    columns: dict[str, list[ColumnSource]] = {}
+    kinds: dict[str, str] = {}
+    rotated = _standard(Topic(path.stem, kind), made, columns, kinds)
+    sources = {
+        column: tuple(s.model_copy(update={"column": labels.get(s.column or "", s.column)}) for s in alternatives)
+        for column, alternatives in columns.items()
+        if column not in mapping.columns
+    }
+    if not sources:
+        return log, mapping
+    log = replace(
+        log,
+        series={**log.series, **{n: s for n, s in made.items() if n not in labels}},
+        kinds={**log.kinds, **{labels.get(n, n): k for n, k in kinds.items()}},
+        detail={**log.detail, MESSAGE: kind},
+    ).with_notes(f"{path.name} holds {kind}, by its columns", *([TURNED] if rotated else []))
+    return log, mapping.model_copy(update={"columns": {**mapping.columns, **sources}})
 
 
 def _px4_series(topics: dict[str, Topic]) -> dict[str, TimeSeries]:

@@ -221,6 +221,10 @@ def _read_tables(path: Path, user_map: Map | None) -> list[tuple[Log, Map]]:
         guessed, notes = header_map(table, user_map.columns if user_map else ())
         mapping = _over(user_map, guessed)
         log, mapping = with_quaternion(table_log(path, table, mapping.time), mapping)
+        if table.of_topic:
+            from groundstation.importers.ros import of_topic_table
+
+            log, mapping = of_topic_table(path, log, mapping)
         records.append((log.with_notes(*notes), mapping))
     return records
 

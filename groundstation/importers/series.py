@@ -18,6 +18,7 @@ LONGEST_STEP = 3.5  # median intervals; a longer step is a gap in a series: noth
 PAUSE = 5.0  # [s]; a longer step is a pause in recording, no late delivery
 BURSTY = 2.0  # samples that come so many times slower over the whole than from one to the next come in bursts
 DATED_BACK = 0.5  # of its interval, a logged command: it changed at any time since the last record, half in the mean
+MESSAGE = "message"  # key of `Log.detail`: the kind of message of the topic that a table holds
 MOST_INSTANCES = 256  # of one sensor: ArduPilot numbers them in one byte
 
 

@@ -81,9 +81,10 @@ def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.Captu
     assert next_line(["calibrate", RAW, "-o", "a.mcap"], failed=False).startswith("sideslip check a.mcap")
     assert next_line(["verify", RAW], failed=True) == f"sideslip recover {RAW} -o recovered.mcap"
     assert next_line(["verify", "--help"], failed=False) == ""
-    assert (
-        next_line(["check", RAW, "--write", "right"], failed=False) == f"sideslip estimate right/{Path(RAW).stem}.mcap"
-    )
+    drafted = next_line(["import", RAW, "--draft-map", "-o", "map.toml"], failed=False)
+    assert drafted.endswith(f"then sideslip import {RAW} --map map.toml -o flight.mcap")
+    right = next_line(["check", RAW, "--write", "right"], failed=False)
+    assert right == f"sideslip estimate right/{Path(RAW).stem}.mcap"
 
 
 def test_info_names_the_one_step_that_suits_the_file(capsys: pytest.CaptureFixture[str]) -> None:

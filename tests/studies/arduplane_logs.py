@@ -1,9 +1,10 @@
 """Logs as ArduPlane's own firmware writes them, of aeroplanes with known derivatives, and what `analyse` makes of them.
 
-`python -m tests.studies.arduplane_logs [NAME...] [--hz 25] [--out DIR]`: each aeroplane flies legs in FBWA and, between them,
-seconds of MANUAL with doublets. What such a log does to a record is in it: outputs logged at 25 or 50 Hz and changed before that,
-gyros and accelerometers behind their low-pass, airspeed smoothed over a quarter second, fixes that are old, an attitude that
-wanders, no vane, ARSPD_RATIO that is not Bernoulli's. Own equations of motion, apart from those of the estimators.
+`python -m tests.studies.arduplane_logs [NAME...] [--hz 25] [--wiring elevons] [--out DIR]`: each aeroplane flies legs in
+FBWA and, between them, seconds of MANUAL with doublets. What such a log does to a record is in it: outputs logged at 25 or 50 Hz
+and changed before that, gyros and accelerometers behind their low-pass, airspeed smoothed over a quarter second, fixes that are
+old, an attitude that wanders, no vane, ARSPD_RATIO that is not Bernoulli's. Own equations of motion, apart from those of the
+estimators.
 """
 
 import argparse
@@ -59,6 +60,45 @@ AEROPLANES = {
                         {"Cl_p": -0.58, "Cl_r": 0.2, "Cl_beta": -0.06, "Cn_beta": 0.045, "Cn_p": -0.07, "Cn_r": -0.06}),
     "stiff": Aeroplane(1.9, 0.45, 0.24, 2.1, (0.11, 0.15, 0.24, 0.01), 26.0),
 }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What an aeroplane's servos, pitots and filters are. throws [deg] for 500 us of aileron, elevator, rudder; reversed: servos
+    that turn the other way, by their output; pitot: instance that flies, behind one that reads 0.8 of the pressure where it is
+    not the first; lanes: of the EKF, each of which logs an attitude and a wind of its own."""
+
+    throws: tuple[float, float, float] = (22.0, 22.0, 25.0)
+    reversed: tuple[str, ...] = ()
+    elevons: bool = False
+    flaperons: bool = False
+    pitot: int = 0
+    tubes_swapped: bool = False
+    lanes: int = 0
+
+    @property
+    def outputs(self) -> dict[str, tuple[str, int, float, dict[str, float]]]:
+        """Output -> servo, SERVOn_FUNCTION, throw [deg], and what part of aileron, elevator, rudder its deflection is."""
+        aileron, elevator, rudder = self.throws
+        rows = {"C1": ("aileron", 4, aileron, {"a": 1.0}), "C2": ("elevator", 19, elevator, {"e": 1.0})}
+        if self.elevons:
+            rows = {
+                "C1": ("left", 77, aileron, {"e": 1.0, "a": -1.0}),
+                "C2": ("right", 78, aileron, {"e": 1.0, "a": 1.0}),
+            }
+        if self.flaperons:
+            rows |= {"C1": ("left", 24, aileron, {"a": -1.0}), "C5": ("right", 25, aileron, {"a": 1.0})}
+        return rows | {"C4": ("rudder", 21, rudder, {"r": 1.0})}
+
+
+WIRINGS = {
+    "usual": Wiring(),
+    "reversed": Wiring((14.0, 18.0, 30.0), ("C1", "C4")),
+    "elevons": Wiring((26.0, 26.0, 25.0), ("C2",), elevons=True),
+    "flaperons": Wiring((18.0, 25.0, 25.0), ("C5",), flaperons=True),
+    "pitots": Wiring(pitot=1, lanes=2),
+    "tubes": Wiring(tubes_swapped=True, lanes=3),
+}
 WIND = (3.2, -2.1)
 PHASES = (0.013, 0.031, 0.002, 0.024, 0.037, 0.009, 0.018)
 """[s] by which a pilot moves off the clock of the log, turn by turn."""
@@ -209,15 +249,37 @@ def smoothed(values: np.ndarray, hz: float) -> np.ndarray:
     return np.asarray(sosfilt(sos, values - values[0])) + values[0]
 
 
-def log(aeroplane: Aeroplane, seed: int = 1, hz: float = 25.0, old: bool = False, **options: float) -> bytes:
+def log(
+    aeroplane: Aeroplane,
+    seed: int = 1,
+    hz: float = 25.0,
+    old: bool = False,
+    wiring: Wiring = WIRINGS["usual"],
+    **options: float,
+) -> bytes:
     """The dataflash log of a flight. hz: of surfaces and attitude; old: as of `tables`."""
     rng = np.random.default_rng(seed)
     f = flown(aeroplane, **options)  # type: ignore[arg-type]
-    return dataflash(tables(f, aeroplane, rng, hz, old))
+    return dataflash(tables(f, aeroplane, rng, hz, old, wiring))
+
+
+def pulses(f: Mapping[str, np.ndarray], wiring: Wiring) -> dict[str, np.ndarray]:
+    """What each output stands at [us] for the deflections that were commanded."""
+    angles = {n: -f[c] * throw / 500 for n, c, throw in (("a", "C1", 22.0), ("e", "C2", 22.0), ("r", "C4", 25.0))}
+    out: dict[str, np.ndarray] = {}
+    for output, (_, _, throw, shares) in wiring.outputs.items():
+        angle = np.sum([share * angles[n] for n, share in shares.items()], axis=0)
+        out[output] = np.asarray(np.round(1500 - angle / throw * 500 * (-1 if output in wiring.reversed else 1)))
+    return out
 
 
 def tables(
-    f: Mapping[str, np.ndarray], aeroplane: Aeroplane, rng: np.random.Generator, hz: float, old: bool = False
+    f: Mapping[str, np.ndarray],
+    aeroplane: Aeroplane,
+    rng: np.random.Generator,
+    hz: float,
+    old: bool = False,
+    wiring: Wiring = WIRINGS["usual"],
 ) -> dict[str, Table]:
     """Messages of a flight. old: of firmware whose ARSP is smoothed as CTUN is."""
     time, n = f["time"], f["time"].size
@@ -228,10 +290,13 @@ def tables(
 
     imu, med, ten, five = slice(0, n, 4), slice(0, n, every), slice(0, n, 40), slice(40, n, 80)
     out: dict[str, Table] = {}
-    parameters = {"ARSPD_RATIO": 2.0, "ARSPD_TYPE": 2, "INS_GYRO_FILTER": 40, "INS_ACCEL_FILTER": 20, "SCHED_LOOP_RATE": 100,
-                  "SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO3_FUNCTION": 70, "SERVO4_FUNCTION": 21}  # fmt: skip
-    for i in (1, 2, 3, 4):
-        parameters |= {f"SERVO{i}_MIN": 1100, f"SERVO{i}_MAX": 1900, f"SERVO{i}_TRIM": 1500}
+    parameters: dict[str, float] = {
+        **{"ARSPD_RATIO": 2.0, "ARSPD_TYPE": 2, "INS_GYRO_FILTER": 40, "INS_ACCEL_FILTER": 20, "SCHED_LOOP_RATE": 100},
+        **{"ARSPD_TUBE_ORDR": wiring.tubes_swapped, "ARSPD_PRIMARY": wiring.pitot},
+    }
+    for output, (_, function, _, _) in {**wiring.outputs, "C3": ("", 70, 0.0, {})}.items():
+        stated = {"MIN": 1100, "MAX": 1900, "TRIM": 1500, "FUNCTION": function, "REVERSED": output in wiring.reversed}
+        parameters |= {f"SERVO{output[1:]}_{ending}": value for ending, value in stated.items()}
     labels = np.array([name.encode() for name in parameters], object)
     stamp = np.full(len(parameters), LAUNCH)
     out["PARM"] = ("Nf", "Name,Value", stamp, [labels, np.array(list(parameters.values()), float)])
@@ -254,12 +319,16 @@ def tables(
         late[i] = 0.7 * late[i - 1] + 0.3 * raw[i]
     shown = late if old else raw
     none = 0 * time[ten]
-    out["ARSP"] = (
-        "BfffBBB",
-        "I,Airspeed,DiffPress,Temp,U,H,Pri",
-        time[ten] + LAUNCH,
-        [none, shown, seen, none, none + 1, none + 1, none],
-    )
+    signed = -seen if wiring.tubes_swapped else seen
+    fields = [none + wiring.pitot, shown, signed, none, none + 1, none + 1, none + wiring.pitot]
+    stamps = time[ten] + LAUNCH
+    if wiring.pitot:  # the first reads low
+        low = [none, shown * np.sqrt(0.8), 0.8 * signed, none, none, none + 1, none + wiring.pitot]
+        fields = [np.stack(pair, axis=1).ravel() for pair in zip(low, fields, strict=True)]
+        stamps = np.repeat(stamps, 2)
+    out["ARSP"] = ("BfffBBB", "I,Airspeed,DiffPress,Temp,U,H,Pri", stamps, fields)
+    if wiring.lanes:
+        out |= _lanes(f, ten, wiring.lanes, rng)
     ratio = np.sqrt(1.225 / aeroplane.rho)
     eas = late[np.searchsorted(time[ten], time[med], side="right") - 1]
     out["CTUN"] = ("fBf", "As,AsT,E2T", time[med] + LAUNCH, [eas, 0 * eas + 1, 0 * eas + ratio])
@@ -277,22 +346,37 @@ def tables(
     fix = [0 * north + 3, np.hypot(north, east), np.arctan2(east, north) / DEG % 360, down]
     out["GPS"] = ("Bfff", "Status,Spd,GCrs,VZ", time[five][:size] + LAUNCH, fix)
     behind = np.maximum(np.arange(0, n, every) - 3, 0)  # what the loop before has put out
-    out["RCOU"] = (
-        "HHHH",
-        "C1,C2,C3,C4",
-        time[med] + LAUNCH,
-        [1500 + f["C1"][behind], 1500 + f["C2"][behind], 1300 + 0 * f["C1"][behind], 1500 + f["C4"][behind]],
-    )
+    servos = {"C3": 1300 + 0 * time, "C5": 0 * time, **pulses(f, wiring)}
+    order = sorted(servos)
+    out["RCOU"] = ("H" * len(order), ",".join(order), time[med] + LAUNCH, [servos[c][behind] for c in order])
     out["AOA"] = ("ff", "AOA,SSA", time[ten] + LAUNCH, [none + 3, np.arcsin(f["v"] / speed)[ten] / DEG + 2.0])
     return out
 
 
-def written(name: str, folder: Path, seed: int, hz: float, old: bool = False) -> tuple[Path, Path, Path]:
+def _lanes(f: Mapping[str, np.ndarray], rows: slice, count: int, rng: np.random.Generator) -> dict[str, Table]:
+    """Attitude, velocity and wind by each lane of the EKF, and of the AHRS behind it, each with errors of its own."""
+    time = np.repeat(f["time"][rows] + LAUNCH, count)
+    core = np.tile(np.arange(count), f["time"][rows].size)
+    wrong = 2.0 * rng.standard_normal((6, count))[:, core]
+    angles = [np.repeat(f[c][rows] / DEG, count) + w for c, w in zip(("phi", "theta", "psi"), wrong[:3], strict=True)]
+    angles[2] %= 360
+    speeds = [np.repeat(f[c][rows], count) + w for c, w in zip(("vn", "ve", "vd"), wrong[3:], strict=True)]
+    wind = [0 * time + w + v for w, v in zip(WIND, wrong[:2], strict=True)]
+    return {
+        "XKF1": ("Bffffff", "C,Roll,Pitch,Yaw,VN,VE,VD", time, [core, *angles, *speeds]),
+        "XKF2": ("Bff", "C,VWN,VWE", time, [core, *wind]),
+        "AHR2": ("fff", "Roll,Pitch,Yaw", time[::count], [a[::count] for a in angles]),
+    }
+
+
+def written(
+    name: str, folder: Path, seed: int, hz: float, old: bool = False, wiring: Wiring = WIRINGS["usual"]
+) -> tuple[Path, Path, Path]:
     """Log, map and aircraft file."""
     aeroplane = AEROPLANES[name]
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.bin").write_bytes(log(aeroplane, seed, hz, old))
-    (folder / f"{name}_map.toml").write_text(surfaces(aeroplane.lag))
+    (folder / f"{name}.bin").write_bytes(log(aeroplane, seed, hz, old, wiring))
+    (folder / f"{name}_map.toml").write_text(surfaces(aeroplane.lag, wiring))
     ixx, iyy, izz, ixz = aeroplane.inertia
     text = f'name = "{name}"\n[geometry]\nspan = {aeroplane.span}\narea = {aeroplane.area}\nchord = {aeroplane.chord}\n[mass]\n'
     text += f"mass = {aeroplane.mass}\nIxx = {ixx}\nIyy = {iyy}\nIzz = {izz}\nIxz = {ixz}\n[sensors]\n"
@@ -301,13 +385,20 @@ def written(name: str, folder: Path, seed: int, hz: float, old: bool = False) ->
     return folder / f"{name}.bin", folder / f"{name}_map.toml", folder / f"{name}.toml"
 
 
-def surfaces(lag: float) -> str:
-    """A map of three servos."""
-    rows = []
-    for surface, column, end in (("aileron", "C1", 22.0), ("elevator", "C2", 22.0), ("rudder", "C4", 25.0)):
-        rows += [f"[servos.{surface}]", f'column = "RCOU.{column}"', "trim = 1500"]
-        rows += [f"travel = [[1000, {end}], [2000, -{end}]]", 'unit = "deg"', f"lag = {lag}"]
-    columns = [f'delta_{s[0]} = {{ column = "servo.{s}", hold = true }}' for s in ("elevator", "aileron", "rudder")]
+def surfaces(lag: float, wiring: Wiring = WIRINGS["usual"]) -> str:
+    """A map of the servos: each deflection at either end, and what the surfaces are mixed of."""
+    rows: list[str] = []
+    mixed: dict[str, list[tuple[str, float]]] = {"e": [], "a": [], "r": []}
+    for output, (servo, _, throw, shares) in wiring.outputs.items():
+        end = -throw if output in wiring.reversed else throw
+        rows += [f"[servos.{servo}]", f'column = "RCOU.{output}"', "trim = 1500"]
+        rows += [f"travel = [[1000, {end}], [2000, {-end}]]", 'unit = "deg"', f"lag = {lag}"]
+        for surface, share in shares.items():
+            mixed[surface].append((servo, share))
+    columns = []
+    for surface, parts in mixed.items():
+        terms = ", ".join(f'{{ column = "servo.{n}", factor = {share / len(parts):g} }}' for n, share in parts)
+        columns.append(f"delta_{surface} = {{ terms = [{terms}], hold = true }}")
     return "\n".join(["format = 1", *rows, "[columns]", *columns, ""])
 
 
@@ -337,11 +428,12 @@ def main() -> None:
     parser.add_argument("--hz", type=float, default=25.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--old", action="store_true")
+    parser.add_argument("--wiring", choices=WIRINGS, default="usual")
     parser.add_argument("--out", type=Path, default=Path("arduplane_logs"))
     words = parser.parse_args()
     for name in words.names or list(AEROPLANES):
-        folder = words.out / f"{name}_{words.hz:g}_{words.seed}{'_old' * words.old}"
-        path, mapping, aircraft = written(name, folder, words.seed, words.hz, words.old)
+        folder = words.out / f"{name}_{words.hz:g}_{words.seed}{'_old' * words.old}_{words.wiring}"
+        path, mapping, aircraft = written(name, folder, words.seed, words.hz, words.old, WIRINGS[words.wiring])
         found = ss.analyse(path, mapping=mapping, aircraft=str(aircraft), output=folder / "analysis")
         print(judged(json.loads(json.dumps(found.to_json())), name), flush=True)
 

@@ -39,7 +39,10 @@ _DIGIT = re.compile(r"\d")
 _BLANK_LINES = re.compile(r"^(?:[^\S\n]*+(?:#[^\n]*+)?\n)++", re.MULTILINE)
 """Lines in a row with nothing in them but a remark."""
 _LINE = re.compile(r"[^\n]+")
-NAME_THE_TIME = "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
+NAME_THE_TIME = (
+    "name the time column in a mapping file (--map; --draft-map proposes one), or the rate where there is none: "
+    "[time] rate_hz = 50"
+)
 
 
 def _bare(header: str) -> str:
@@ -59,6 +62,8 @@ class ImportedTable:
     firsts: dict[str, float] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    of_topic: bool = False
+    """Whether its rows are messages of a ROS topic, with the stamp of their header."""
 
 
 def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> ImportedTable:
@@ -85,7 +90,7 @@ def _with_sender_stamp(table: ImportedTable) -> ImportedTable:
         return table
     numeric = {"time": stamp.seconds, **{n: v for n, v in table.numeric.items() if n not in stamp.columns}}
     notes = (*table.notes, f"time by {' and '.join(map(plain_name, stamp.columns))}, the sender's own clock")
-    return replace(table, numeric=numeric, firsts={**table.firsts, "time": stamp.first}, notes=notes)
+    return replace(table, numeric=numeric, firsts={**table.firsts, "time": stamp.first}, notes=notes, of_topic=True)
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> ImportedTable:

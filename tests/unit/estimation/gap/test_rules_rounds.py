@@ -23,11 +23,16 @@ from estimation.gap.search.accept import (
     repeats_on_flights,
 )
 from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.search.free_base import moved_in_words, one_after_another, with_free_derivatives
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
+from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
+from estimation.gap.significance.screen import Projected
+from estimation.models.base import Parameter
 from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
+from tests.unit.estimation.gap.roll import ROLL
 
 SETTING: Any = stub(options=Options())
 
@@ -352,6 +357,7 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(searching, "deeper_fit", lambda baseline, fit: leads.get(baseline.name))
     monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
     setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
     state = run_rounds(setting, base("first"))
     assert seen == [("first", 0), ("second", 0), ("third", 0)]
@@ -361,3 +367,48 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     score = 3.0  # of a threshold of 4
     run_rounds(setting, base("first"))
     assert seen == [("first", 0)]
+
+
+@pytest.mark.parametrize(("likelier", "held"), [(90.0, False), (110.0, True)])
+def test_noise_holds_an_effect_where_flights_are_clearly_likelier_with_it(likelier: float, held: bool) -> None:
+    assert holds_an_effect(likelier, AS_SET) is held
+
+
+def test_a_round_is_asked_once_more_with_noise_that_holds_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    sharp, first, seen = stub(name="sharp"), stub(name="first"), []
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append((baseline.name, number))
+        return stub(threshold=4.0, baseline=baseline)
+
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: sharp)
+    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    state = run_rounds(setting, first)
+    assert seen == [("first", 0), ("sharp", 0)]
+    assert [r.baseline.name for r in state.rounds] == ["sharp"]
+
+
+# ------------------------------------------------------------------------------------------------ a base that is off
+def test_a_base_is_off_in_many_derivatives_where_three_gain_one_beside_the_other() -> None:
+    """Gains of 25, 16, 9.5 and 9 where 8 is enough; a copy of the largest gains nothing beside it."""
+    loadings = np.sqrt([25.0, 25.0, 9.0, 16.0, 9.5])
+    columns = np.eye(5)
+    columns[:, 1] = columns[:, 0]
+    projected = Projected(columns.T @ columns, (columns.T @ loadings)[:, None], np.zeros(1), np.ones(5))
+    few = replace(projected, B=projected.B[:3, :3], b=projected.b[:3])
+    assert one_after_another(projected, AS_SET) == [0, 3, 4]
+    assert one_after_another(few, AS_SET) == [0, 2]
+
+
+def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
+    base = ROLL.plus(parameters=[Parameter("k_Cl", start=1.0), Parameter("Cl_p", start=-0.4, fixed=True)])
+    base = replace(base, equations=("Cl_sim = 0*p", *base.equations))
+    free = with_free_derivatives(base, ["Cl_p"])
+    assert "Cl_p" in free.free_names
+    assert "k_Cl" not in free.free_names
+    moved = stub(fit=stub(values={"Cl_p": -0.44, "L_p": -6.1}, std=lambda: {"Cl_p": 0.01, "L_p": 0.2}), criteria=AS_SET)
+    words = moved_in_words(["Cl_p", "L_p"], {"Cl_p": -0.4, "L_p": -6.0}, moved)
+    assert "all 2 were refitted first: Cl_p from -0.4 to -0.44 +- 0.01." in words

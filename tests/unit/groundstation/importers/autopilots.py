@@ -201,8 +201,10 @@ def telemetry(
     gimbal: bool = False,
     ports: bool = False,
     version: int = 2,
+    servos: Sequence[np.ndarray] = (),
 ) -> bytes:
-    """A .tlog. arrival: time since the first message -> time at which the receiver stamps it; start: of its clock."""
+    """A .tlog. arrival: time since the first message -> time at which the receiver stamps it; start: of its clock; servos: pulses
+    [us] (N,) of the first four outputs."""
     from pymavlink.dialects.v10 import ardupilotmega as v1
     from pymavlink.dialects.v20 import ardupilotmega as v2
 
@@ -218,10 +220,11 @@ def telemetry(
         north, east, down = (round(x[a] * 100) for a in ("vn", "ve", "vd"))
         still = 0.0 if not pitot else x["eas"] ** 2 / 1.633 / 100
         speed = x["eas"] if pitot else float(np.hypot(x["vn"], x["ve"]))
+        pulses = [round(float(v[i])) for v in servos] or [1500 + round(40 * np.sin(t)), 1500, 1400, 1500]
         rows = [
             m.MAVLink_attitude_message(ms, x["phi"], x["theta"], x["psi"], x["p"], x["q"], x["r"]),
             m.MAVLink_raw_imu_message(us, *g, *w, 0, 0, 0),
-            m.MAVLink_servo_output_raw_message(us, 0, 1500 + round(40 * np.sin(t)), 1500, 1400, 1500, 0, 0, 0, 0),
+            m.MAVLink_servo_output_raw_message(us, 0, *pulses, 0, 0, 0, 0),
             m.MAVLink_global_position_int_message(ms, 470000000, 85000000, 60000, 50000, north, east, down, 0),
             m.MAVLink_vfr_hud_message(speed, 20.0, 0, 50, 60.0, 0.0),
             m.MAVLink_scaled_pressure_message(ms, x["p_static"] / 100, still, 4700),

@@ -1,5 +1,6 @@
 """What autopilots' logs say of themselves: which sensor, whether it measured at all, when, and what is not to be believed."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ import pytest
 from estimation.session.recipe import recipe
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import contradictions
+from groundstation.importers.about import is_foreign_log, log_info
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.run import import_data
 from tests.unit.groundstation.importers import autopilots
+from tests.unit.groundstation.turning import Columns
 
 MAP = """format = 1
 [servos.aileron]
@@ -196,6 +199,39 @@ def test_a_log_whose_beginning_is_lost_says_so(tmp_path: Path) -> None:
         imported(tmp_path, "a.bin", data[4321:])
     with pytest.raises(ImportDataError, match="not an ArduPilot dataflash log"):
         imported(tmp_path, "b.bin", np.random.default_rng(7).bytes(300_000))
+
+
+@pytest.mark.parametrize(("lost", "known", "unknown"), [(2, "V", "p"), (4, "vn", "p_dynamic")])
+def test_of_a_log_whose_first_descriptions_are_lost_the_rest_is_read(
+    tmp_path: Path, lost: int, known: str, unknown: str
+) -> None:
+    """Descriptions are 89 bytes each: of all messages, then IMU, ATT, ARSP, BARO and so on."""
+    data = autopilots.dataflash(autopilots.ardupilot(autopilots.flight(seconds=20)))
+    flight = imported(tmp_path, "a.bin", data[89 * (1 + lost) - 40 :])
+    assert flight.measured(known)
+    assert not flight.measured(unknown)
+    assert "its first bytes are lost, and messages described only there" in said(flight)
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "kind"),
+    [
+        ("a.bin", lambda f: autopilots.dataflash(autopilots.ardupilot(f)), "dataflash"),
+        ("old.bin", lambda f: autopilots.dataflash(autopilots.ardupilot(f), unit=1e-3), "dataflash"),
+        ("a.log", lambda f: autopilots.dataflash_text(autopilots.ardupilot(f)).encode(), "dataflash"),
+        ("a.ulg", autopilots.px4, "ulog"),
+        ("a.tlog", autopilots.telemetry, "tlog"),
+        ("v1.tlog", lambda f: autopilots.telemetry(f, version=1), "tlog"),
+    ],
+)
+def test_info_knows_the_log(tmp_path: Path, name: str, write: Callable[[Columns], bytes], kind: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(write(autopilots.flight(seconds=14)))
+    assert is_foreign_log(path)
+    info = log_info(path)
+    assert (info["kind"], info["duration_s"]) == (kind, pytest.approx(14.0, abs=0.2))
+    assert len(info["channels"]) > 15
+    assert all(c["samples"] > 1 for c in info["channels"])
 
 
 @pytest.mark.parametrize(("function", "told"), [(4, ""), (77, ""), (21, "moves the rudder"), (33, "moves the motor 1")])

@@ -95,6 +95,17 @@ def test_times_of_day_go_through_midnight(tmp_path: Path, turning: Columns, form
     assert ("IRIG" in said(flight)) == (form == "IRIG")
 
 
+@pytest.mark.parametrize("last_day", [365, 366])
+def test_irig_time_goes_through_the_new_year(tmp_path: Path, turning: Columns, last_day: int) -> None:
+    """The day of the year begins again at 1, after as many days as the old year had."""
+    seconds = 86390.0 + turning["time"]
+    cells = [clock(s, last_day if s < 86400.0 else 0) for s in seconds.tolist()]
+    assert {c.partition(":")[0] for c in cells} == {str(last_day), "1"}
+    flight = import_data(written(tmp_path / "y.csv", turning, cells))
+    np.testing.assert_allclose(flight.time, turning["time"], atol=1e-3)
+    assert len(flight.segments) == 1
+
+
 def test_whole_seconds_are_spread_over_the_rows_in_them(tmp_path: Path, turning: Columns) -> None:
     path = written(tmp_path / "s.csv", turning, np.floor(turning["time"] + 500.4).astype(int).tolist())
     flight = import_data(path)
@@ -299,3 +310,49 @@ def test_topics_of_a_bag_are_joined_by_the_sender_s_stamp_and_not_by_the_receive
     expected = np.interp(flight.time - flight.time[0], turning["time"] - turning["time"][0], turning["phi"])
     np.testing.assert_allclose(flight["phi"][inside], expected[inside], atol=2e-3)
     assert "joined on time" in said(flight)
+
+
+@pytest.mark.parametrize("prefix", ["", "field."])
+def test_topics_of_ros_need_no_map_and_come_in_our_axes(tmp_path: Path, turning: Columns, prefix: str) -> None:
+    """Imu, attitude and velocity as a file each, in the axes of REP 103; the second file comes 0.9 s late over the network."""
+    t = turning["time"]
+    ground = {"vn": 19 * np.cos(turning["psi"]) + 2, "ve": 19 * np.sin(turning["psi"]) - 1, "vd": 0.5 * np.sin(t)}
+    turning = {**turning, **ground}
+    half = [turning[n] / 2 * s for n, s in (("phi", 1), ("theta", -1), ("psi", -1))]
+    half[2] = half[2] + np.pi / 4  # from east, against the clock
+    (cr, cp, cy), (sr, sp, sy) = [np.cos(h) for h in half], [np.sin(h) for h in half]
+    quaternion = [
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    ]
+    topics = {
+        "imu": {
+            **{f"angular_velocity.{a}": s * turning[n] for a, n, s in (("x", "p", 1), ("y", "q", -1), ("z", "r", -1))},
+            **{f"linear_acceleration.{a}": s * turning[n] for a, n, s in (("x", "ax", 1), ("y", "ay", -1), ("z", "az", -1))},
+        },
+        "pose": {"pose.position.z": 0 * t, **{f"pose.orientation.{a}": v for a, v in zip("wxyz", quaternion, strict=True)}},
+        "velocity": {"twist.linear.x": turning["ve"], "twist.linear.y": turning["vn"], "twist.linear.z": -turning["vd"]},
+    }  # fmt: skip
+    paths = []
+    for late, (topic, fields) in zip((0.0, 0.9, 0.1), topics.items(), strict=True):
+        stamps = [round((1_700_000_200 + x) * 1e9) for x in t]
+        seconds = [[s // 10**9, s % 10**9] if not prefix else [s] for s in stamps]
+        received = [s / 1e9 + late if not prefix else s + round(late * 1e9) for s in stamps]
+        head = ["Time", "header.stamp.secs", "header.stamp.nsecs"] if not prefix else ["%time", "field.header.stamp"]
+        rows = [[str(r), *map(str, s)] for r, s in zip(received, seconds, strict=True)]
+        lines = [",".join([*head, *(prefix + n for n in fields)])]
+        lines += [",".join([*row, *(f"{v[i]:.9g}" for v in fields.values())]) for i, row in enumerate(rows)]
+        paths.append(tmp_path / f"{topic}.csv")
+        paths[-1].write_text("\n".join(lines) + "\n")
+    flight = import_data(paths)
+    assert len(flight.segments) == 1
+    inside = slice(5, -5)
+    for name in ("p", "q", "r", "ax", "ay", "az", "phi", "theta", "vn", "ve", "vd"):
+        expected = np.interp(flight.time - flight.time[0], t - t[0], turning[name])
+        np.testing.assert_allclose(flight[name][inside], expected[inside], atol=5e-3, err_msg=name)
+    turn = flight["psi"] - np.interp(flight.time - flight.time[0], t - t[0], turning["psi"])
+    assert np.nanmax(np.abs(np.sin(turn[inside] / 2))) < 5e-3
+    assert flight.channels["phi"]["kind"] == "computed"
+    assert "axes turned" in said(flight)
