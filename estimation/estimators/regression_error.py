@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator, simulate
@@ -46,7 +47,7 @@ def with_regression_errors(result: Result, flights: Sequence[FlightData], *, ste
 def regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise: bool = False) -> Mapping[str, float]:
     """Parameter -> rms by which the regression misses an answer that it takes for its own; empty where the model runs away from
     that. flights: as the regression had them."""
-    model, data = without_absent_outputs(result.model, flights)
+    model, data = without_absent_outputs(result.model, list(flights))
     simulator = Simulator.build(model)
     answer, predicted = result.values, [f.outputs for f in result.flights]
     rms: Mapping[str, float] = {}
@@ -83,7 +84,7 @@ def _made(model: Model, data: FlightData, predicted: Array, index: int) -> list[
     shown = [(i, outputs[s.source]) for i, s in enumerate(model.states) if s.source in outputs]
     states = [data.states.copy() for _ in range(REPLICATES)]
     segments: list[list[Segment]] = [[] for _ in range(REPLICATES)]
-    errors = np.zeros((data.samples, len(model.inputs), REPLICATES))
+    errors: NDArray[np.floating] = np.zeros((data.samples, len(model.inputs), REPLICATES))
     if data.errors is not None and data.errors.size:
         errors = data.errors[:, :, np.arange(REPLICATES) % data.errors.shape[2]]
     for s in data.segments:
