@@ -52,6 +52,15 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
 }
 """The same where the answer is a failed check, if that is something else."""
 
+WITH_OPTION: Mapping[tuple[str, str], str] = {
+    (
+        "import",
+        "--draft-map",
+    ): "write down in {out} what is UNKNOWN, then sideslip import {file} --map {out} -o flight.mcap",
+    ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
+}
+"""The same for an option with which a verb does something else."""
+
 OUTPUTS = ("-o", "--output", "--out")
 
 
@@ -61,6 +70,7 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
         return ""
     verb, rest = words[0], words[1:]
     text = (AFTER_A_FAILED_CHECK if failed else {}).get(verb) or NEXT.get(verb, "")
+    text = next((t for (v, option), t in WITH_OPTION.items() if v == verb and option in rest), text)
     out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), "demo" if verb == "demo" else "OUT")
     files = [w for w in rest if w != out and not w.startswith("-") and Path(w).is_file()]
     return text.format(out=out, file=_or(files, 0, "FLIGHT"), file2=_or(files, 1, "FLIGHT"))

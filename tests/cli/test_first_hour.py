@@ -81,6 +81,8 @@ def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.Captu
     assert next_line(["calibrate", RAW, "-o", "a.mcap"], failed=False).startswith("sideslip check a.mcap")
     assert next_line(["verify", RAW], failed=True) == f"sideslip recover {RAW} -o recovered.mcap"
     assert next_line(["verify", "--help"], failed=False) == ""
+    drafted = next_line(["import", RAW, "--draft-map", "-o", "map.toml"], failed=False)
+    assert drafted.endswith(f"then sideslip import {RAW} --map map.toml -o flight.mcap")
 
 
 def test_colours_stand_on_a_terminal_and_not_in_a_pipe(tmp_path: Path) -> None:
