@@ -5,7 +5,6 @@ Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input,
 """
 
 import contextlib
-import errno
 import importlib
 import io
 import os
@@ -27,6 +26,7 @@ from daq.utilities.plain_words import VisibleStream, one_line
 from daq.utilities.standard_streams import SafeStream
 from sideslip.first_hour import GREETING, next_line, quiet_first
 from sideslip.services import SERVICES
+from sideslip.surroundings import refusal
 
 if TYPE_CHECKING:
     from daq.utilities.interrupts import Interrupts
@@ -235,15 +235,9 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
         return 130 if interrupts is None else interrupts.status
     except BrokenPipeError as error:  # of a file that is a pipe: its reader has seen enough
         return 0 if error.filename is not None else _unforeseen(error)
-    except OSError as error:
-        if error.filename is None and error.errno == errno.ENOENT:  # of tempfile: no folder takes a file
-            return _error_line(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
-        if error.filename is None and error.errno not in DISK_ERRNOS:
-            return _unforeseen(error)
-        place = error.filename2 or error.filename or "a file"
-        return _error_line(f"{place}: cannot be read or written ({error.strerror}); choose another place")
     except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
-        return _unforeseen(error)
+        sentence = refusal(error)
+        return _unforeseen(error) if sentence is None else _error_line(sentence)
     status = status if isinstance(status, int) else 0
     if not quiet and status in (0, 1) and (line := next_line(words, failed=status == 1)):
         click.echo(f"next: {line}", err=True)

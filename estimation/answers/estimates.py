@@ -114,7 +114,7 @@ def _mean_lines(session: "EstimationSession") -> Iterator[str]:
         yield ""
         yield f"mean over flights, {method}"
         heading = f"{'truth':>11}" if session.truth else ""
-        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}{heading}"
+        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'corrected':>11}{'flights':>9}{heading}"
         for name, s in table.items():
             true = f"{session.truth[name]:11.4g}" if name in session.truth else " " * len(heading)
             scatter = f"{s.std:.2g}" if s.count > 1 else "-"  # of one flight there is none
@@ -165,6 +165,7 @@ def estimate(
     """
     from estimation.answers.truth import read_truth
     from estimation.estimators.estimator import Extras
+    from estimation.prepare.measured_mass import with_mass_history
     from estimation.resolve import resolve
     from estimation.session import runner
     from estimation.session.structured import StructureWish
@@ -174,19 +175,20 @@ def estimate(
         flights, model, aircraft, method, segments=segments, each_segment=each_segment, simulation=simulation,
         free=Free.DERIVATIVES, hold_initial=hold_initial, free_initial=free_initial,
     )  # fmt: skip
-    names = [f.name for f in problem.flights]
+    with_mass, flown, mass_notes = with_mass_history(problem.model, problem.flights, problem.aircraft)
+    names = [f.name for f in flown]
     true = dict(truth) if isinstance(truth, Mapping) else {} if truth is None else read_truth(Path(truth), names)
     extras = Extras(comma_separated(profile), bootstrap, seed, raw_inputs, stepwise, keep_held)
     session = runner.estimate(
-        problem.model, problem.flights, problem.aircraft, problem.methods, joint=joint, device=device, progress=progress,
+        with_mass, flown, problem.aircraft, problem.methods, joint=joint, device=device, progress=progress,
         extras=extras, structure=StructureWish.of(structure),
     )  # fmt: skip
-    return Estimates(replace(session, truth=true), problem.notes)
+    return Estimates(replace(session, truth=true), (*(f"simulation: {n}" for n in problem.notes), *mass_notes))
 
 
 @dataclass(frozen=True, repr=False)
 class Estimates(Answer):
-    """What `estimate` found. session: the whole of it; notes: what of a simulation is held."""
+    """What `estimate` found. session: the whole of it; notes: what of a simulation is held, whose mass was taken."""
 
     session: "EstimationSession"
     notes: tuple[str, ...] = ()
@@ -247,7 +249,7 @@ class Estimates(Answer):
 
     def lines(self, *, brief: bool = False) -> Iterator[str]:
         """What `sideslip estimate` prints; brief: a line for each flight."""
-        yield from (f"simulation: {note}" for note in self.notes)
+        yield from self.notes
         yield from session_lines(self.session, brief=brief)
 
     def plot(self, ax: Any = None) -> Any:

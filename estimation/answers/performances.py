@@ -58,9 +58,11 @@ class Performance(Answer):
         low, high = self.polar.lift
         if self.passed:
             glide = self.best_glide
+            beyond = [n for n, of in (("best glide", glide), ("least sink", self.least_sink)) if not self._flown(of)]
+            extrapolated = f"; {' and '.join(beyond)} beyond them, by the parabola alone" if beyond else ""
             return (
                 f"best glide {glide['ratio'].estimate:.1f} at {glide['speed'].estimate:.1f} m/s (CL {glide['CL'].estimate:.2f}),"
-                f" from lift coefficients {low:.2f} to {high:.2f}"
+                f" from lift coefficients {low:.2f} to {high:.2f}{extrapolated}"
             )
         weak = " and ".join(n for n in ("CD_0", "CD_k") if not self.polar[n].estimate > 2.0 * self.polar[n].std)
         return (
@@ -75,9 +77,14 @@ class Performance(Answer):
 
         return best_glide(self.polar, self.aircraft)
 
+    def _flown(self, best: "Mapping[str, Bounded]") -> bool:
+        from estimation.performance.polar import flown
+
+        return flown(self.polar, best["CL"].estimate)
+
     @property
     def least_sink(self) -> "dict[str, Bounded]":
-        """sink [m/s], power [W], speed [m/s]; only where the polar is known."""
+        """sink [m/s], power [W], speed [m/s], CL; only where the polar is known."""
         from estimation.performance.polar import least_sink
 
         return least_sink(self.polar, self.aircraft)
@@ -97,12 +104,15 @@ class Performance(Answer):
             "flights": [{"name": f.name, "samples": f.samples, "used": f.used, "thrust": f.thrust} for f in self.flights],
             "lift": list(self.polar.lift),
             "polar": {n: _json(self.polar[n]) for n in ("CD_0", "CD_k", "alpha_offset")},
-            "best_glide": {n: _json(b) for n, b in self.best_glide.items()} if polar_known else None,
-            "least_sink": {n: _json(b) for n, b in self.least_sink.items()} if polar_known else None,
+            "best_glide": self._best_json(self.best_glide) if polar_known else None,
+            "least_sink": self._best_json(self.least_sink) if polar_known else None,
             "curve": [
                 {"V": p.V, "CL": p.CL, "drag": _json(p.drag), "sink": _json(p.sink), "power": _json(p.power)} for p in self.curve
             ] if polar_known else [],
         }  # fmt: skip
+
+    def _best_json(self, best: "Mapping[str, Bounded]") -> dict[str, Any]:
+        return {n: _json(b) for n, b in best.items()} | {"flown": self._flown(best)}
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each speed of the curve: V [m/s], CL, drag [N], sink [m/s], power [W], each with std."""

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from estimation.engine.compiled import compiler
+from estimation.engine.compiled_library import compiler
 
 LIBRARIES = ("sideslip", "casadi", "numpy", "scipy")
 ROOT = Path(__file__).parents[2]

@@ -1,7 +1,7 @@
 """The compiled back end: equations traced by CasADi to C, own integration loop, gcc, called through ctypes.
 
-Libraries are kept in the user's cache folder under a digest of equations, generator, compiler flags and processor, so the
-second process needs neither gcc nor CasADi. Without gcc everything still works, on the virtual machine.
+Libraries are kept (`compiled_library`), so the second process needs neither gcc nor CasADi. Without gcc everything still works,
+on the virtual machine.
 
 `Chain` applies a step function down the rows of a table, a filter over a record: CasADi's virtual machine takes some 30
 microseconds for a Kalman step of a flight-path reconstruction and as long again to hand arrays over; compiled C takes two. Both
@@ -11,11 +11,7 @@ give the same numbers to rounding.
 import ctypes
 import hashlib
 import os
-import platform
 import re
-import shutil
-import subprocess
-import tempfile
 from functools import cached_property, lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,12 +19,12 @@ from tempfile import TemporaryDirectory
 import casadi as ca
 import numpy as np
 
+from estimation.engine.compiled_library import library_made
 from estimation.engine.kernel import Array, SegmentInputs, SegmentMotion, SensitivityColumns
 from estimation.engine.trace import Traced, hoist_inputs, trace
 from estimation.models import expressions
 from estimation.models.parts import ModelStructure
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
 LOOP = Path(__file__).with_name("loop.c")
 
 
@@ -38,6 +34,11 @@ class CompiledKernel:
     label = "compiled"
 
     def __init__(self, library: ctypes.CDLL, sizes: tuple[int, int, int, int]) -> None:
+        pointer = ctypes.c_void_p
+        library.integrate.argtypes = [ctypes.c_int] * 4 + [pointer] * 18
+        library.integrate.restype = ctypes.c_int
+        library.pointwise.argtypes = [ctypes.c_int] + [pointer] * 7
+        library.pointwise.restype = None
         self._library = library
         self.sizes = sizes
 
@@ -84,34 +85,10 @@ def _pointer(array: np.ndarray) -> int:  # type: ignore[type-arg]
     return array.ctypes.data
 
 
-def compiler() -> str | None:
-    """Path of gcc, or None; SIDESLIP_COMPILER names another one, or `none`."""
-    command = os.environ.get("SIDESLIP_COMPILER", "gcc")
-    return None if command == "none" else shutil.which(command)
-
-
 def compile_kernel(structure: ModelStructure) -> CompiledKernel | None:
     """The compiled back end, compiling now if needed; None where there is no working compiler."""
-    path = _library_path(structure)
-    if not path.is_file() and not _build(trace(structure), path):
-        return None
-    return _open(path, structure.sizes)
-
-
-def cache_folder() -> Path:
-    """Where compiled libraries are kept."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "sideslip" / "compiled"
-
-
-def _library_path(structure: ModelStructure) -> Path:
-    return _cached(structure.digest, _generator_digest())
-
-
-def _cached(*content: str) -> Path:
-    """The file of a library made from some content, on this processor."""
-    seed = "\n".join((*content, *FLAGS, _processor()))
-    return cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
+    library = library_made(lambda: _kernel_source(trace(structure)), structure.digest, _generator_digest())
+    return None if library is None else CompiledKernel(library, structure.sizes)
 
 
 @lru_cache(maxsize=1)
@@ -121,57 +98,9 @@ def _generator_digest() -> str:
     return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
 
 
-@lru_cache(maxsize=1)
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return platform.machine() + platform.processor()
-    return platform.machine() + "".join(line for line in lines if line.startswith(("model name", "flags", "Features")))
-
-
-@lru_cache(maxsize=128)
-def _open(path: Path, sizes: tuple[int, int, int, int]) -> CompiledKernel:
-    library = ctypes.CDLL(str(path))
-    pointer = ctypes.c_void_p
-    library.integrate.argtypes = [ctypes.c_int] * 4 + [pointer] * 18
-    library.integrate.restype = ctypes.c_int
-    library.pointwise.argtypes = [ctypes.c_int] + [pointer] * 7
-    library.pointwise.restype = None
-    return CompiledKernel(library, sizes)
-
-
-def _build(traced: Traced, path: Path) -> bool:
-    with tempfile.TemporaryDirectory() as folder:
-        return build_library(_source(traced, Path(folder)), path)
-
-
-def library_of(source: str) -> Path | None:
-    """The shared library made from C text, from the cache or compiled now; None where there is no working compiler."""
-    path = _cached(source)
-    return path if path.is_file() or build_library(source, path) else None
-
-
-def build_library(source: str, path: Path) -> bool:
-    """Compile C text to `path`, whole or not at all; False where that cannot be done."""
-    gcc = compiler()
-    if gcc is None:
-        return False
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            text = Path(folder) / "model.c"
-            text.write_text(source, encoding="utf-8")
-            library = Path(folder) / "model.so"
-            process = subprocess.run(
-                [gcc, *FLAGS, str(text), "-o", str(library), "-lm"], capture_output=True, check=False
-            )
-            if process.returncode != 0:
-                return False
-            library.replace(path)
-    except OSError:  # no room, no right to write, no processes: the virtual machine does the work
-        return False
-    return True
+def _kernel_source(traced: Traced) -> str:
+    with TemporaryDirectory() as folder:
+        return _source(traced, Path(folder))
 
 
 def _source(traced: Traced, folder: Path) -> str:
@@ -241,10 +170,10 @@ class Chain:
 
     @cached_property
     def _compiled(self) -> ctypes.CDLL | None:
-        path = library_of(_chain_source(self._step))
-        if path is None:
+        source = _chain_source(self._step)
+        library = library_made(lambda: source, source)
+        if library is None:
             return None
-        library = ctypes.CDLL(str(path))
         library.chain.argtypes = [ctypes.c_int] * 4 + [ctypes.c_void_p] * 4
         library.chain.restype = ctypes.c_int
         return library

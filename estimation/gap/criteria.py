@@ -50,6 +50,9 @@ class Criteria:
     filter_white: float = criterion(0.5, "1",
         "an attitude of whose steps against the integrated rates less is white noise is a filter's",
         "half-way between a measurement (1) and a filter (0): three hundred values tell it to a tenth")
+    loud_control: float = criterion(2.0, "noise of a rate",
+        "a control whose noise turns the aircraft faster in one sample keeps what follows the motion, and its steps as measured",
+        "between gyros of 0.4 (0.7; nothing false in 60 sets) and of 0.04 deg/s (7; 2 false of 2), 2026-11-27")
     own_motion: float = criterion(0.5, "noise of the control",
         "a control that does less than that besides following the motion says nothing of when it moves",
         "between elevators that only hold an attitude (0.1 to 0.3) and doublets of 0.9 deg beside that (1.1), 2026-11-25")
@@ -151,6 +154,13 @@ class Criteria:
         "raised from 1.25 (2026-11-21), reason not on record")
     restless_margin: float = criterion(2.0, "thresholds",
         "where named effects bring the gap within the nulls', a rest below it is restless scatter", FOREIGN)
+
+    many_derivatives: int = criterion(3, "derivatives",
+        "a base that holds its derivatives is refitted in all of them where so many, one beside the other, are off",
+        "by hand: one that is wrong is an answer; with all derivatives off by up to 10 % six stand out")
+    noise_held: float = criterion(100.0, "2 log likelihood",
+        "flights that are likelier by more with a hypothesis and its own noise are asked again with that noise",
+        "between nothing hidden and effects that the noise had swallowed; see estimation.gap.search.sharper")
 
     # ---- which hypotheses are fitted, and how they are weighed
     full_fits: int = criterion(10, "hypotheses", "best by linear theory that get a full fit")

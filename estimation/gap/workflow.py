@@ -14,7 +14,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
-from estimation.gap.fit.baseline import fit_baseline
+from estimation.gap.fit.baseline import Baseline, fit_baseline
 from estimation.gap.fit.channel_noise import (
     bank_error,
     channel_noise,
@@ -30,6 +30,7 @@ from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sampling import at_own_rates, with_lost_rows, without_unseen_moves
+from estimation.gap.search.free_base import derivatives_off, moved_in_words, with_free_derivatives
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.significance.kinematic_check import kinematic_check
@@ -56,8 +57,6 @@ def run_gap(
     refuse_twice(training, holdout)
     flights = [*training, *holdout]
     full_model, (model, comparison_notes) = model, compared(model, flights)
-    candidates = tuple(effects) if effects is not None else catalogue(model=model)
-    candidates += missing_derivatives(model, {e.name for e in candidates})
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
@@ -68,25 +67,34 @@ def run_gap(
     training_flights, holdout_flights = (
         [without_unseen_moves(f, controls, outputs, options.criteria) for f in group] for group in read
     )
-    prepared = prepare_flights(model, candidates, training_flights, holdout_flights, options.criteria)
     fault_notes = sample_notes(flights, [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(training_flights, outputs, options.criteria)
-    prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
-    setting = _setting(prepared, candidates, levels(model, flights), stamped_attitudes(model, flights), options, tell)
-    tell("fitting the baseline", 0.05)
-    doubts = doubts_of(flights, model)
+
+    def begun(base: Model) -> tuple[Setting, Baseline]:
+        candidates = tuple(effects) if effects is not None else catalogue(model=base)
+        candidates += missing_derivatives(base, {e.name for e in candidates})
+        prepared = prepare_flights(base, candidates, training_flights, holdout_flights, options.criteria)
+        prepared = replace(prepared, notes=(*comparison_notes, *prepared.notes, *fault_notes), stale=stale)
+        setting = _setting(prepared, candidates, levels(base, flights), stamped_attitudes(base, flights), options, tell)
+        tell("fitting the baseline", 0.05)
+        return setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+
+    doubts, moved = doubts_of(flights, model), ""
     try:
-        baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+        setting, baseline = begun(model)
+        if off := derivatives_off(setting, baseline):
+            setting, baseline = begun(with_free_derivatives(model, off))
+            moved = moved_in_words(off, model.starts(), baseline)
         doubts += turned_signs(baseline)
         search = run_rounds(setting, baseline)
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
     measured = [as_measured(with_attitudes_between(f, options.criteria)) for f in training]
-    check = kinematic_check(measured, candidates, options.nulls, options.seed, options.criteria, model)
+    check = kinematic_check(measured, setting.effects, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     answer = concluded(setting, search, check)
-    answer = replace(answer, text=" ".join(t for t in (answer.text, not_compared(full_model, model)) if t))
+    answer = replace(answer, text=" ".join(t for t in (answer.text, moved, not_compared(full_model, model)) if t))
     return _with_doubts(answer, doubts)
 
 

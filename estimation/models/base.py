@@ -110,7 +110,7 @@ class Model(ModelParts):
             while f"{output}_shown{count}" in definitions:
                 count += 1
             definitions[f"{output}_shown{count}"] = definitions.pop(measured)
-            expression = _rename(expression, output, f"{output}_shown{count}")
+            expression = renamed(expression, output, f"{output}_shown{count}")
         definitions[measured] = expression
 
     def with_biases(self, *outputs: str, local: bool = True) -> "Model":
@@ -263,5 +263,6 @@ def _bracket(term: str) -> str:
     return f"({term})" if any(sign in term.strip()[1:] for sign in "+-") else term
 
 
-def _rename(expression: str, old: str, new: str) -> str:
+def renamed(expression: str, old: str, new: str) -> str:
+    """An expression with one name in place of another."""
     return re.sub(rf"\b{re.escape(old)}\b", new, expression)

@@ -132,13 +132,19 @@ def best_glide(polar: Polar, aircraft: Aircraft) -> dict[str, Bounded]:
     }
 
 
+def flown(polar: Polar, CL: float) -> bool:
+    """Whether flights reached this lift coefficient: what lies beyond goes by the parabola alone, and may be stalled."""
+    return polar.lift[0] <= CL <= polar.lift[1]
+
+
 def least_sink(polar: Polar, aircraft: Aircraft) -> dict[str, Bounded]:
-    """Least sink with the motor off [m/s], and least power [W], at CL = sqrt(3 CD_0/CD_k), with their speed [m/s]."""
+    """Least sink with the motor off [m/s], and least power [W], at CL = sqrt(3 CD_0/CD_k), with their speed [m/s] and CL."""
     CD_0, CD_k = polar.values[:2]
     CL = math.sqrt(3.0 * CD_0 / CD_k)
     speed = _speed(polar, aircraft, CL)
     sink = speed * 4.0 * CD_0 / CL
     return {
+        "CL": _of_both(polar, CL, 0.5, -0.5),
         "sink": _of_both(polar, sink, 0.25, 0.75),
         "power": _of_both(polar, sink * aircraft.mass * GRAVITY, 0.25, 0.75),
         "speed": _of_both(polar, speed, -0.25, 0.25),

@@ -14,6 +14,7 @@ from estimation.aircraft import Aircraft
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.prepare.columns import bridge_gaps, with_derived
+from estimation.prepare.measured_mass import mass_history
 from estimation.signals.denoise import denoise, noise_level
 from groundstation.flight import Flight
 
@@ -80,7 +81,9 @@ def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
         max(noise_level(bridge_gaps(flight["ax"])), LEAST_NOISE[0]),
         max(noise_level(bridge_gaps(flight["alpha"])), LEAST_NOISE[1]),
     )
-    return Usable(flight.name, len(flight), tuple(_stretch(flight, p, thrust, aircraft, noise) for p in pieces), words)
+    mass = mass_history(flight, aircraft)
+    stretches = tuple(_stretch(flight, p, thrust, aircraft.area, mass[p], noise) for p in pieces)
+    return Usable(flight.name, len(flight), stretches, words)
 
 
 def _thrust(flight: Flight, throttle_off: bool) -> tuple[Array, str]:
@@ -95,8 +98,9 @@ def _thrust(flight: Flight, throttle_off: bool) -> tuple[Array, str]:
         if closed.any():
             return np.where(closed, 0.0, np.nan), "throttle closed"
         raise DataError(
-            f"{flight.name}: thrust is unknown, and the throttle is never closed; fly glides with the throttle"
-            " off, or record thrust [N]"
+            f"{flight.name}: thrust is unknown, and the throttle is never closed (at least {np.nanmin(flight['throttle']):.3g}"
+            " of 1); fly glides with the throttle off, or record thrust [N]; where the motor stood at that least, state"
+            " --throttle-off with --segments of these stretches"
         )
     raise DataError(
         f"{flight.name}: thrust is unknown, and nothing says that the throttle was off; record thrust [N] or throttle, or state"
@@ -119,12 +123,12 @@ def _runs(usable: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
 
 
 def _stretch(
-    flight: Flight, piece: slice, thrust: Array, aircraft: Aircraft, noise: tuple[float, float]
+    flight: Flight, piece: slice, thrust: Array, area: float, mass: Array, noise: tuple[float, float]
 ) -> PolarSamples:
     V = denoise(flight["V"][piece]).values
     rho, alpha = flight["rho"][piece], flight["alpha"][piece]
-    pressure = 0.5 * rho * V**2 * aircraft.area / aircraft.mass
-    ax, az = flight["ax"][piece] - thrust[piece] / aircraft.mass, flight["az"][piece]
+    pressure = 0.5 * rho * V**2 * area / mass
+    ax, az = flight["ax"][piece] - thrust[piece] / mass, flight["az"][piece]
     CL, CD = _rotated(ax, az, alpha, pressure)
     smooth, _ = _rotated(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
     scatter = np.hypot(noise[0], az * noise[1]) / pressure

@@ -84,12 +84,13 @@ class Preparation:
     """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
     left of it (all of it where none is taken off), for the corrected bound (0: inputs are taken for truth there too).
     keep_held: take the repeated values of slow and stuck sensors for measurements. feedback: controls of a model that
-    pitches keep what follows the motion, and their measured values by steps."""
+    pitches keep what follows the motion, and their measured values by steps. every_axis: those of any model do."""
 
     denoise: bool = True
     draws: int = DRAWS
     keep_held: bool = False
     feedback: bool = True
+    every_axis: bool = False
 
 
 AS_USUAL = Preparation()

@@ -2,8 +2,8 @@
 
 Controls of a model that pitches keep what follows the motion, and their measured values by steps: an elevator acts on a light
 and little damped motion. What de-noising takes off it besides noise goes into pitch damping and the derivatives by the elevator
-(`estimation.signals.controls`), far beyond their bounds. A lateral motion forgives both: there the noise that measured values
-bring costs as much as the rounding does.
+(`estimation.signals.controls`), far beyond their bounds. A lateral motion forgives both, but for very quiet gyros: the noise of
+measured values costs as much there as the rounding does.
 """
 
 from collections.abc import Sequence
@@ -180,11 +180,11 @@ def has_pitch_rate(model: Model) -> bool:
 
 
 def feedback_restored(state: PreparationState) -> PreparationState:
-    """Controls with what follows the motion put back, and steps as measured where the model pitches.
+    """Controls with what follows the motion put back, and steps as measured, where the model pitches or that is asked of any.
 
     A piece in which a control was not measured at every sample stays as it is.
     """
-    wanted = has_pitch_rate(state.model)
+    wanted = has_pitch_rate(state.model) or state.preparation.every_axis
     if not (state.preparation.denoise and state.preparation.feedback and wanted):
         return state
     state = replace(state, follows=np.zeros_like(state.u))
@@ -220,8 +220,6 @@ def _restore_feedback(
         if feedback is not None:
             u[a:b, i], error_draws = with_feedback(part, feedback, level, draws, rng)
             errors[a:b, i], state.follows[a:b, i] = error_draws.T, part.following(feedback)
-        if not has_pitch_rate(state.model):
-            continue
         step_rows = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
         u[a + step_rows, i] = part.values[step_rows]
         errors[a + step_rows, i] = level * rng.standard_normal((step_rows.size, draws))

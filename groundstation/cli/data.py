@@ -36,13 +36,13 @@ def written_lines(flight: "Flight", output: str) -> Iterator[str]:
     from groundstation.flight.contradictions import contradictions
 
     rate = 1 / flight.sample_interval
-    channels = flight.channels
-    measured = sum(
-        flight.measured(c) and channels.get(c, {}).get("kind", "measured") == "measured" for c in flight.known_columns
-    )
+    kinds = [flight.channels.get(c, {}).get("kind", "measured") for c in flight.known_columns if flight.measured(c)]
+    counted = f"{kinds.count('measured')} columns measured"
+    if computed := kinds.count("computed"):
+        counted += f", {computed} computed"
     yield (
         f"{output}: {len(flight)} samples, {flight.time[-1] - flight.time[0]:.1f} s at {rate:.1f} Hz, "
-        f"{len(flight.segments)} segment{'s' if len(flight.segments) > 1 else ''}, {measured} columns measured"
+        f"{len(flight.segments)} segment{'s' if len(flight.segments) > 1 else ''}, {counted}"
     )
     yield from (f"  note: {note}" for note in flight.notes)
     for contradiction in contradictions(flight):

@@ -13,8 +13,10 @@ from daq.utilities.input_files import check_file, parse_toml, read_bytes
 from daq.utilities.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
 from groundstation.importers.draft_names import (
+    ANGLES,
     UnitGuess,
     candidate_columns,
+    rate_that_turns,
     time_column,
     time_unit,
     unit_fits,
@@ -24,6 +26,7 @@ from groundstation.importers.draft_names import (
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.table_time import stamps_of
 from groundstation.importers.mapping import EXAMPLE, ColumnSource, FileFormat, Map, Time
 from groundstation.importers.run import import_data, read_logs
 from groundstation.importers.series import Array, Log, native_rate
@@ -109,6 +112,10 @@ def _of_table(path: Path) -> list[str]:
     names = [n for n in table.numeric if n != time_name]
     candidates = candidate_columns(names)
     columns = {column: labels[0] for column, labels in candidates.items()}
+    turned = {}
+    for rate, angle in ANGLES.items():
+        if len(candidates.get(rate, ())) > 1 and angle in columns:
+            columns[rate], turned[rate] = rate_that_turns(candidates[rate], columns[angle], table.numeric, time)
     lines = []
     for column, name in columns.items():
         guess = unit_of(column, columns, table.numeric, time)
@@ -119,10 +126,11 @@ def _of_table(path: Path) -> list[str]:
         elif table.units.get(name):
             guess = UnitGuess(table.units[name], f"by the row of units; {guess.why}", True)
         elif name_unit is not None and unit_fits(name_unit, column):
-            guess = UnitGuess(name_unit, f"the unit stands in its name; {guess.why}", True)
+            guess = UnitGuess(name_unit, f"the unit stands in its name; {guess.why.partition('; UNKNOWN')[0]}", True)
         evidence = f"{'' if guess.sure else 'CHECK: '}by its name; {guess.why}"
         if len(candidates[column]) > 1:
-            evidence += f"; also {', '.join(map(one_line, candidates[column][1:]))}"
+            others = [one_line(label) for label in candidates[column] if label != name]
+            evidence += "".join(f"; {why}" for why in (turned.get(column, ""), f"also {', '.join(others)}") if why)
         lines.append(f'{column} = {{ column = {_toml_value(name)}, unit = "{guess.unit}" }}      # {evidence}')
     unmapped = [n for n in names if n not in columns.values()]
     lines += [f"# {one_line(n)}: UNKNOWN, in no flight column of this draft" for n in unmapped[:MOST_LEFT]]
@@ -139,9 +147,18 @@ def _time_lines(table: "ImportedTable", name: str | None) -> tuple[list[str], Ar
         return [f"rate_hz = 1      # {hint}"], None
     column = f"column = {_toml_value(name)}"
     if name not in table.numeric:
-        return [column, 'unit = "iso"      # dates, times of day or IRIG time'], None
+        line = 'unit = "iso"      # dates, times of day or IRIG time'
+        return [column, line], _seconds(table, name)
     unit, evidence = time_unit(table.numeric[name])
     return [column, f'unit = "{unit}"      # {evidence}'], table.numeric[name] * UNITS[unit].scale
+
+
+def _seconds(table: "ImportedTable", name: str) -> Array | None:
+    """Time that is written in words [s]; None where it is not to be read."""
+    try:
+        return stamps_of(Path(name), table.numeric, table.words, table.dates, Time(column=name, unit="iso")).seconds
+    except ImportDataError:
+        return None
 
 
 def _table(path: Path) -> "ImportedTable":

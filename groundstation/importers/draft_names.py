@@ -54,6 +54,8 @@ _SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s",
           "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
+ANGLES = {"p": "phi", "q": "theta", "r": "psi"}
+"""Rate -> the angle that it turns."""
 MOST_PREFIXES = 2  # words of a system before the name of a quantity: EGI_, FCC_A_
 SHORTEST_WITHOUT = 3  # letters of a name that says what it is without them
 NOT_THE_MOTION = frozenset(
@@ -64,6 +66,8 @@ NOT_THE_MOTION = frozenset(
 
 _GRAVITY = {"m/s2": GRAVITY, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
 _CLOSE = 0.25  # of gravity, by which the median specific force of a flight may differ from it: turns, and a filter
+FEWEST_ROWS = 20  # of a table, below which a correlation says nothing
+CLEARER = 0.5  # of what the second best leaves of a correlation: what one column of two may leave to be the better one
 _RATE_AGREES = 0.15  # of the ratio of an angle's slope and its rate to what two units make it
 
 
@@ -186,11 +190,39 @@ def _force_unit(names: Mapping[str, str], values: Mapping[str, Array], extent: s
     return UnitGuess("m/s2", f"{extent}; UNKNOWN unit: median specific force {size:.4g} is gravity in none")
 
 
+def rate_that_turns(
+    labels: Sequence[str], angle: str, values: Mapping[str, Array], time: Array | None
+) -> tuple[str, str]:
+    """Which of several columns of one rate turns the angle as it was recorded, and why; the first where none does better.
+
+    labels: of the rate, angle: of the angle it turns, in `values`. By the correlation with the angle's slope: no unit, sign or
+    offset is needed.
+    """
+    if time is None or time.size != values[angle].size or time.size < FEWEST_ROWS:
+        return labels[0], ""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slope = np.diff(values[angle]) / np.diff(time)
+    runs_on = np.abs(np.diff(values[angle])) < 0.5 * np.nanmax(values[angle]) - 0.5 * np.nanmin(
+        values[angle]
+    )  # no half turn
+    follows = {}
+    for label in labels:
+        between = 0.5 * (values[label][1:] + values[label][:-1])
+        use = np.isfinite(between) & np.isfinite(slope) & runs_on
+        moves = use.sum() > FEWEST_ROWS and np.std(between[use]) > 0 and np.std(slope[use]) > 0
+        follows[label] = abs(float(np.corrcoef(between[use], slope[use])[0, 1])) if moves else 0.0
+    best, second = sorted(follows, key=lambda label: -follows[label])[:2]
+    if 1.0 - follows[best] > CLEARER * (1.0 - follows[second]):
+        return labels[0], ""
+    said = ", ".join(f"{label} {follows[label]:.3f}" for label in (best, second))
+    return best, f"goes with the slope of {angle} better than the other ({said})"
+
+
 def _rate_unit(
     column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None, extent: str
 ) -> UnitGuess:
     """By the slope of the angle that it turns: in rad/s and rad, or deg/s and deg, both are equal."""
-    angle = {"p": "phi", "q": "theta", "r": "psi"}[column]
+    angle = ANGLES[column]
     rate = values[names[column]]
     if angle in names and time is not None and time.size == rate.size and time.size > 2:
         scale = UNITS[unit_of(angle, names, values, time).unit].scale

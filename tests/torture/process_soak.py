@@ -1,7 +1,9 @@
 """The ground station as a person starts it, for an hour of the clock: a recording flown over and over on a real port, the live
 view on; what its memory does after a warm-up, and whether its sums close.
 
-Run: python -m tests.torture.process_soak [SECONDS]. The last result is kept in docs/threat-model.md."""
+Run: python -m tests.torture.process_soak [SECONDS [PICTURE]]. PICTURE is the room of the view ("64MiB" as it comes, or "none" for
+no view): a small one is full before the warm-up ends, and what grows afterwards is not the picture. The last result is kept in
+docs/threat-model.md."""
 
 import json
 import multiprocessing
@@ -72,27 +74,17 @@ def fly_recorded(port: int, seconds: float, sent: "multiprocessing.Queue[int]") 
     wire.close()
 
 
-def hour_of_ground(seconds: float) -> HourOfGround:
-    """Fly for so long, end it by SIGTERM, read what it says of itself."""
+def hour_of_ground(seconds: float, picture: str = "64MiB") -> HourOfGround:
+    """Fly for so long, end it by SIGTERM, read what it says of itself. picture: room of the view, or none."""
     with tempfile.TemporaryDirectory() as name:
         folder, port = Path(name), free_port()
         (folder / "g.toml").write_text(
             f'[link]\nports = ["udpin:127.0.0.1:{port}"]\n'
-            f"[view]\nport = {free_port(SOCK_STREAM)}\nweb_port = {free_port(SOCK_STREAM)}\n[identification]\naircraft = 'cdfp'\n"
+            f'[view]\nmemory_limit = "{"64MiB" if picture == "none" else picture}"\n'
+            f"port = {free_port(SOCK_STREAM)}\nweb_port = {free_port(SOCK_STREAM)}\n[identification]\naircraft = 'cdfp'\n"
         )
-        command = [
-            sys.executable,
-            "-m",
-            "sideslip",
-            "ground",
-            "g.toml",
-            "--out",
-            "s",
-            "--view",
-            "web",
-            "--json",
-            "g.json",
-        ]
+        view = ["--view", "none" if picture == "none" else "web"]
+        command = [sys.executable, "-m", "sideslip", "ground", "g.toml", "--out", "s", *view, "--json", "g.json"]
         context = multiprocessing.get_context("spawn")
         flown: multiprocessing.Queue[int] = context.Queue()
         aircraft = context.Process(target=fly_recorded, args=(port, seconds, flown))
@@ -123,14 +115,13 @@ def _watched(station: "subprocess.Popen[bytes]", seconds: float) -> list[tuple[f
             raise RuntimeError(f"the ground station ended by itself after {past:.0f} s with {station.returncode}")
         rows = Path(f"/proc/{station.pid}/status").read_text().splitlines()
         memory.append((past, 1024 * next(int(row.split()[1]) for row in rows if row.startswith("VmRSS"))))
+        print(f"{past:7.0f} s {memory[-1][1] / 1e6:8.1f} MB", flush=True)
         time.sleep(min(LOOK_S, max(0.0, seconds - past)) + 0.01)
     return memory
 
 
 def main() -> int:
-    end = hour_of_ground(float(sys.argv[1]) if len(sys.argv) > 1 else WARM_S + 3600.0)
-    for past, size in end.memory:
-        print(f"{past:7.0f} s {size / 1e6:8.1f} MB")
+    end = hour_of_ground(float(sys.argv[1]) if len(sys.argv) > 1 else WARM_S + 3600.0, *sys.argv[2:3])
     print(
         f"status {end.status}, {end.sent} scans sent, {end.received} received, {end.lost} lost, grown {end.grown / 1e6:+.1f} MB"
     )

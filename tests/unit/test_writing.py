@@ -25,7 +25,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("daq/transport/signing.py", "write_text"): GIVEN,
     ("estimation/campaign/workers/in_process.py", "open:w"): "the null device",
     ("estimation/campaign/workers/subjects.py", "write_bytes"): "a temporary folder, removed at once",
-    ("estimation/engine/compiled.py", "write_text"): "a temporary folder, removed at once",
+    ("estimation/engine/compiled_library.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/simulation/jsbsim/library.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/report/drawing/figures.py", "savefig"): "a picture in memory, and `save_figure`",
     ("estimation/campaign/publish.py", "write_table"): GIVEN,

@@ -6,7 +6,7 @@ bank where the signatures are made. SI, rad.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -49,44 +49,79 @@ AnyInputs = Inputs | ElevatorInputs
 Measured = TypeVar("Measured", Inputs, ElevatorInputs)
 
 
-def between(first: Measured, last: Measured, part: float) -> Measured:
-    """On the straight line from one to another."""
-    return type(first)(*(a + part * (b - a) for a, b in zip(first, last, strict=True)))
+def instants(dt: float) -> Array:
+    """(instants, 1, 1) parts of an interval of `dt` seconds where a Runge-Kutta step begins, is half done, and ends."""
+    return np.linspace(0.0, 1.0, 2 * max(1, math.ceil(dt / LONGEST_STEP)) + 1)[:, None, None]
+
+
+def between(first: Measured, last: Measured, parts: Array) -> Measured:
+    """(instants, 1, flights): on the straight line from one to another."""
+    return type(first)(*(a + parts * (b - a) for a, b in zip(first, last, strict=True)))
 
 
 class MotionOfPlane(ABC, Generic[Measured]):
     """States and forces of a plane, in the order of its channels. values: derivative -> array, what is missing zero."""
 
     def __init__(self, airframe: Airframe, values: Mapping[str, Array], plane: MonitoredPlane) -> None:
-        zero = np.zeros(1)
+        zero = np.zeros((1, 1))
         self._a = airframe
         self._d = {n: np.asarray(values.get(n, zero), float) for n in plane.parameters}
 
     @abstractmethod
-    def rates(self, x: Array, u: Measured, gust: Array | float = 0.0) -> Array:
+    def conditions(self, u: Measured) -> tuple[Array, ...]:
+        """What of the rates does not hang on the state; fields of u: (..., 1 or models, flights)."""
+
+    @abstractmethod
+    def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
         """(states, models, flights) of the state's rates. gust: angle of the vane that the air adds [rad]."""
 
     @abstractmethod
     def forces(self, x: Array, u: Measured, gust: Array | float = 0.0) -> Array:
         """(forces, models, flights) specific forces [m/s2]."""
 
-    def advance(self, x: Array, drive: Callable[[float], Measured], dt: float, gust: Array | float = 0.0) -> Array:
-        """The state `dt` seconds later: classical Runge-Kutta. drive: inputs where a part of the interval has passed."""
-        steps = max(1, math.ceil(dt / LONGEST_STEP))
-        h = dt / steps
-        u2 = drive(0.0)
-        for k in range(steps):
-            u0, u1, u2 = u2, drive((k + 0.5) / steps), drive((k + 1.0) / steps)
-            k1 = self.rates(x, u0, gust)
-            k2 = self.rates(x + 0.5 * h * k1, u1, gust)
-            k3 = self.rates(x + 0.5 * h * k2, u1, gust)
-            k4 = self.rates(x + h * k3, u2, gust)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    def advance(self, x: Array, u: Measured, dt: float, gust: Array | float = 0.0) -> Array:
+        """The state `dt` seconds later: classical Runge-Kutta. u: at the `instants` of the interval, along the first axis."""
+        conditions = list(zip(*self.conditions(u), strict=True))
+        h = dt / (len(conditions) // 2)
+        for c0, c1, c2 in zip(conditions[:-2:2], conditions[1:-1:2], conditions[2::2], strict=True):
+            k1 = self.rates(x, c0, gust)
+            k2 = self.rates(x + 0.5 * h * k1, c1, gust)
+            k3 = self.rates(x + 0.5 * h * k2, c1, gust)
+            k4 = self.rates(x + h * k3, c2, gust)
+            x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
         return x
 
 
 class LateralMotion(MotionOfPlane[Inputs]):
     """Rates of beta, p, r, phi and the side force ay."""
+
+    def __init__(self, airframe: Airframe, values: Mapping[str, Array], plane: MonitoredPlane) -> None:
+        super().__init__(airframe, values, plane)
+        self._rows = {n: self._accelerations(n) for n in ("0", "beta", "p", "r", "da", "dr")}
+
+    def _accelerations(self, term: str) -> Array:
+        """(3, models, flights): what a term of the three coefficients makes of side force / V, roll and yaw acceleration, per
+        dynamic pressure times area."""
+        a, d = self._a, self._d
+        inertia = a.Ixx * a.Izz - a.Ixz**2
+        Cl, Cn = d[f"Cl_{term}"] * (a.span / inertia), d[f"Cn_{term}"] * (a.span / inertia)
+        rows = (d[f"CY_{term}"] / a.mass, a.Izz * Cl + a.Ixz * Cn, a.Ixx * Cn + a.Ixz * Cl)
+        return np.stack(np.broadcast_arrays(*rows))
+
+    def conditions(self, u: Inputs) -> tuple[Array, ...]:
+        a, rows = self._a, self._rows
+        # gyroscopic moments: roll Ixz p q - (Izz - Iyy) q r, yaw -Ixz q r - (Iyy - Ixx) p q
+        turning = u.q / (a.Ixx * a.Izz - a.Ixz**2)
+        p_in_roll, r_in_roll = a.Ixz * (a.Izz - a.Iyy + a.Ixx), a.Izz * (a.Iyy - a.Izz) - a.Ixz**2
+        p_in_yaw, r_in_yaw = a.Ixz**2 - a.Ixx * (a.Iyy - a.Ixx), a.Ixz * (a.Iyy - a.Izz - a.Ixx)
+        p_rows = np.sin(u.alpha), p_in_roll * turning, p_in_yaw * turning
+        r_rows = -np.cos(u.alpha), r_in_roll * turning, r_in_yaw * turning
+        q_s = 0.5 * u.rho * u.V**2 * a.area
+        scale = np.stack((q_s / u.V, q_s, q_s), axis=-3)
+        rate = scale * (a.span / (2.0 * u.V))[..., None, :, :]
+        fixed = scale * (rows["0"] + rows["da"] * u.delta_a[..., None, :, :] + rows["dr"] * u.delta_r[..., None, :, :])
+        by_p, by_r = (rate * rows[n] + np.stack(k, axis=-3) for n, k in (("p", p_rows), ("r", r_rows)))
+        return fixed, scale * rows["beta"], by_p, by_r, GRAVITY * np.cos(u.theta) / u.V, np.tan(u.theta), u.q
 
     def forces(self, x: Array, u: Inputs, gust: Array | float = 0.0) -> Array:
         d, rate = self._d, self._a.span / (2.0 * u.V)
@@ -94,32 +129,41 @@ class LateralMotion(MotionOfPlane[Inputs]):
         CY = CY + d["CY_dr"] * u.delta_r + d["CY_da"] * u.delta_a
         return np.asarray(0.5 * u.rho * u.V**2 * self._a.area / self._a.mass * CY)[None]
 
-    def rates(self, x: Array, u: Inputs, gust: Array | float = 0.0) -> Array:
-        a, d = self._a, self._d
+    def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
+        fixed, by_beta, by_p, by_r, gravity, tan_theta, q = conditions
         beta, p, r, phi = x
-        rate = a.span / (2.0 * u.V)
-        q_sb = 0.5 * u.rho * u.V**2 * a.area * a.span
-        air = beta + gust
-        Cl = d["Cl_0"] + d["Cl_beta"] * air + rate * (d["Cl_p"] * p + d["Cl_r"] * r)
-        Cl = Cl + d["Cl_da"] * u.delta_a + d["Cl_dr"] * u.delta_r
-        Cn = d["Cn_0"] + d["Cn_beta"] * air + rate * (d["Cn_p"] * p + d["Cn_r"] * r)
-        Cn = Cn + d["Cn_dr"] * u.delta_r + d["Cn_da"] * u.delta_a
-        roll = q_sb * Cl + a.Ixz * p * u.q - (a.Izz - a.Iyy) * u.q * r
-        yaw = q_sb * Cn - a.Ixz * u.q * r - (a.Iyy - a.Ixx) * p * u.q
-        side = self.forces(x, u, gust)[0] + GRAVITY * np.cos(u.theta) * np.sin(phi)
-        inertia = a.Ixx * a.Izz - a.Ixz**2
-        return np.stack(
-            np.broadcast_arrays(
-                p * np.sin(u.alpha) - r * np.cos(u.alpha) + side / u.V,
-                (a.Izz * roll + a.Ixz * yaw) / inertia,
-                (a.Ixx * yaw + a.Ixz * roll) / inertia,
-                p + np.tan(u.theta) * (u.q * np.sin(phi) + r * np.cos(phi)),
-            )
-        )
+        sin = np.sin(phi)
+        accelerations = fixed + by_beta * (beta + gust) + by_p * p + by_r * r
+        rates = np.empty((4, *accelerations.shape[1:]))
+        rates[:3] = accelerations
+        rates[0] += gravity * sin
+        rates[3] = p + tan_theta * (q * sin + r * np.cos(phi))
+        return rates
 
 
 class PitchMotion(MotionOfPlane[ElevatorInputs]):
     """Rates of alpha, q, theta and the forces ax, az; airspeed, thrust and the lateral motion are measured."""
+
+    def conditions(self, u: ElevatorInputs) -> tuple[Array, ...]:
+        a, d = self._a, self._d
+        q_s, rate = 0.5 * u.rho * u.V**2 * a.area, a.chord / (2.0 * u.V)
+        along, scale = 1.0 / (u.V * np.cos(u.beta)), q_s * a.chord / a.Iyy
+        lift = along * q_s / a.mass
+        gyroscopic = ((a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p**2 - u.r**2)) / a.Iyy
+        return (
+            -lift * (d["CL_0"] + d["CL_de"] * u.delta_e),
+            -lift * d["CL_alpha"],
+            1.0 - lift * rate * d["CL_q"],
+            scale * (d["Cm_0"] + d["Cm_de"] * u.delta_e) + gyroscopic,
+            scale * d["Cm_alpha"],
+            scale * rate * d["Cm_q"],
+            along * GRAVITY * np.cos(u.phi),
+            np.tan(u.beta) * u.p,
+            along * u.thrust / a.mass + np.tan(u.beta) * u.r,
+            along * GRAVITY,
+            np.cos(u.phi),
+            u.r * np.sin(u.phi),
+        )
 
     def forces(self, x: Array, u: ElevatorInputs, gust: Array | float = 0.0) -> Array:
         a, d = self._a, self._d
@@ -130,24 +174,16 @@ class PitchMotion(MotionOfPlane[ElevatorInputs]):
         ax, az = (q_s * (CL * sin - CD * cos) + u.thrust) / a.mass, q_s * (-CL * cos - CD * sin) / a.mass
         return np.stack(np.broadcast_arrays(ax, az))
 
-    def rates(self, x: Array, u: ElevatorInputs, gust: Array | float = 0.0) -> Array:
-        a, d = self._a, self._d
-        alpha, q, theta = x
-        sin, cos = np.sin(alpha), np.cos(alpha)
-        ax, az = self.forces(x, u, gust)
-        gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(u.phi)
-        sideways = np.tan(u.beta) * (u.p * cos + u.r * sin)
-        Cm = d["Cm_0"] + d["Cm_alpha"] * (alpha + gust) + d["Cm_q"] * q * a.chord / (2.0 * u.V)
-        Cm = Cm + d["Cm_de"] * u.delta_e
-        moment = 0.5 * u.rho * u.V**2 * a.area * a.chord * Cm
-        moment = moment + (a.Izz - a.Ixx) * u.p * u.r - a.Ixz * (u.p**2 - u.r**2)
-        return np.stack(
-            np.broadcast_arrays(
-                q - sideways + (gz * cos - gx * sin) / (u.V * np.cos(u.beta)),
-                moment / a.Iyy,
-                q * np.cos(u.phi) - u.r * np.sin(u.phi),
-            )
+    def rates(self, x: Array, conditions: Sequence[Array], gust: Array | float = 0.0) -> Array:
+        """Across the flow lift alone acts beside thrust and weight: drag has no part in alpha's rate."""
+        lift, lift_alpha, lift_q, moment, moment_alpha, moment_q, upright, sideways, forward, weight, cos_phi, turn = (
+            conditions
         )
+        alpha, q, theta = x
+        sin, cos, air = np.sin(alpha), np.cos(alpha), alpha + gust
+        alpha_rate = lift + lift_alpha * air + lift_q * q - sideways * cos - forward * sin
+        alpha_rate = alpha_rate + upright * np.cos(theta) * cos + weight * np.sin(theta) * sin
+        return np.stack(np.broadcast_arrays(alpha_rate, moment + moment_alpha * air + moment_q * q, q * cos_phi - turn))
 
 
 def motion_of(plane: MonitoredPlane, airframe: Airframe, values: Mapping[str, Array]) -> LateralMotion | PitchMotion:

@@ -7,7 +7,6 @@ as configured; scans are those of the aircraft's grid, all of them or those that
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from daq.identification.monitor.motions import (
     LateralMotion,
     PitchMotion,
     between,
+    instants,
     motion_of,
 )
 from daq.identification.monitor.predictors import FlightsScan
@@ -107,7 +107,7 @@ def fly(
     x, surfaces, gust = pilot.state, pilot.surfaces, np.zeros(flights)
     arrives = _seen(conditions, rng, round(seconds / conditions.grid))
     scans: list[FlightsScan] = []
-    motion = motion_of(plane, airframe, truth)
+    motion, parts = motion_of(plane, airframe, truth), instants(step)
     for k in range(steps):
         time = k * step
         if change is not None:
@@ -118,8 +118,8 @@ def fly(
             scans.append(_scan(time, x, inputs, motion, gust, conditions, rng, plane))
         command = pilot.command(commands[k], x)
         next_surfaces = command + (surfaces - command) * fade
-        drive = partial(between, inputs, pilot.inputs(x, next_surfaces))  # type: ignore[type-var]  # of the same plane
-        x = motion.advance(x, drive, step, gust)  # type: ignore[arg-type]
+        driven = between(inputs, pilot.inputs(x, next_surfaces), parts)  # type: ignore[type-var]  # of the same plane
+        x = motion.advance(x, driven, step, gust)  # type: ignore[arg-type]
         surfaces = next_surfaces
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
     return scans

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq.identification.airframe import Airframe
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, MonitoredPlane
 from daq.identification.monitor.evidence import ORDER
-from daq.identification.monitor.motions import AnyInputs, between, motion_of
+from daq.identification.monitor.motions import AnyInputs, between, instants, motion_of
 from daq.identification.monitor.surfaces import BLIND, Kinds, SurfaceBetween, SurfacesBetween, kind_of
 
 Array = NDArray[np.float64]
@@ -95,21 +95,15 @@ class PredictorBank:
         dt = scan_now.time - last.time
         surfaces_before, surfaces = self._between, self._surfaces_between((earlier, last, scan_now, following))
         self._between = surfaces
-        drive = _Drive(
-            self._plane.surfaces,
-            (last.inputs, scan_now.inputs),
-            surfaces,
-            surfaces_before,
-            [d / dt for d in self._delays],
-        )
-        x = self._motion.advance(self._x, drive, dt)  # type: ignore[arg-type]  # inputs of the same plane
+        u = self._driven(last.inputs, scan_now.inputs, surfaces, surfaces_before, dt)
+        x = self._motion.advance(self._x, u, dt)  # type: ignore[arg-type]  # inputs of the same plane
         lag = np.maximum(self._vane_lag, SLOWEST_LAG)
         fade = np.where(self._vane_lag > 0.0, np.exp(-dt / lag), 0.0)
         mean_slope = (x[0] - self._x[0]) / dt
         # a first-order lag shown a ramp from x0 to x1, exactly
         vane = x[0] - lag * mean_slope * (1.0 - fade) + (self._vane - self._x[0]) * fade
         vane = np.where(self._vane_lag > 0.0, vane, x[0])
-        forces = self._motion.forces(x, drive(1.0))  # type: ignore[arg-type]
+        forces = self._motion.forces(x, type(u)(*(a[-1] for a in u)))  # type: ignore[arg-type]
         predicted = np.concatenate([(vane + self._vane_bias)[None], x[1:], forces])
         innovations = scan_now.measured[:, None, :] - predicted
         self._vane = vane + GAIN * innovations[0]
@@ -129,6 +123,22 @@ class PredictorBank:
             for surface, name in zip(self._surfaces, self._plane.surfaces, strict=True)
         )
 
+    def _driven(
+        self,
+        first: AnyInputs,
+        last: AnyInputs,
+        surfaces: Sequence[SurfaceBetween],
+        before: Sequence[SurfaceBetween] | None,
+        dt: float,
+    ) -> AnyInputs:
+        """Inputs at the instants of an interval, surfaces as late as each model has them: (instants, models, flights)."""
+        parts = instants(dt)
+        moved = {
+            name: _late(surface, None if before is None else before[k], parts, self._delays[k] / dt)
+            for k, (name, surface) in enumerate(zip(self._plane.surfaces, surfaces, strict=True))
+        }
+        return between(first, last, parts)._replace(**moved)  # type: ignore[type-var, arg-type]
+
     def _begin(self, scan: FlightsScan) -> None:
         models = len(self._effects) + 1
         states = self._plane.states
@@ -147,38 +157,12 @@ class PredictorBank:
             self._vane[:, blind] = self._x[0][:, blind]
 
 
-class _Drive:
-    """Inputs over an interval, surfaces as late as each model has them."""
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        ends: tuple[AnyInputs, AnyInputs],
-        surfaces: Sequence[SurfaceBetween],
-        before: Sequence[SurfaceBetween] | None,
-        late: Sequence[Array],
-    ) -> None:
-        """names: of the surfaces; late: (models, 1) parts of the interval, of each."""
-        self._names, self._ends, self._surfaces, self._before, self._late = names, ends, surfaces, before, late
-
-    def __call__(self, part: float) -> AnyInputs:
-        first, last = self._ends
-        moved = {name: self._surface(k, part) for k, name in enumerate(self._names)}
-        return between(first, last, part)._replace(**moved)  # type: ignore[type-var, arg-type]
-
-    def _surface(self, which: int, part: float) -> Array:
-        """(models, flights)."""
-        curve, delays = self._surfaces[which], self._late[which][:, 0]
-        deflections = np.tile(curve.at(part), (delays.size, 1))
-        curve_before = None if self._before is None else self._before[which]
-        for model in np.flatnonzero(delays):
-            delayed_part = part - float(delays[model])
-            if delayed_part >= 0.0:
-                deflections[model] = curve.at(delayed_part)
-            else:
-                deflections[model] = (
-                    curve.first
-                    if curve_before is None
-                    else curve_before.at(max(1.0 + delayed_part * curve.h / curve_before.h, 0.0))
-                )
-        return deflections
+def _late(curve: SurfaceBetween, before: SurfaceBetween | None, parts: Array, late: Array) -> Array:
+    """(instants, models, flights) of a surface that each model has `late` (models, 1) parts of the interval later."""
+    deflections = np.repeat(curve.at(parts), late.size, axis=1)
+    delayed = np.flatnonzero(late)
+    if delayed.size:
+        part = parts - late[delayed]
+        earlier = curve.first if before is None else before.at(np.clip(1.0 + part * curve.h / before.h, 0.0, 1.0))
+        deflections[:, delayed] = np.where(part >= 0.0, curve.at(np.maximum(part, 0.0)), earlier)
+    return deflections

@@ -86,6 +86,8 @@ class Cluster:
         import dask
         from distributed import LocalCluster
 
+        for name in ("asyncio", "tornado.application"):  # what workers lack is told in the one sentence
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self._held.enter_context(dask.config.set(SETTINGS))
         local = LocalCluster(
             n_workers=self._wanted,

@@ -49,6 +49,11 @@ class Slack:
         values = np.maximum(values, 1.0)
         return np.asarray((vectors / (values + np.sqrt(values))) @ vectors.T)
 
+    @property
+    def log_determinant(self) -> float:
+        """Of the covariance I + E E'."""
+        return 2.0 * float(np.sum(np.log(np.abs(np.diag(self._lower)))))
+
     def forgiven(self, rows: Array) -> Array:
         """(m, k) whose inner products come off those of white rows (rows, k)."""
         projections = rows.T @ self.rows  # in this order the many rows are read as they lie
@@ -114,6 +119,16 @@ class Whitener:
         ny, m = self.root.shape[1], self.slack.rows.shape[1]
         parts = self.slack.rows.reshape(-1, 2, ny, m) / self._scale[:, None, None, None]
         return np.asarray(np.fft.irfft(parts[:, 0] + 1j * parts[:, 1], n=self.count, axis=0).reshape(-1, m))
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """Of the covariance of a record: with `energy`, minus twice the log-likelihood (Whittle) but for a constant."""
+        twice = np.full(self.root.shape[0], 2.0)
+        twice[0] = 1.0
+        if self.count % 2 == 0:
+            twice[-1] = 1.0
+        of_spectrum = -2.0 * float(twice @ np.linalg.slogdet(self.root)[1])
+        return of_spectrum + (0.0 if self.slack is None else self.slack.log_determinant)
 
     def strict(self, spectrum: Array) -> Array:
         """(frequencies, 2 ny, k) from `spectrum_of` -> (rows, k): white rows of unit variance with nothing forgiven."""

@@ -18,9 +18,10 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
+from estimation.gap.records.candidate_model import RATE_OF
 from estimation.gap.records.sampling import unseen_paths
 from estimation.models.base import Model, Signal
-from estimation.prepare.flight_data import FlightData
+from estimation.prepare.flight_data import AS_USUAL, FlightData
 from estimation.prepare.inputs import has_pitch_rate
 from estimation.prepare.pipeline import prepare
 from estimation.signals.controls import noise_between_steps, with_raw_steps
@@ -31,6 +32,8 @@ NEAR = 0.1  # of a stretch, to either side of an even cut, in which the controls
 ROUNDING = 1e-6
 AROUND = 0.5  # s, to either side of a cut, in which they should be
 PATHS = 20  # of the random stream of paths across samples that a control lacks
+QUIETEST = 1e-4  # of the scatter of a rate: a coarsely rounded one shows no noise
+TINY = 1e-12  # rad/s, of a rate that stands still
 LOST = 0.005  # of the samples of a record, which may go unused
 SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own steps
 
@@ -166,8 +169,11 @@ def prepare_flights(
     controls = [i for i, s in enumerate(probe.inputs) if s.control]
     records: list[FlightRecord] = []
     notes: list[str] = []
-    for index, flight in enumerate(flights):
-        data = prepare(probe, flight)
+    prepared = [prepare(probe, flight) for flight in flights]
+    exact = has_pitch_rate(base) or controls_outdo_gyros(probe, prepared[: len(training)], criteria)
+    if exact and not has_pitch_rate(base):
+        prepared = [prepare(probe, flight, replace(AS_USUAL, every_axis=True)) for flight in flights]
+    for index, (flight, data) in enumerate(zip(flights, prepared, strict=True)):
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
         parts = [p for part in data.segments for p in _stretches(part, data.states, controls, criteria)]
@@ -177,7 +183,8 @@ def prepare_flights(
             length = quick_length(len(part))
             segment = replace(part, time=part.time[:length], u=part.u[:length], z=part.z[:length])
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            raw, step_noise = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
+            controls_read = base.inputs if exact else ()
+            raw, step_noise = _raw_steps(controls_read, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **step_noise}
             input_errors = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
             skipped, span = _not_compared(base, flight, segment), slice(segment.first, segment.first + length)
@@ -210,6 +217,37 @@ def prepare_flights(
     )
 
 
+def controls_outdo_gyros(model: Model, flights: Sequence[FlightData], criteria: Criteria) -> bool:
+    """Whether the noise on a control would turn the aircraft so fast in one sample that the gyros show it: then they show, too,
+    what taking that noise off has cost of a hand that steers against the motion, and it looks like a servo that is late.
+
+    By the change of each rate from sample to sample, regressed on motion and controls; median over the flights.
+    """
+    rates = [i for i, s in enumerate(model.outputs) if s.name in RATE_OF.values()]
+    ratios = [_loudest(model, part, flight, rates) for flight in flights for part in flight.segments]
+    return are_loud(ratios, criteria)
+
+
+def are_loud(ratios: Sequence[float], criteria: Criteria) -> bool:
+    """Whether the usual one of the changes that a control's noise makes of a rate stands out of the noise of that rate."""
+    return bool(ratios) and float(np.median(ratios)) > criteria.loud_control
+
+
+def _loudest(model: Model, part: Segment, flight: FlightData, rates: Sequence[int]) -> float:
+    """Largest change of a rate by one standard deviation of a control's noise, over the noise of that rate."""
+    controls = [i for i, s in enumerate(model.inputs) if s.control]
+    levels = np.array([flight.noise.get(model.inputs[i].name, (0.0, 0.0))[0] for i in controls])
+    motion = np.column_stack([part.u[:, controls], flight.states[part.rows], np.ones(len(part))])[:-1]
+    change = np.diff(part.z[:, rates], axis=0)
+    complete = np.isfinite(motion).all(axis=1) & np.isfinite(change).all(axis=1)
+    if not rates or not controls or np.count_nonzero(complete) <= motion.shape[1]:
+        return 0.0
+    by_control = np.linalg.lstsq(motion[complete], change[complete], rcond=None)[0][: len(controls)]
+    noise = np.array([noise_level(part.z[:, i]) for i in rates])
+    quiet = np.maximum(noise, QUIETEST * np.nanstd(part.z[:, rates], axis=0))
+    return float(np.max(levels[:, None] * np.abs(by_control) / np.maximum(quiet, TINY)))
+
+
 def _stretches(whole: Segment, states: Array, controls: list[int], criteria: Criteria) -> list[Segment]:
     """A segment, or the stretches of a long one. states: (samples, nx) of the whole flight, where a stretch may begin."""
     segments = []
@@ -236,12 +274,17 @@ def quick_length(count: int) -> int:
 
 
 def _raw_steps(
-    base: Model, flight: Flight, first: int, inputs: dict[str, Array], noise: Mapping[str, float], criteria: Criteria
+    signals: Sequence[Signal],
+    flight: Flight,
+    first: int,
+    inputs: dict[str, Array],
+    noise: Mapping[str, float],
+    criteria: Criteria,
 ) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
-    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
-    the noise that is left there."""
+    """Put the measured values of the controls among `signals` by their steps into `inputs`; where that was, and the noise that
+    is left there."""
     masks, levels = {}, {}
-    for signal in base.inputs if has_pitch_rate(base) else ():
+    for signal in signals:
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]

@@ -19,6 +19,7 @@ from estimation.gap.fit.channel_noise import sample_interval
 from estimation.gap.search.accept import accept, confirmed, own_inflation
 from estimation.gap.search.confirm import FittedHypothesis, assess, fit_hypothesis
 from estimation.gap.search.select import Choice, choose, control_noise, individual_inflation, material
+from estimation.gap.search.sharper import sharper_base
 from estimation.gap.search.state import AcceptedEffect, SearchState, Setting, afresh_with
 from estimation.gap.shapes.places import ModelMotion, places_of, rank
 from estimation.gap.significance.calibration import Round, inflation_by_hypothesis
@@ -144,7 +145,7 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     findings: list[AcceptedEffect] = []
     rounds: list[Round] = []
     rejected: list[Rejected] = []
-    restarts = 0
+    restarts, sharpened = 0, False
     while True:
         try:
             round_ = setting.screened(baseline, len(rounds))
@@ -168,6 +169,12 @@ def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
             continue
         restarts = 0
         finding, words = accept(setting, round_, choice, omnibus, partial(shape_gain, setting, round_))
+        sharper = sharper_base(round_, choice) if finding is None and not sharpened else None
+        sharpened = sharper is not None
+        if sharper is not None:
+            baseline = sharper
+            rounds.pop()
+            continue
         rejected += [*choice.rejected, *words]
         if finding is None:
             break

@@ -13,7 +13,7 @@ difference is what the effect itself has gained: the centred likelihood ratio of
 families of hypotheses", Journal of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,6 +26,7 @@ from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import FlightRecord
 from estimation.gap.significance.nulls import InputErrors, NullFlyer
+from estimation.models.base import Model
 from estimation.signals.controls import with_raw_steps
 from estimation.signals.denoise import denoise_many
 
@@ -79,6 +80,17 @@ class MeasuredAgain:
             return 1.0
         return own_share(gain, float(np.mean(gains)), self.baseline.criteria)
 
+    def problems(self) -> Iterator[tuple[LikelihoodProblem, ModelFit]]:
+        """Every repeat as flights of its own: the base with the values found on the flights, and its residuals on these."""
+        problem, found = self.baseline.problem, self.baseline.fit
+        for remade in self.sets:
+            pairs = list(zip(problem.records, remade, strict=True))
+            again = replace(problem, records=tuple(_recorded(problem.model, record, r) for record, r in pairs))
+            modelled = [again.modelled(i, found.values, local) for i, local in enumerate(found.locals)]
+            residuals = tuple(r.outputs - y for (_, r), y in zip(pairs, modelled, strict=True) if y is not None)
+            if len(residuals) == len(pairs):
+                yield again, replace(found, residuals=residuals)
+
     def _remade(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> Remade | None:
         problem, values = self.baseline.problem, self.baseline.fit.values
         record, true_inputs, prepared = (
@@ -97,6 +109,14 @@ class MeasuredAgain:
         if outputs is None or modelled is None:
             return None
         return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - modelled))
+
+
+def _recorded(model: Model, record: FlightRecord, remade: Remade) -> FlightRecord:
+    """A record with the outputs and the controls of one made anew."""
+    controls = {
+        s.name: remade.inputs[:, i] for i, s in enumerate(model.inputs) if s.control and s.name in record.inputs
+    }
+    return replace(record, inputs={**record.inputs, **controls}, z=remade.outputs)
 
 
 def _gain(problem: LikelihoodProblem, remade: Sequence[Remade], found: ModelFit) -> float | None:

@@ -5,7 +5,7 @@ nameless terms (simple functions of the motion added to an output or to a force 
 and energy that follows some activity (a clipped, stale or sticking sensor errs where its signal moves most).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,31 +15,19 @@ from estimation.estimators.normal_equations import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.fit.problem import LikelihoodProblem, ModelFit
 from estimation.gap.fit.surface_steps import jumping_outputs
-from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.significance.calibration import Round, upper_quantile
-from estimation.gap.significance.screen import Projected, gram_of
-from estimation.gap.significance.tangent import Tangent, is_door, through_doors
+from estimation.gap.significance.nameless_terms import (
+    OmnibusSignal,
+    beyond_control_noise,
+    nameless_terms,
+    pooled,
+    regressors_of,
+)
 
-SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 LEADING = 8  # signals kept for the answer
-TENTH = 0.1  # of an output's scatter: the size of an addition to it, which no score depends on
 NOTHING = 1e-12  # energy of a window without samples
 RESTLESS = 3  # windows kept of a record, most restless first
 FEWEST = 4  # samples a window has at the least
-
-
-@dataclass(frozen=True)
-class OmnibusSignal:
-    """What stood out. kind: term | time | activity. place: channel or equation. what: words. score: in units of its
-    scatter on nulls. gain: twice the log-likelihood (terms only). span: seconds in a flight (time only)."""
-
-    kind: str
-    place: str
-    what: str
-    score: float
-    gain: float = 0.0
-    flight: int = -1
-    span: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,11 +51,17 @@ def examine(round_: Round) -> Omnibus:
     """All three families on the residuals of a round's baseline."""
     problem, model_fit, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
     nulls = len(round_.null_residuals)
-    terms, term_null = _terms(round_.tangent)
+    terms, term_null = nameless_terms(round_.tangent)
     white = whitened(problem, model_fit, round_)
     times, time_null = restless_times(problem, white, nulls)
     activity, activity_null = scatter_with_activity(problem, model_fit, white, nulls)
-    return summed_up([*terms, *times, *activity], np.max([term_null, time_null, activity_null], axis=0), criteria)
+    largest = np.max([term_null, time_null, activity_null], axis=0)
+    omnibus = summed_up([*terms, *times, *activity], largest, criteria)
+    doubtful = [s for s in terms if s.score > criteria.unknown_margin * omnibus.threshold]
+    if not doubtful:
+        return omnibus
+    terms = [*(s for s in terms if s not in doubtful), *beyond_control_noise(round_, doubtful)]
+    return summed_up([*terms, *times, *activity], largest, criteria)
 
 
 def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criteria) -> Omnibus:
@@ -75,85 +69,6 @@ def summed_up(signals: Sequence[OmnibusSignal], largest: Array, criteria: Criter
     ranked = tuple(sorted(signals, key=lambda s: -s.score)[:LEADING])
     threshold = upper_quantile(largest, criteria.nameless_level)
     return Omnibus(ranked[0].score if ranked else 0.0, threshold, ranked)
-
-
-def _regressors(problem: LikelihoodProblem, found: ModelFit, index: int) -> dict[tuple[str, str], Array]:
-    """(signal, shape) -> (N,) functions of the fitted motion and the controls."""
-    residual = found.residuals[index]
-    coarse = problem.coarse[index]
-    outputs = np.nan_to_num(coarse.z - np.nan_to_num(residual))
-    signals = {n: outputs[:, i] for i, n in enumerate(problem.model.output_names)}
-    signals |= {s.name: coarse.u[:, i] for i, s in enumerate(problem.model.inputs) if s.control}
-    regressors = {}
-    for name, s in signals.items():
-        for shape, values in (
-            ("linear", s),
-            ("odd", s * np.abs(s)),
-            ("even", s**2),
-            ("rate", np.gradient(s, coarse.time)),
-        ):
-            regressors[(name, shape)] = values
-    return regressors
-
-
-def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[tuple[str, str], Array]]:
-    """Functions of every record, (signal, shape) -> (N,), of unit rms over all records: a term has one coefficient in all of
-    them. Of unit rms in each, it had the same size in a record of quiet flight as in one full of manoeuvres, where all that moves
-    is gusts and the hand that answers them."""
-    scaled: list[dict[tuple[str, str], Array]] = [{} for _ in regressors]
-    for key in sorted(set.intersection(*(set(r) for r in regressors))):
-        rms = float(np.sqrt(np.mean(np.concatenate([r[key] for r in regressors]) ** 2)))
-        for target, source in zip(scaled, regressors, strict=True):
-            if rms > 0.0:
-                target[key] = source[key] / rms
-    return scaled
-
-
-def _terms(tangent: Tangent) -> tuple[list[OmnibusSignal], Array]:
-    """Scores of nameless terms on the data, and the largest standardised score of every null."""
-    problem, model_fit = tangent.problem, tangent.fit
-    doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
-    places = {**{n: n for n in problem.model.output_names}, **doors}
-    regressors = pooled([_regressors(problem, model_fit, i) for i in range(len(problem.records))])
-    keys = [(place, *k) for place in places for k in regressors[0] if not (place == k[0] and k[1] == "linear")]
-    asks = [
-        [(place, record_regressors[(signal, shape)]) for place, signal, shape in keys]
-        for record_regressors in regressors
-    ]
-    gram = gram_of(tangent, lambda i: _changes(problem, model_fit, i, asks[i]))
-    z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
-    signals = [
-        OmnibusSignal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
-        for j, (p, s, shape) in enumerate(keys)
-    ]
-    return signals, standard[:, 1:].max(axis=0)
-
-
-def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:
-    """(k, 1 + nulls) signed scores, and their sizes in units of the scatter on the nulls; zero where the base absorbs all."""
-    z = projected.scores()
-    # a null that all but runs away scatters without limit, and nothing stands out of it
-    with np.errstate(over="ignore"):
-        scatter = np.sqrt(np.maximum(1.0, np.mean(z[:, 1:] ** 2, axis=1)))
-    standard = np.abs(z) / scatter[:, None]
-    standard[np.diag(projected.B) <= criteria.nameless_seen * projected.raw] = 0.0
-    return z, standard
-
-
-def _changes(problem: LikelihoodProblem, found: ModelFit, index: int, asks: Sequence[tuple[str, Array]]) -> list[Array]:
-    """(N, ny) changes of the outputs by each of `asks`: an output that a tenth of its scatter is added to in the course of a
-    regressor (N,) of unit rms, or a door with what goes through it."""
-    z, outputs = problem.coarse[index].z, problem.model.output_names
-    responses = through_doors(problem, found, index, [ask for ask in asks if ask[0] not in outputs])
-    changes = []
-    for place, regressor in asks:
-        if place in outputs:
-            change, column = np.zeros_like(z), outputs.index(place)
-            change[:, column] = regressor * (TENTH * float(np.nanstd(z[:, column])) or 1.0)
-        else:
-            change = next(responses)
-        changes.append(change)
-    return changes
 
 
 def whitened(problem: LikelihoodProblem, found: ModelFit, round_: Round) -> list[Array]:
@@ -221,7 +136,7 @@ def scatter_with_activity(
     total: dict[tuple[int, str], Array] = {}
     jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
     for i, series in enumerate(white):
-        (regressors,) = pooled([_regressors(problem, found, i)])
+        (regressors,) = pooled([regressors_of(problem, found, i)])
         for (name, shape), values in regressors.items():
             # fast surfaces between two samples leave scatter of their own, and so does what jumps with them: rates of
             # theirs say nothing here, nor does the scatter of an output that jumps

@@ -25,6 +25,7 @@ SHORTEST_RUN = 8  # rows between two falls of a clock that was set; shorter runs
 EXCEL_DAYS, MATLAB_DAYS = (30_000.0, 80_000.0), (700_000.0, 800_000.0)
 """Numbers of days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
 
+YEAR_DAYS = 365
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)")
 """Time of day, with the day of the year before it in IRIG time."""
 
@@ -256,11 +257,22 @@ def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) ->
     if days and not irig:
         clock = clock + DAY * _day_numbers(days)
     else:
-        falls = np.diff(np.where(np.isfinite(clock), clock, 0.0)) < -0.5 * DAY
-        clock = clock + (DAY if not irig else 0.0) * np.concatenate([[0.0], np.cumsum(falls)])
+        clock = clock + _turned_over(clock, irig)
     first = np.nanmin(clock) if np.isfinite(clock).any() else 0.0
     words = "IRIG time (day of the year first)" if irig else "time of day" + (" and a column of dates" if days else "")
     return Stamps(clock - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
+
+
+def _turned_over(clock: Array, irig: bool) -> Array:
+    """[s] that each row is later than its clock shows: a day for every midnight; in IRIG time, where the day of the year begins
+    again, a year of as many days as its last row says."""
+    known = np.flatnonzero(np.isfinite(clock))
+    values = clock[known]
+    falls = np.diff(values) < (-0.5 * YEAR_DAYS * DAY if irig else -0.5 * DAY)
+    lengths = np.where(values[:-1] // DAY > YEAR_DAYS, YEAR_DAYS + 1, YEAR_DAYS) * DAY if irig else DAY
+    later = np.zeros(clock.size)
+    later[known[1:]] = np.cumsum(falls * lengths)
+    return later
 
 
 def _day_numbers(days: Sequence[str]) -> Array:

@@ -11,8 +11,8 @@ INSTALL = (
 )
 
 
-def follow(command: str, folder: Path, root: Path, *, status: int = 0) -> str:
-    """Run one command of a page in `folder`; returns what it printed. It must end with `status`."""
+def follow(command: str, folder: Path, root: Path, *, status: int = 0, limit_s: float = 100.0) -> str:
+    """Run one command of a page in `folder`; returns what it printed. It must end with `status` within `limit_s`."""
     program, *rest = shlex.split(command)
     if program == "pip":
         words = [sys.executable, "-m", "pip", *INSTALL.split(), *rest[1:]]
@@ -26,7 +26,7 @@ def follow(command: str, folder: Path, root: Path, *, status: int = 0) -> str:
         env={**os.environ, "PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=limit_s,
         check=False,
     )
     assert done.returncode == status, f"{command}\n{done.stdout}{done.stderr}"

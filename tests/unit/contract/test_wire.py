@@ -1,5 +1,7 @@
 """The packed messages are derived from the channel table, fit the radio, and carry raw counts exactly."""
 
+import errno
+import os
 import shutil
 import subprocess
 import sys
@@ -49,6 +51,29 @@ def test_a_module_of_another_definition_is_made_anew(tmp_path: Path, monkeypatch
     assert "MAVLINK_MSG_ID_LOGGER_STATUS" in first
     assert "MAVLINK_MSG_ID_LOGGER_STATE" in module.read_text()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["sideslip.xml", build.MODULE]
+
+
+def test_a_module_cut_short_is_made_anew_and_a_full_disk_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its first line alone does not tell that a power cut left the rest."""
+    made = build.write_module(tmp_path)
+    whole = made.read_bytes()
+    monkeypatch.setattr(build, "HERE", tmp_path)
+    monkeypatch.setattr(build, "module_text", lambda definition: whole.decode())
+    for rest in (whole[:90_000], whole[:-1], b"", whole[:90_000].ljust(len(whole), b"\0")):
+        made.write_bytes(rest)
+        build.ensure_module()
+        assert made.read_bytes() == whole
+    made.unlink()
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ImportError, match="No space left"):
+        build.ensure_module()
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("language", "made"), [("Python3", "sideslip.py"), ("WLua", "sideslip.lua")])

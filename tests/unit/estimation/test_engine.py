@@ -5,7 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from estimation.engine.compiled import compile_kernel, compiler
+from estimation.engine.compiled import compile_kernel
+from estimation.engine.compiled_library import compiler
 from estimation.engine.simulate import Compile, Simulator, simulate, simulate_with_sensitivities
 from estimation.engine.virtual import VirtualKernel
 from estimation.errors import DataError

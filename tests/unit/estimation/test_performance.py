@@ -14,6 +14,9 @@ from estimation.aircraft import Aircraft, PriorDerivative, load_aircraft
 from estimation.errors import AircraftError, DataError
 from estimation.performance.polar import best_glide, fitted, least_sink
 from estimation.performance.samples import all_stretches, usable
+from firmware_sim.runs.direct import direct_flights
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, write_flight
 from groundstation.flight.flight import CHANNELS
 from sideslip.cli import cli
@@ -166,6 +169,42 @@ def test_flights_at_one_lift_cannot_tell_and_say_what_to_fly(tmp_path: Path) -> 
     assert answer.to_json()["best_glide"] is None
     assert answer.to_json()["curve"] == []
     answer.save(tmp_path / "p.png")
+
+
+def test_what_lies_beyond_the_lift_flown_is_named() -> None:
+    """Least sink is at CL 1.34 here: beyond 1.0 the parabola alone says it, and the wing may be stalled."""
+    answer = ss.performance(glide(10), aircraft=CRAFT, throttle_off=True)
+    assert answer.least_sink["CL"].estimate == pytest.approx(math.sqrt(3 * CD_0 / CD_K), rel=0.1)
+    assert answer.status.endswith("least sink beyond them, by the parabola alone")
+    said = answer.to_json()
+    assert (said["best_glide"]["flown"], said["least_sink"]["flown"]) == (True, False)
+    wide = ss.performance(glide(10, lift=(0.25, 1.5)), aircraft=CRAFT, throttle_off=True)
+    assert "beyond" not in wide.status
+    assert wide.to_json()["least_sink"]["flown"]
+
+
+@pytest.mark.long
+def test_a_steady_wind_changes_nothing() -> None:
+    """The simulator's aircraft in 9 m/s across its path: lift and drag are those in the air."""
+    scenarios = [
+        load_scenario("longitudinal").altered(
+            flight={"duration_s": 30.0, "speed_m_s": speed}, wind={"speed_m_s": 9.0, "from_deg": 130.0}
+        )
+        for speed in (14.0, 18.0)
+    ]
+    flown = direct_flights(scenarios, [31, 32])
+    flights = [Flight.build(f"w{i}", c.pop("time"), c) for i, c in enumerate(flown)]
+    polar = fitted(all_stretches([usable(f, load_aircraft("cdfp"), throttle_off=False) for f in flights]))
+    true = derivatives_of(scenarios[0], 31)
+    for name in ("CD_0", "CD_k"):
+        assert abs(polar[name].estimate - true[name]) < 3 * polar[name].std
+        assert polar[name].std < 0.1 * true[name]
+
+
+def test_a_throttle_that_never_closes_is_told_with_its_least() -> None:
+    flight = glide(11)
+    with pytest.raises(DataError, match=r"at least 0\.06 of 1.*--throttle-off with --segments"):
+        usable(flight.with_columns(throttle=np.full(len(flight), 0.06)), CRAFT, throttle_off=False)
 
 
 def test_the_verb_says_what_python_says(tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from estimation.engine.compiled import CHUNK, Chain, compiler
+from estimation.engine.compiled import CHUNK, Chain
+from estimation.engine.compiled_library import compiler
 
 
 def filter_step() -> ca.Function:

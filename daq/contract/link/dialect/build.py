@@ -8,6 +8,7 @@ Imports nothing but the standard library until it has to build.
 
 import contextlib
 import io
+import os
 import tempfile
 import zlib
 from pathlib import Path
@@ -18,14 +19,14 @@ MODULE = "sideslip_dialect.py"
 
 
 def ensure_module() -> None:
-    """Make the module beside the definition unless one made from this very definition is there.
+    """Make the module beside the definition unless one made from this very definition is there, from its first line to its last.
 
     Raises ImportError, with what to do, where it is missing and the folder cannot be written.
     """
     module = HERE / MODULE
-    mark = _mark(DEFINITION.read_bytes())
-    with contextlib.suppress(OSError), module.open() as stream:
-        if stream.readline() == mark:
+    mark = _mark(DEFINITION.read_bytes()).encode()
+    with contextlib.suppress(OSError), module.open("rb") as stream:
+        if stream.readline() == mark and stream.seek(-len(mark), os.SEEK_END) and stream.read() == mark:
             return
     try:
         write_module(HERE)
@@ -38,10 +39,16 @@ def ensure_module() -> None:
 def write_module(folder: Path) -> Path:
     """Make the module in `folder`, whole or not at all; several processes may do so at once."""
     text = module_text(DEFINITION.read_bytes())
-    with tempfile.NamedTemporaryFile("w", dir=folder, prefix=".dialect", suffix=".tmp", delete=False) as stream:
-        stream.write(text)
-    Path(stream.name).chmod(0o644)
-    return Path(stream.name).replace(folder / MODULE)
+    with tempfile.NamedTemporaryFile("wb", dir=folder, prefix=".dialect", suffix=".tmp", delete=False) as stream:
+        try:
+            stream.write(text.encode())
+            stream.flush()
+            os.fsync(stream.fileno())
+            Path(stream.name).chmod(0o644)
+            return Path(stream.name).replace(folder / MODULE)
+        except BaseException:
+            Path(stream.name).unlink(missing_ok=True)
+            raise
 
 
 def module_text(definition: bytes) -> str:
@@ -59,7 +66,8 @@ def module_text(definition: bytes) -> str:
         if accepted is False or not target.exists():
             raise RuntimeError(f"{source.name}: mavgen did not accept the definition")
         messages = {message.id for message in mavparse.MAVXML(str(source), mavparse.PROTOCOL_2_0).message}
-        return f"{_mark(definition)}{target.read_text()}\n\n{_foreign_table(messages)}"
+        mark = _mark(definition)
+        return f"{mark}{target.read_text('utf-8')}\n\n{_foreign_table(messages)}{mark}"
 
 
 def _mark(definition: bytes) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import LATERAL_PLANE, MonitoredEffect, bank
 from daq.identification.monitor.evidence import PIECE_S, MonitorEvidence, fitted
 from daq.identification.monitor.monitor import Alarm, GapMonitor
-from daq.identification.monitor.motions import Inputs, LateralMotion
+from daq.identification.monitor.motions import Inputs, LateralMotion, instants
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import FlightsScan, PredictorBank
 from daq.identification.monitor.surfaces import BLIND, GUESSED, SurfacesBetween
@@ -70,9 +69,11 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
     for _ in range(20):
         x, u = rng.uniform(-0.2, 0.2, 4), rng.uniform(0.05, 0.2, 7)
         u[3:5] = 17.0, 1.2
-        inputs = Inputs(*(np.array([v]) for v in u))
+        inputs = Inputs(*(np.array([[v]]) for v in u))
         one = np.array(alone._rates(LateralState(*x), MotionInputs(*u)))
-        np.testing.assert_allclose(many.rates(x[:, None, None], inputs)[:, 0, 0], one, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            many.rates(x[:, None, None], many.conditions(inputs))[:, 0, 0], one, rtol=1e-12, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("name", ["Cn_da", "Cl_da", "Cl_p", "Cn_beta", "CY_beta", "Cl_0", "beta_bias"])
@@ -95,16 +96,17 @@ def test_an_effect_leaves_its_signature(
         if found is not None:
             wrong.append(found.wrong)
             signature.append(found.signatures[:, k])
-        x, u = motion.advance(x, partial(_smooth, u, 0.05 * i), 0.05), _smooth(u, 0.05 * i, 1.0)
+        x, u = motion.advance(x, _smooth(u, 0.05 * i, instants(0.05)), 0.05), _smooth(u, 0.05 * i, 1.0)
     assert np.abs(wrong).max() > 1e-4
     # begun at a measurement that is off by a drawn-in bias, the model needs a second to forget it
     np.testing.assert_allclose(np.array(wrong)[40:], np.array(signature)[40:], atol=1e-7 + 5e-3 * np.abs(wrong).max())
 
 
-def _smooth(u: Inputs, since: float, part: float) -> Inputs:
+def _smooth(u: Inputs, since: float, part: np.ndarray | float) -> Inputs:
     """Surfaces 0.05 s times `part` after `since`."""
-    t = np.array([since + 0.05 * part])
-    return u._replace(delta_a=0.1 * np.sin(0.9 * t) ** 3, delta_r=0.05 * (np.cos(1.3 * t) - 1.0))
+    t = np.atleast_1d(since + 0.05 * part)
+    moved = u._replace(delta_a=0.1 * np.sin(0.9 * t) ** 3, delta_r=0.05 * (np.cos(1.3 * t) - 1.0))
+    return Inputs(*np.broadcast_arrays(*moved))
 
 
 def test_whitening_finds_the_autoregression_it_is_shown() -> None:

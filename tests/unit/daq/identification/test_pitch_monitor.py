@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from daq.identification.airframe import Airframe, Sample
 from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import LATERAL_PLANE, PITCH_PLANE, MonitoredEffect, bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, GapMonitors, MonitorState
-from daq.identification.monitor.motions import ElevatorInputs, PitchMotion, between
+from daq.identification.monitor.motions import ElevatorInputs, PitchMotion, between, instants
 from daq.identification.monitor.nulls import NullConditions, fly
 from daq.identification.monitor.predictors import FlightsScan, PredictorBank
 from daq.identification.monitor.threshold import Calibration, calibrated
@@ -74,10 +73,10 @@ def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, flo
     for _ in range(20):
         alpha, q, theta, beta, p, r, phi, elevator = rng.uniform(-0.2, 0.2, 8)
         s = Sample(0, beta, p, q, r, phi, theta, alpha, 17.0, 0, 0, 0, 1.2, thrust=4.0, delta_e=elevator)
-        u = ElevatorInputs(*(np.array([getattr(s, n)]) for n in ElevatorInputs._fields))
+        u = ElevatorInputs(*(np.array([[getattr(s, n)]]) for n in ElevatorInputs._fields))
         x = np.array([alpha, q, theta])[:, None, None]
         one = np.array(alone._rates(PitchState(alpha, q), PitchInputs(s, elevator)))
-        np.testing.assert_allclose(many.rates(x, u)[:2, 0, 0], one, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(many.rates(x, many.conditions(u))[:2, 0, 0], one, rtol=1e-12, atol=1e-12)
         ax, az = many.forces(x, u)[:, 0, 0]
         lift, drag = lift_and_drag(airframe, s._replace(ax=ax, az=az))
         CL, pressure = alone.lift_coefficient(PitchState(alpha, q), 17.0, elevator), 0.5 * 1.2 * 17.0**2
@@ -106,7 +105,7 @@ def test_an_effect_leaves_its_signature(
             wrong.append(innovation.wrong)
             signature.append(innovation.signatures[:, k])
         following = u._replace(delta_e=np.array([0.03 * np.sin(0.06 * (i + 1)) ** 3]))
-        x, u = motion.advance(x, partial(between, u, following), 0.05), following
+        x, u = motion.advance(x, between(u, following, instants(0.05)), 0.05), following
     assert np.abs(wrong).max() > 1e-4
     np.testing.assert_allclose(np.array(wrong)[40:], np.array(signature)[40:], atol=2e-2 * np.abs(wrong).max())
 

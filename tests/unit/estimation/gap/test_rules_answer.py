@@ -23,7 +23,8 @@ from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
 from estimation.gap.search.state import AcceptedEffect, Options, SearchState
-from estimation.gap.significance.omnibus import Omnibus, OmnibusSignal
+from estimation.gap.significance.nameless_terms import OmnibusSignal
+from estimation.gap.significance.omnibus import Omnibus
 from estimation.models.load import load_model
 
 EFFECTS = {e.name: e for e in catalogue()}

@@ -28,7 +28,13 @@ from estimation.gap.records import attitudes
 from estimation.gap.records.attitudes import with_attitudes_between
 from estimation.gap.records.candidate_model import with_nuisance
 from estimation.gap.records.doubts import sample_notes
-from estimation.gap.records.flight_records import FlightRecord, prepare_flights, stretches, with_own_noise
+from estimation.gap.records.flight_records import (
+    FlightRecord,
+    are_loud,
+    prepare_flights,
+    stretches,
+    with_own_noise,
+)
 from estimation.gap.records.own_motion import only_following, without_hardware_of
 from estimation.gap.records.sampling import at_own_rates
 from estimation.gap.significance.nulls import NullFlyer
@@ -386,3 +392,10 @@ def test_an_attitude_of_which_half_is_white_is_measured_not_filtered(
     flight = Flight.build("f", time, {"p": np.sin(time), "q": time, "r": time, "phi": slow, "theta": slow})
     filled = with_attitudes_between(flight, AS_SET)
     assert any("filter" in str(n) for n in filled.notes) is is_filled
+
+
+@pytest.mark.parametrize(("ratios", "loud"), [((1.9, 1.9, 7.0), False), ((2.1, 2.1, 0.5), True), ((), False)])
+def test_a_control_is_loud_whose_noise_moves_a_rate_by_twice_that_of_the_gyro(
+    ratios: tuple[float, ...], loud: bool
+) -> None:
+    assert are_loud(ratios, AS_SET) is loud

@@ -23,11 +23,15 @@ from estimation.gap.search.accept import (
     repeats_on_flights,
 )
 from estimation.gap.search.confirm import FittedHypothesis
+from estimation.gap.search.free_base import largest, many, moved_in_words, with_free_derivatives
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
+from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
+from estimation.models.base import Parameter
 from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
+from tests.unit.estimation.gap.roll import ROLL
 
 SETTING: Any = stub(options=Options())
 
@@ -352,6 +356,7 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(searching, "deeper_fit", lambda baseline, fit: leads.get(baseline.name))
     monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
     monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: None)
     setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
     state = run_rounds(setting, base("first"))
     assert seen == [("first", 0), ("second", 0), ("third", 0)]
@@ -361,3 +366,49 @@ def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPa
     score = 3.0  # of a threshold of 4
     run_rounds(setting, base("first"))
     assert seen == [("first", 0)]
+
+
+@pytest.mark.parametrize(("likelier", "held"), [(90.0, False), (110.0, True)])
+def test_noise_holds_an_effect_where_flights_are_clearly_likelier_with_it(likelier: float, held: bool) -> None:
+    assert holds_an_effect(likelier, AS_SET) is held
+
+
+def test_a_round_is_asked_once_more_with_noise_that_holds_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    sharp, first, seen = stub(name="sharp"), stub(name="first"), []
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append((baseline.name, number))
+        return stub(threshold=4.0, baseline=baseline)
+
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    monkeypatch.setattr(searching, "sharper_base", lambda *given: sharp)
+    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    state = run_rounds(setting, first)
+    assert seen == [("first", 0), ("sharp", 0)]
+    assert [r.baseline.name for r in state.rounds] == ["sharp"]
+
+
+# ------------------------------------------------------------------------------------------------ a base that is off
+@pytest.mark.parametrize(("gains", "off"), [((9.0, 25.0, 7.9), "b"), ((7.0, 7.9, 0.0), None), ((), None)])
+def test_a_derivative_is_off_that_gains_clearly(gains: tuple[float, ...], off: str | None) -> None:
+    hypotheses = [stub(form=stub(frees=(n,))) for n in "abc"[: len(gains)]]
+    screen = stub(hypotheses=hypotheses, span=lambda h: [h], projected=lambda: stub(gain=lambda span: gains[span[0]]))
+    assert largest(screen, AS_SET) == off
+
+
+@pytest.mark.parametrize(("off", "enough"), [("ab", False), ("abc", True)])
+def test_a_base_is_off_in_many_derivatives_where_three_gain_one_beside_the_other(off: str, enough: bool) -> None:
+    assert many(list(off), AS_SET) is enough
+
+
+def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
+    base = ROLL.plus(parameters=[Parameter("k_Cl", start=1.0), Parameter("Cl_p", start=-0.4, fixed=True)])
+    base = replace(base, equations=("Cl_sim = 0*p", *base.equations))
+    free = with_free_derivatives(base, ["Cl_p"])
+    assert "Cl_p" in free.free_names
+    assert "k_Cl" not in free.free_names
+    moved = stub(fit=stub(values={"Cl_p": -0.44, "L_p": -6.1}, std=lambda: {"Cl_p": 0.01, "L_p": 0.2}), criteria=AS_SET)
+    words = moved_in_words(["Cl_p", "L_p"], {"Cl_p": -0.4, "L_p": -6.0}, moved)
+    assert "all 2 were refitted first: Cl_p from -0.4 to -0.44 +- 0.01." in words

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from groundstation.importers.draft import draft_map
-from groundstation.importers.draft_names import candidate_columns, unit_in_name
+from groundstation.importers.draft_names import candidate_columns, rate_that_turns, unit_in_name
 from groundstation.importers.draft_surfaces import sign_of
 from groundstation.importers.mapping import load_map
 from groundstation.importers.run import import_data
@@ -127,6 +127,36 @@ def dataflash(path: Path) -> None:
             "<BBBQffffff", 0xA3, 0x95, 66, us, rates["p"][k], rates["q"][k], rates["r"][k], 0.0, 0.0, -9.8
         )
     path.write_bytes(out)
+
+
+@pytest.mark.parametrize("irig", [True, False])
+def test_of_two_rates_the_one_that_turns_the_angle_is_drafted(tmp_path: Path, irig: bool) -> None:
+    """As on a jet with two sets of gyros: the one by the shorter name has an offset, another scale and noise."""
+    rng, time = np.random.default_rng(77), np.arange(0.0, 40.0, 0.1)
+    q = 6.0 * np.sin(0.8 * time)
+    theta, psi = 5.0 + np.cumsum(q) * 0.1, (350.0 + 2.0 * time) % 360.0  # deg; north is passed
+    columns = {
+        "PITCH_RATE_Q": 0.6 * q + 3.0 + 2.0 * rng.standard_normal(time.size), "EGI_PITCH_RATE_Q": q, "EGI_PITCH_ANGLE": theta,
+        "YAW_RATE_R": np.full(time.size, 2.0) + rng.normal(0, 0.1, time.size), "EGI_YAW_RATE_R": np.full(time.size, 2.0),
+        "HEADING": psi,
+    }  # fmt: skip
+    stamps = [f"200:11:00:{t:09.6f}" if irig else f"{t:.2f}" for t in time.tolist()]
+    rows = [",".join([s, *(f"{v[i]:.5f}" for v in columns.values())]) for i, s in enumerate(stamps)]
+    (file := tmp_path / "jet.csv").write_text("\n".join([",".join(["IRIG_TIME" if irig else "time", *columns]), *rows]))
+    (line,) = [row for row in draft_map([file]).splitlines() if row.startswith("q = ")]
+    assert 'column = "EGI_PITCH_RATE_Q", unit = "deg/s"' in line
+    assert "moves as the slope of EGI_PITCH_ANGLE" in line
+    assert "goes with the slope of EGI_PITCH_ANGLE better than the other (EGI_PITCH_RATE_Q 0.99" in line
+    assert "also PITCH_RATE_Q" in line
+
+
+def test_rates_that_cannot_be_told_apart_are_in_the_order_of_their_names() -> None:
+    rng, time = np.random.default_rng(78), np.arange(0.0, 20.0, 0.1)
+    q = np.sin(time)
+    values = {"a": q + 1e-3 * rng.standard_normal(time.size), "b": q + 1e-3 * rng.standard_normal(time.size),
+              "theta": np.cumsum(q) * 0.1}  # fmt: skip
+    assert rate_that_turns(["a", "b"], "theta", values, time) == ("a", "")
+    assert rate_that_turns(["a", "b"], "theta", values, None) == ("a", "")
 
 
 def test_servos_by_their_functions_signs_by_the_motion(tmp_path: Path) -> None:

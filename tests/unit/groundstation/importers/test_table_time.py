@@ -95,6 +95,17 @@ def test_times_of_day_go_through_midnight(tmp_path: Path, turning: Columns, form
     assert ("IRIG" in said(flight)) == (form == "IRIG")
 
 
+@pytest.mark.parametrize("last_day", [365, 366])
+def test_irig_time_goes_through_the_new_year(tmp_path: Path, turning: Columns, last_day: int) -> None:
+    """The day of the year begins again at 1, after as many days as the old year had."""
+    seconds = 86390.0 + turning["time"]
+    cells = [clock(s, last_day if s < 86400.0 else 0) for s in seconds.tolist()]
+    assert {c.partition(":")[0] for c in cells} == {str(last_day), "1"}
+    flight = import_data(written(tmp_path / "y.csv", turning, cells))
+    np.testing.assert_allclose(flight.time, turning["time"], atol=1e-3)
+    assert len(flight.segments) == 1
+
+
 def test_whole_seconds_are_spread_over_the_rows_in_them(tmp_path: Path, turning: Columns) -> None:
     path = written(tmp_path / "s.csv", turning, np.floor(turning["time"] + 500.4).astype(int).tolist())
     flight = import_data(path)
