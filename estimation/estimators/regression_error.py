@@ -48,7 +48,7 @@ def with_regression_errors(result: Result, flights: Sequence[FlightData], *, ste
 def regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise: bool = False) -> Mapping[str, float]:
     """Parameter -> rms by which the regression misses an answer that it takes for its own; empty where the model runs away from
     that. flights: as the regression had them."""
-    model, data = without_absent_outputs(result.model, flights)
+    model, data = without_absent_outputs(result.model, list(flights))
     simulator = Simulator.build(model)
     clocked = [model.input_names.index(n) for n in clocked_controls(model, data)]
     answer, predicted = result.values, [f.outputs for f in result.flights]
@@ -88,7 +88,7 @@ def _made(model: Model, data: FlightData, predicted: Array, index: int, clocked:
     segments: list[list[Segment]] = [[] for _ in range(REPLICATES)]
     errors = np.zeros((data.samples, len(model.inputs), REPLICATES))
     if data.errors is not None and data.errors.size:
-        errors = data.errors[:, :, np.arange(REPLICATES) % data.errors.shape[2]]
+        errors += data.errors[:, :, np.arange(REPLICATES) % data.errors.shape[2]]
     for s in data.segments:
         levels = np.array([noise_level(column) for column in s.z.T])
         noisy = predicted[s.rows] + levels * rng.standard_normal((REPLICATES, *s.z.shape))
