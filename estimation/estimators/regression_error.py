@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator, simulate
@@ -86,7 +87,7 @@ def _made(model: Model, data: FlightData, predicted: Array, index: int, clocked:
     shown = [(i, outputs[s.source]) for i, s in enumerate(model.states) if s.source in outputs]
     states = [data.states.copy() for _ in range(REPLICATES)]
     segments: list[list[Segment]] = [[] for _ in range(REPLICATES)]
-    errors = np.zeros((data.samples, len(model.inputs), REPLICATES))
+    errors: NDArray[np.floating] = np.zeros((data.samples, len(model.inputs), REPLICATES))
     if data.errors is not None and data.errors.size:
         errors += data.errors[:, :, np.arange(REPLICATES) % data.errors.shape[2]]
     for s in data.segments:
