@@ -13,6 +13,7 @@ Spectra are of residuals in units of their standard deviation; time series are (
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +43,22 @@ def score_covariance(pieces: list[ResidualSegment], inverse: Array, nuisance_inv
 
     inverse: (n, n) covariance of the parameters; nuisance_inverse: inverse information of each piece's initial states.
     """
-    pieces = [without_empty_rows(p) for p in pieces]
+    pieces, nuisance_inverse = with_something_known([without_empty_rows(p) for p in pieces], nuisance_inverse)
     projected = without_nuisance(pieces, nuisance_inverse)
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse)
     return filtered_covariance(pieces, projected, spectrum)
+
+
+Belonging = TypeVar("Belonging")
+
+
+def with_something_known(
+    pieces: list[ResidualSegment], belonging: list[Belonging]
+) -> tuple[list[ResidualSegment], list[Belonging]]:
+    """The pieces without those of which nothing is left (short ones may have no output measured at all), and what belongs to
+    them."""
+    pairs = [(p, b) for p, b in zip(pieces, belonging, strict=True) if p.residual.size]
+    return [p for p, _ in pairs], [b for _, b in pairs]
 
 
 def without_empty_rows(piece: ResidualSegment) -> ResidualSegment:

@@ -16,15 +16,17 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator, simulate
 from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.equation_error import solve_regression
+from estimation.estimators.input_path import HALF_WAY, clocked_controls
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.prepare.columns import bridge_gaps
 from estimation.prepare.flight_data import FlightData, Segment, without_absent_outputs
 from estimation.signals.denoise import denoise_many, noise_level
 
-REPLICATES = 3
+REPLICATES = 4  # of which two bend edges on the sampling clock one way, and two the other
 ROUNDS = 2  # the first says what the motion's noise took off the estimates, the second flies them with that restored
 SEED = 0
+MEAN_BEND = 2 / 3 * HALF_WAY  # of a step: mean over an interval of a bend that is HALF_WAY in its middle
 BOUNDS_LEAVE_OUT = "its bounds leave out noise of the measured motion: they are none to rely on"
 
 
@@ -49,12 +51,13 @@ def regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise
     that. flights: as the regression had them."""
     model, data = without_absent_outputs(result.model, list(flights))
     simulator = Simulator.build(model)
+    clocked = [model.input_names.index(n) for n in clocked_controls(model, data)]
     answer, predicted = result.values, [f.outputs for f in result.flights]
     rms: Mapping[str, float] = {}
     for _ in range(ROUNDS):
         if not _complete(predicted, data):
             break
-        made = [_made(model, d, y, index) for index, (d, y) in enumerate(zip(data, predicted, strict=True))]
+        made = [_made(model, d, y, index, clocked) for index, (d, y) in enumerate(zip(data, predicted, strict=True))]
         replicates = [solve_regression(simulator, r, stepwise=stepwise).values for r in zip(*made, strict=True)]
         misses = {n: np.array([values[n] - answer[n] for values in replicates]) for n in result.names}
         rms = {n: float(np.sqrt(np.mean(m**2))) for n, m in misses.items()}
@@ -76,9 +79,9 @@ def _simulated(model: Model, data: FlightData, answer: Mapping[str, float]) -> A
         return np.full((data.samples, len(model.outputs)), np.inf)
 
 
-def _made(model: Model, data: FlightData, predicted: Array, index: int) -> list[FlightData]:
+def _made(model: Model, data: FlightData, predicted: Array, index: int, clocked: Sequence[int]) -> list[FlightData]:
     """The flight again and again with outputs as predicted (samples, ny) and noise of the measured ones; states that no output
-    shows stay as measured."""
+    shows stay as measured. clocked: inputs whose way between samples may lie on either side of the straight line."""
     rng = np.random.default_rng([SEED, index])
     outputs = {s.source: j for j, s in enumerate(model.outputs)}
     shown = [(i, outputs[s.source]) for i, s in enumerate(model.states) if s.source in outputs]
@@ -86,7 +89,7 @@ def _made(model: Model, data: FlightData, predicted: Array, index: int) -> list[
     segments: list[list[Segment]] = [[] for _ in range(REPLICATES)]
     errors: NDArray[np.floating] = np.zeros((data.samples, len(model.inputs), REPLICATES))
     if data.errors is not None and data.errors.size:
-        errors = data.errors[:, :, np.arange(REPLICATES) % data.errors.shape[2]]
+        errors += data.errors[:, :, np.arange(REPLICATES) % data.errors.shape[2]]
     for s in data.segments:
         levels = np.array([noise_level(column) for column in s.z.T])
         noisy = predicted[s.rows] + levels * rng.standard_normal((REPLICATES, *s.z.shape))
@@ -95,5 +98,7 @@ def _made(model: Model, data: FlightData, predicted: Array, index: int) -> list[
         for (k, i, _), smooth in zip(columns, denoise_many([c for *_, c in columns], order=2), strict=True):
             states[k][s.rows, i] = smooth.values
         for k in range(REPLICATES):
-            segments[k].append(replace(s, z=noisy[k], u=s.u + errors[s.rows, :, k]))
+            u = s.u + errors[s.rows, :, k]
+            u[:, clocked] += (-1) ** k * MEAN_BEND * np.gradient(u[:, clocked], axis=0)
+            segments[k].append(replace(s, z=noisy[k], u=u))
     return [replace(data, states=x, segments=tuple(parts)) for x, parts in zip(states, segments, strict=True)]

@@ -19,6 +19,7 @@ from estimation.estimators.coloured import (
     autocovariance,
     filtered_covariance,
     noise_spectrum,
+    with_something_known,
     without_empty,
     without_empty_rows,
     without_nuisance,
@@ -168,7 +169,9 @@ def flight_score(
     noise, edges = responses[0].noise, responses[0].edges
     white = white_responses(pieces, nuisance_inverse, responses, point)
     white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
-    pieces = [without_empty_rows(p) for p in pieces]
+    bare = [without_empty_rows(p) for p in pieces]
+    pieces, white = with_something_known(bare, white)
+    nuisance_inverse = with_something_known(bare, nuisance_inverse)[1]
     projected = without_nuisance(pieces, nuisance_inverse)
     columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
     lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])

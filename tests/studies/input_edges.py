@@ -1,6 +1,6 @@
 """Whether stated bounds hold where records are slow and servos unknown: random aeroplanes at 10 and 20 Hz, one flight at a time.
 
-    python -m tests.studies.input_edges run SETS.jsonl [FIRST LAST]    # in pieces; sets that the file has are not run again
+    python -m tests.studies.input_edges run SETS.jsonl [FIRST LAST [METHOD]]    # in pieces; goes on where the file ends
     python -m tests.studies.input_edges table SETS.jsonl
 
 Surfaces follow commanded steps through a first-order servo of 20 to 80 ms that the estimate does not know; edges lie at random
@@ -43,18 +43,18 @@ def flown(aeroplane: int) -> tuple[list[Flight], Aircraft, Mapping[str, float], 
     return own.fly(craft, situation, rng, FLIGHTS), aircraft, craft.derivatives, situation
 
 
-def record_of(number: int) -> dict[str, Any]:
-    """Errors of one flight's estimate in corrected bounds, by derivative."""
+def record_of(number: int, method: str = "ml") -> dict[str, Any]:
+    """Errors of one flight's estimate by a method in corrected bounds, by derivative."""
     aeroplane, index = divmod(number, FLIGHTS)
     flights, aircraft, truth, situation = flown(aeroplane)
     record = {"set": number, "rate": situation.rate, "clocked": situation.clocked, "servo": situation.servo}
     try:
-        session = runner.estimate(load_model("lateral", aircraft), [flights[index]], aircraft, ("ml",))
+        session = runner.estimate(load_model("lateral", aircraft), [flights[index]], aircraft, (method,))
     except UserError as error:
         return {**record, "failed": str(error)}
     (answer,) = session.flights
     assert answer.verdict is not None
-    shown = answer.results["ml"].parameters
+    shown = answer.results[method].parameters
     errors = {n: (e.estimate - truth[n]) / e.std_coloured for n in own.MAIN if (e := shown[n]).identifiable}
     share = {n: e.std_coloured / abs(truth[n]) for n in own.MAIN if (e := shown[n]).identifiable}
     return {**record, "errors": errors, "share": share, "recommended": answer.verdict.recommended.method}
@@ -82,11 +82,11 @@ def _row(name: str, sets: list[dict[str, Any]]) -> str:
     return f"| {name} | {len(sets)} | {recommended} | {rms:.2f} | {inside:.1%} of {errors.size} | {100 * np.median(shares):.1f} |"
 
 
-def run(path: Path, first: int, last: int) -> None:
+def run(path: Path, first: int = 0, last: int = ALL, method: str = "ml") -> None:
     """Sets that the file has not yet, one line each."""
     known = {r["set"] for r in records(path)}
     for number in (n for n in range(first, last) if n not in known):
-        record = record_of(number)
+        record = record_of(number, method)
         with path.open("a") as file:
             file.write(json.dumps(record, default=float) + "\n")
 
@@ -94,6 +94,6 @@ def run(path: Path, first: int, last: int) -> None:
 if __name__ == "__main__":
     verb, where, *numbers = sys.argv[1:]
     if verb == "run":
-        run(Path(where), *(map(int, numbers) if numbers else (0, ALL)))
+        run(Path(where), *map(int, numbers[:2]), *numbers[2:])
     else:
         print("\n".join(table(Path(where))))

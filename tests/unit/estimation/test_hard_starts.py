@@ -245,3 +245,18 @@ def test_the_search_never_ends_where_there_are_no_derivatives() -> None:
     found = minimise(_HollowBowl(), np.array([6.0]))
     assert np.isfinite(found.point.cost)
     assert 1.0 < abs(found.unknowns[0]) < 6.0
+
+
+def test_a_short_stretch_without_any_measured_output_has_no_say_in_the_bounds() -> None:
+    """Two stretches, of the first of which no sample has an output: what is left is fitted as if it were alone."""
+    flight = _flown(Case(seconds=2 * SHORT, noise=NOISE), 47)
+    count = len(flight)
+    outputs = ("p", "r", "beta", "phi", "ay")
+    early = np.arange(count) < 12
+    columns = {c: np.where(early, np.nan, flight[c]) for c in outputs}
+    cut = flight.with_columns(**columns)
+    split = Flight.build("cut", cut.time, {c: cut[c] for c in cut.columns if cut.measured(c)}, segment=1.0 - early)
+    for method in ("ml", "fem"):
+        session = runner.estimate(LATERAL, [split], load_aircraft("cdfp"), (method,), structure=StructureWish.OFF)
+        parameters = session.flights[0].results[method].parameters
+        assert abs(parameters["Cn_beta"].estimate - TRUE["Cn_beta"]) < 4.0 * parameters["Cn_beta"].std_coloured

@@ -67,6 +67,19 @@ def test_gusts_recommend_the_filter_and_output_error_alone_is_not_believed(rough
     assert "--method ml,fem,ls" in alone.recommended.why
 
 
+def test_a_filter_of_few_numbers_is_not_believed(rough: Mapping[str, Result]) -> None:
+    """Residuals at every twentieth sample: fewer than eight for each parameter and gain."""
+    fem = rough["fem"]
+    thin = [
+        replace(f, residuals=np.where(np.arange(f.samples)[:, None] % 20 == 0, f.residuals, np.nan))
+        for f in fem.flights
+    ]
+    assert verdict({"fem": fem}).recommended.method == "fem"
+    recommended = verdict({"fem": replace(fem, flights=tuple(thin))}).recommended
+    assert recommended.method == "none"
+    assert "few for its" in recommended.why
+
+
 def test_reconstructed_angles_leave_output_error_alone(rough: Mapping[str, Result]) -> None:
     found = verdict(rough, reconstructed=("beta",))
     assert found.recommended.method == "ml"
