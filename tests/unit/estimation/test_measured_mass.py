@@ -65,7 +65,8 @@ def burning(seed: int, *, least: float = 0.72) -> Flight:
         beta, phi, p, r = beta + step * beta_dot, phi + step * p, p + step * p_dot, r + step * r_dot
     names = ("beta", "p", "r", "phi", "ay", "delta_a", "delta_r", "mass")
     table = np.array(rows)
-    still = {n: np.full(len(table), v) for n, v in (("V", V), ("rho", RHO), ("alpha", 0.0), ("theta", 0.0), ("q", 0.0))}
+    steady = {"V": (V, 0.05), "rho": (RHO, 1e-5), "alpha": (0.0, 2e-4), "theta": (0.0, 2e-4), "q": (0.0, 2e-4)}
+    still = {n: value + noise * rng.standard_normal(len(table)) for n, (value, noise) in steady.items()}
     return Flight.build(f"burning{seed}", table[:, 0], {n: table[:, i + 1] for i, n in enumerate(names)} | still)
 
 
