@@ -22,7 +22,7 @@ demo:
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install -q -c constraints.txt -e '.[ngn]'
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[estimation]'
 	@touch $@
 
 # The lowest versions that pyproject.toml declares, of what it names itself, in an environment of their own; then the tests.

@@ -27,8 +27,8 @@ Physics, source and signature: `estimation/gap/effects/*.toml`. Sizes are those 
 CRITERIA_HEAD = """# Numbers that decide in the gap workflow
 
 Reference: every number of `estimation.gap.criteria.Criteria` that would change an answer; the reason for each stands there.
-[gap-mutation.md](gap-mutation.md) names the test that notices another value. *Changed*: answers that changed of up to 5 sets at
-0.7/1.4 times the number (`python -m tests.studies.gap_sensitivity`).
+`tests/unit/estimation/gap/mutation.md` names the test that notices another value. *Changed*: answers that changed of up to 5
+sets at 0.7/1.4 times the number (`python -m tests.studies.gap_sensitivity`).
 
 | criterion | value | meaning [unit] | changed |
 |---|---|---|---|

@@ -74,7 +74,9 @@ def fly_scenario(
             station.step()
             tell((now_ns - start_ns) * 1e-9 / flight.duration_s)
 
-        def no_room() -> bool:  # files that fail go on failing in simulated time: scans would be fetched again and again
+        def no_room() -> (
+            bool
+        ):  # files that fail go on failing in simulated time: scans would be fetched again and again
             return any(not what.startswith("radio") for what in receiver.port_faults)
 
         def agreed() -> bool:

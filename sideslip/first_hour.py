@@ -20,7 +20,6 @@ NEXT: Mapping[str, str] = {
     "fly": "sideslip estimate {out}/flight.mcap",
     "record": "sideslip verify RECORDING, then sideslip calibrate RECORDING -o flight.mcap",
     "preflight": "sideslip record {file}",
-    "info": "a recording: sideslip calibrate {file} -o flight.mcap; a flight: sideslip check {file}",
     "verify": "sideslip calibrate {file} -o flight.mcap",
     "recover": "sideslip verify {out}",
     "view": "sideslip check {file}",
@@ -43,7 +42,7 @@ NEXT: Mapping[str, str] = {
 }
 """Verb -> what to do after it. {file}, {file2}: the first and second file on the command line; {out}: what it wrote.
 
-`estimate` and `ground` say it themselves, from what they found."""
+`estimate`, `ground` and `info` say it themselves, from what they found."""
 
 AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "preflight": "put right what stands above, then sideslip preflight {file}",
@@ -52,10 +51,17 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
 }
 """The same where the answer is a failed check, if that is something else."""
 
-DRAFTED = "write down in {out} what is UNKNOWN, then sideslip import {file} --map {out} -o flight.mcap"
-"""After `import --draft-map`, which writes a mapping and no flight."""
+WITH_OPTION: Mapping[tuple[str, str], str] = {
+    (
+        "import",
+        "--draft-map",
+    ): "write down in {out} what is UNKNOWN, then sideslip import {file} --map {out} -o flight.mcap",
+    ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
+    ("check", "--write"): "sideslip estimate {out}/{stem}.mcap",
+}
+"""The same for an option with which a verb does something else."""
 
-OUTPUTS = ("-o", "--output", "--out")
+OUTPUTS = ("-o", "--output", "--out", "--write")
 
 
 def next_line(words: Sequence[str], *, failed: bool) -> str:
@@ -64,11 +70,12 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
         return ""
     verb, rest = words[0], words[1:]
     text = (AFTER_A_FAILED_CHECK if failed else {}).get(verb) or NEXT.get(verb, "")
-    if "--draft-map" in rest:
-        text = DRAFTED
+    if not failed:
+        text = next((t for (v, option), t in WITH_OPTION.items() if v == verb and option in rest), text)
     out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), "demo" if verb == "demo" else "OUT")
     files = [w for w in rest if w != out and not w.startswith("-") and Path(w).is_file()]
-    return text.format(out=out, file=_or(files, 0, "FLIGHT"), file2=_or(files, 1, "FLIGHT"))
+    file = _or(files, 0, "FLIGHT")
+    return text.format(out=out, file=file, file2=_or(files, 1, "FLIGHT"), stem=Path(file).stem)
 
 
 def _or(files: Sequence[str], place: int, word: str) -> str:

@@ -16,10 +16,12 @@ REMEDY = (
 
 def spare_full_disk() -> None:
     """Write no compiled modules where the disk of this program, or the longest file this process may write, is small."""
-    if sys.dont_write_bytecode or not hasattr(os, "statvfs"):
+    if sys.dont_write_bytecode:
         return
-    import resource
-
+    try:
+        import resource
+    except ModuleNotFoundError:  # on Windows, which has no os.statvfs either
+        return
     longest, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
     state = os.statvfs(os.path.dirname(__file__))  # noqa: PTH120  pathlib would be a module to compile itself
     limited = longest != resource.RLIM_INFINITY and longest < NEEDED_BYTES

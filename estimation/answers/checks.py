@@ -155,6 +155,7 @@ class Check(Answer):
                     "name": flight.name,
                     "converged": result.converged,
                     "status": result.text,
+                    "agreement": self.agreement(flight.name),
                     "factors": {n: _factor_json(f) for n, f in result.factors.items()},
                     "fit": fit_of(result.flights[0]),
                     "notes": list(result.flights[0].notes),
@@ -189,6 +190,8 @@ class Check(Answer):
         from estimation.report.check_page import factor_lines, published_lines
         from estimation.report.published import is_of
 
+        yield from (self.agreement(f.name) for f in self.flights)
+        yield ""
         yield from factor_lines(self.named)
         estimated = next(iter(self.results.values())).factors
         if all(is_of(f.provenance.aircraft) for f in self.flights) and set(STANDARD_FACTORS) <= set(estimated):
@@ -196,6 +199,20 @@ class Check(Answer):
             yield from published_lines()
         for name, findings in self.quality.items():
             yield from ("", f"quality of {name}", *(f"  {f.severity:<5}{f.kind}: {f.text}" for f in findings))
+
+    def agreement(self, flight: str) -> str:
+        """Whether the instruments of a flight agree, in a sentence."""
+        from groundstation.flight.findings import worst
+
+        result, findings = self.results[flight], self.quality[flight]
+        if not result.converged:
+            return f"{flight}: no motion was found that the instruments agree on: {result.text}"
+        off = [n for n, f in result.factors.items() if f.identifiable and _is_off(f)]
+        text = f"agree once {', '.join(off)} {'is' if len(off) == 1 else 'are'} corrected" if off else "agree"
+        if worst(findings) != "fail":
+            return f"{flight}: the instruments {text}"
+        failed = ", ".join(dict.fromkeys(f.kind for f in findings if f.severity == "fail"))
+        return f"{flight}: the instruments {text}, but the record fails a check: {failed}"
 
     def plot(self, ax: Any = None) -> Any:
         """Measured and reconstructed motion of the first flight, one axes a channel; gives the axes."""
@@ -236,6 +253,15 @@ class Check(Answer):
             (flight, n, *rounded_texts(f), f.unit) for flight, result in self.named for n, f in result.factors.items()
         ]
         return ("flight", "factor", "estimate", "corrected bound", "unit"), rows
+
+
+OFF_BOUNDS = 3.0  # corrected bounds from a perfect instrument: noise alone passes that once in 370 factors
+
+
+def _is_off(factor: "FactorEstimate") -> bool:
+    """Whether an instrument factor differs from a perfect instrument's by more than its bound explains."""
+    perfect = 1.0 if factor.name.startswith("K_") else 0.0
+    return abs(factor.estimate - perfect) > OFF_BOUNDS * factor.std_coloured
 
 
 def _factor_json(factor: "FactorEstimate") -> dict[str, object]:

@@ -114,7 +114,7 @@ def _mean_lines(session: "EstimationSession") -> Iterator[str]:
         yield ""
         yield f"mean over flights, {method}"
         heading = f"{'truth':>11}" if session.truth else ""
-        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}{heading}"
+        yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'corrected':>11}{'flights':>9}{heading}"
         for name, s in table.items():
             true = f"{session.truth[name]:11.4g}" if name in session.truth else " " * len(heading)
             scatter = f"{s.std:.2g}" if s.count > 1 else "-"  # of one flight there is none

@@ -112,7 +112,7 @@ def _sentence(session: "EstimationSession", verdict: "Verdict | None", rows: lis
     if not rows:
         return session.text
     told = sum(row.told for row in rows)
-    counts = f"the data told {told if told < len(rows) else 'all'} of {len(rows)} derivatives"
+    counts = f"the data determine {told if told < len(rows) else 'all'} of {len(rows)} derivatives"
     blind = [row.name for row in rows if not row.told]
     counts += f", not {', '.join(blind)}" if blind else ""
     if verdict is None:
@@ -134,8 +134,8 @@ def answer_table(session: "EstimationSession", answer: LeadingAnswer) -> ReportT
     )
     return ReportTable(
         "answer",
-        f"{answer.whose}; bound: one standard deviation, corrected for coloured residuals",
-        ("", "estimate", "± bound", "of it", *(head for head, _ in columns)),
+        f"{answer.whose}; corrected: one standard deviation, corrected for coloured residuals",
+        ("", "estimate", "± corrected", "relative", *(head for head, _ in columns)),
         rows,
         note=next((f"Published: {published.SOURCE}." for head, _ in columns if head == "published"), ""),
     )
@@ -176,15 +176,15 @@ def answer_lines(session: "EstimationSession") -> Iterator[str]:
     yield "-" * WIDTH
     beside = [key for key in ("prior", "published", "truth") if any(getattr(r, key) is not None for r in answer.rows)]
     heads = "".join(f"{'before' if key == 'prior' else key:>11}" for key in beside)
-    yield f"{'':<12}{'estimate':>11}{'bound':>10}{'[95 %':>12}{'interval]':>11}{heads}".rstrip()
+    yield f"{'':<12}{'estimate':>11}{'corrected':>11}{'[95 %':>11}{'interval]':>11}{heads}".rstrip()
     for row in answer.rows:
         others = "".join(f"{number(getattr(row, key)):>11}" for key in beside)
         if not row.told:
-            yield f"{row.name:<12}{CANNOT_TELL:>21}{'':23}{others}".rstrip()
+            yield f"{row.name:<12}{CANNOT_TELL:>22}{'':22}{others}".rstrip()
             continue
         value, bound = rounded(row.value, row.bound)
         low, high = (rounded(row.value + side * TWO_SIDED_95 * row.bound, row.bound)[0] for side in (-1, 1))
-        yield f"{row.name:<12}{value:>11}{bound:>10}{low:>12}{high:>11}{others}".rstrip()
+        yield f"{row.name:<12}{value:>11}{bound:>11}{low:>11}{high:>11}{others}".rstrip()
     yield "-" * WIDTH
     yield from (f"next: {step}" for step in next_steps(session, answer))
     yield "=" * WIDTH

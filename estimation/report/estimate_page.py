@@ -75,7 +75,7 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
     detail, unprinted = partial(Section, folded=True), partial(Section, folded=True, printed=False)
     sections = [
         *_first_screen(session),
-        detail("verdict", "Whom to believe", [_verdict_table(session)], "Whom to believe"),
+        detail("verdict", "Which estimate to use", [_verdict_table(session)], "Recommendation"),
         detail("card", "Flight card", [flight_card(flights, named_aircraft)], "Flight card"),
         detail("scatter", "Each derivative over flights and methods", [*figures["scatter"], comparison])
         if estimated_flights
@@ -83,7 +83,7 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         detail("joint", "All flights together", [joint], "Joint") if joint else None,
         detail("mean", "Mean and scatter", [mean], "Means") if mean else None,
         unprinted("flights", "Flight by flight", flight_tables, "Flights"),
-        detail("untold", "What could not be told, and what would tell it", _untold_parts(session), "Not told"),
+        detail("untold", "Not identifiable, and what would identify it", _untold_parts(session), "Not identifiable"),
         unprinted(
             "histories",
             "Measured and estimated motion",

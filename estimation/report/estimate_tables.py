@@ -111,11 +111,11 @@ def mean_table(session: "EstimationSession") -> ReportTable | None:
 
     groups = _beliefs(session)
     for method in session.mean:
-        groups.append((method, ("mean", "scatter", "bound", "flights"), partial(cells, method)))
+        groups.append((method, ("mean", "scatter", "corrected", "flights"), partial(cells, method)))
     for method in ("ml", "ngn") if is_published(session) else ():
         groups.append((f"{method} (published)", ("mean", "scatter"), published_cells(partial(published.mean, method))))
     parameters = [n for n in session.model.free_names if any(n in means for means in session.mean.values())]
-    note = "scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
+    note = "scatter: sample standard deviation over flights; corrected: root mean square of their corrected bounds. "
     return grouped_table(
         "table5_means",
         "Mean and scatter over the flights that can tell",

@@ -171,7 +171,7 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Report
     for method, entries in tables.items():
         label = f"{method} (recommended)" if method == recommended else method
         cells = partial(_estimate_cells, entries)
-        groups.append((label, ("estimate", "bound" if joint else "scatter"), cells))
+        groups.append((label, ("estimate", "corrected" if joint else "scatter"), cells))
     if truth:
         groups.append(("simulated", ("truth", "error [bounds]"), partial(_truth_cells, joint, methods, truth)))
     ours = published.is_of(data["aircraft"])

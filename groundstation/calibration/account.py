@@ -98,7 +98,9 @@ def _health_notes(table: ScanTable) -> list[str]:
         if count:
             notes.append(f"sensor group {group} was not in order in {count} of {len(table)} scans: not measured there")
     if never:
-        notes.append(f"sensors never in order, their columns not measured: {', '.join(never)}")
+        notes.append(
+            f"sensors not fitted, or never in order: {', '.join(never)}; columns that they alone measure are left out"
+        )
     return notes
 
 

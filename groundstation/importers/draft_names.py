@@ -28,7 +28,7 @@ _MEANT: tuple[tuple[str, str], ...] = (
     ("alpha", r"alpha|aoa|angle_?of_?attack"),
     ("beta", r"beta|aos+|ssa|(side_?slip|angle_?of_?sideslip)(_?angle)?"),
     ("V", r"v|tas|(true_?)?air_?speed|v_?tas|vtrue"),
-    ("V_cas", r"ias|cas|eas|(indicated|calibrated|equivalent)_?air_?speed"),
+    ("V_cas", r"ias|cas|eas|(indicated|calibrated|equivalent|computed)_?air_?speed"),
     ("delta_e", r"(delta_?|d)?e|elev(ator)?(_?(pos\w*|angle|defl\w*))?|stab_?pos|de"),
     ("delta_a", r"(delta_?|d)?a|ail(eron)?s?(_?(pos\w*|angle|defl\w*))?|da"),
     ("delta_r", r"(delta_?|d)?r|rud(der)?(_?(pos\w*|angle|defl\w*))?|dr"),

@@ -13,6 +13,9 @@ from daq.utilities.outputs import write_json
 MOST_SAID = 40
 """Modes, and events with messages, that are printed; the JSON has all."""
 _READ_HERE = (".tlog", ".csv", ".parquet")
+AFTER = {"raw": "sideslip calibrate {file} -o flight.mcap", "flight": "sideslip check {file}"}
+AFTER_A_LOG = "sideslip import {file} -o flight.mcap"
+"""What to do next, by the kind of the file."""
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
@@ -25,6 +28,8 @@ def info(file: Path, json_path: Path | None) -> int:
         write_json(content, json_path)
     for line in lines_of(file, content):
         click.echo(line)
+    if not click.get_current_context().meta.get("sideslip.quiet"):
+        click.echo(f"next: {AFTER.get(content['kind'], AFTER_A_LOG).format(file=file)}", err=True)
     return 0
 
 

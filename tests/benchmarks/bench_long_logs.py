@@ -16,7 +16,8 @@ ROOM = 600e6
 """[bytes] that a program may have beside one and a half times the flight that it writes."""
 CHECKED = 600_000
 """Samples of the flight that `check` reads: 3.3 h at 50 Hz."""
-CHECK_S = 20.0
+CHECK_MOST = 1450.0
+"""Times the reference work: 20 s on the machine where that takes 14 ms."""
 
 MEASURED = """
 import json, resource, sys, time
@@ -70,10 +71,10 @@ def test_a_long_log_is_imported(compared: Against, tmp_path: Path, write: object
 
 
 @pytest.mark.benchmark
-def test_a_long_flight_is_checked(compared: Against, tmp_path: Path) -> None:
+def test_a_long_flight_is_checked(compared: Against, against_reference: Against, tmp_path: Path) -> None:
     log = dataflash(tmp_path / "log.bin", CHECKED / 50.0)
     flight = tmp_path / "flight.mcap"
     spent(IMPORT, log, flight)
     seconds, memory = spent(CHECK, flight)
-    compared(f"check of {CHECKED} samples / {CHECK_S:g} s", seconds / CHECK_S, 1.0)
+    against_reference(f"check of {CHECKED} samples", seconds, CHECK_MOST)
     compared("memory of it", memory / (ROOM + 1.5 * flight.stat().st_size), 1.0)

@@ -182,3 +182,13 @@ def test_the_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         exec(block, names)  # noqa: S102
     assert len(blocks) == 2
     assert {"table", "axes", "model"} <= set(names)
+
+
+def test_the_first_line_says_whether_the_instruments_agree() -> None:
+    """Perfect instruments of another simulator agree; with a vane that shows a seventh too much its scale is named."""
+    flight = ss.open(RECORDINGS / "foreign" / "ordinary_1.csv")
+    sound = ss.check(flight, aircraft="cdfp")
+    assert next(iter(sound.lines())) == f"{flight.name}: the instruments agree"
+    wrong = ss.check(flight.with_columns(beta=flight["beta"] * 1.15), aircraft="cdfp")
+    assert next(iter(wrong.lines())) == f"{flight.name}: the instruments agree once K_beta is corrected"
+    assert wrong.to_json()["flights"][0]["agreement"] == wrong.agreement(flight.name)

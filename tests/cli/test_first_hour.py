@@ -16,7 +16,7 @@ from tests.support.paths import RECORDINGS
 
 RAW = str(RECORDINGS / "cdfp_ld3_raw.mcap")
 HELPERS = {"help", "completion"}
-SAY_IT_THEMSELVES = {"estimate", "ground"}
+SAY_IT_THEMSELVES = {"estimate", "ground", "info"}
 
 
 def run(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -81,6 +81,20 @@ def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.Captu
     assert next_line(["calibrate", RAW, "-o", "a.mcap"], failed=False).startswith("sideslip check a.mcap")
     assert next_line(["verify", RAW], failed=True) == f"sideslip recover {RAW} -o recovered.mcap"
     assert next_line(["verify", "--help"], failed=False) == ""
+    drafted = next_line(["import", RAW, "--draft-map", "-o", "map.toml"], failed=False)
+    assert drafted.endswith(f"then sideslip import {RAW} --map map.toml -o flight.mcap")
+    right = next_line(["check", RAW, "--write", "right"], failed=False)
+    assert right == f"sideslip estimate right/{Path(RAW).stem}.mcap"
+
+
+def test_info_names_the_one_step_that_suits_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    flight = str(RECORDINGS / "cdfp_ld3.mcap")
+    for file, step in (
+        (RAW, f"sideslip calibrate {RAW} -o flight.mcap"),
+        (flight, f"sideslip check {flight}"),
+    ):
+        assert run(["info", file], capsys)[2] == f"next: {step}\n"
+        assert run(["--quiet", "info", file], capsys)[2] == ""
 
 
 def test_colours_stand_on_a_terminal_and_not_in_a_pipe(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """Ground station and analysis on Windows and macOS: nothing that only Linux has stands on their way."""
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import pytest
 from scipy.io import savemat
 
 from groundstation.live.config import usual_ports
-from tests.support.paths import RECORDINGS
+from tests.support.paths import RECORDINGS, ROOT
 
 WITHOUT = """
 import builtins, os, signal, sys
@@ -54,6 +56,17 @@ def test_the_support_takes_away_what_it_says(tmp_path: Path) -> None:
     assert done.stdout == "False False\n"
 
 
+def test_the_program_starts_where_python_keeps_compiled_modules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As it does unless somebody has switched that off."""
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    monkeypatch.setenv("PYTHONPYCACHEPREFIX", str(tmp_path / "compiled"))
+    done = run(tmp_path, "--version")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert any((tmp_path / "compiled").rglob("cli.*.pyc"))
+
+
 def test_logs_are_imported_and_estimated(tmp_path: Path) -> None:
     time = np.arange(0, 10, 0.05)
     savemat(tmp_path / "log.mat", {"time": time, "p": np.sin(time), "V": 15 + 0 * time})
@@ -94,3 +107,21 @@ def test_radios_go_by_the_names_of_both_systems() -> None:
         Device("COM1", None, None),
     ]
     assert usual_ports(devices)[1:] == ("serial:/dev/cu.usbserial-0001:57600", "serial:COM7:57600")
+
+
+@pytest.mark.parametrize("extras", ["", "estimation,ground", "campaign"])
+def test_the_build_line_of_the_container_installs_what_is_asked_for(extras: str, tmp_path: Path) -> None:
+    """The line as the container's shell reads it, with a pip that prints what it is to install."""
+    text = (ROOT / "Containerfile").read_text(encoding="utf-8")
+    (tmp_path / "pip").write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    (tmp_path / "pip").chmod(0o755)
+    (line,) = re.findall(r"^RUN (pip install .*?) && rm -rf", text, flags=re.M)
+    environment = {"PATH": f"{tmp_path}:/usr/bin:/bin", "FOR": extras}
+    done = subprocess.run(["sh", "-c", line], env=environment, capture_output=True, text=True, check=True)
+    words = done.stdout.split()
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert words[-1] == (f"/src[{extras}]" if extras else "/src")
+    assert {*extras.split(",")} - {""} <= {*declared}
+    kept_out = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
+    needed = ["pyproject.toml", "setup.py", "README.md", "LICENSE", words[words.index("-c") + 1].removeprefix("/src/")]
+    assert all((ROOT / name).is_file() and name not in kept_out for name in needed)

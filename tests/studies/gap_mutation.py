@@ -1,9 +1,10 @@
 """Does a test notice when a criterion of the gap workflow is another number? Every criterion is moved, and the rule tests run.
 
-`python -m tests.studies.gap_mutation [--only NAME ...] [--page docs/gap-mutation.md]`: each criterion by 30 % down and up (whole
-numbers by one; quantiles by 30 % of what is beyond them, since they end at one), in a process of its own in which the one record
-that every module holds has the other number; then tests/unit/estimation/gap/test_rules_*.py, no flights. Exit status 1 where one
-survives. The page has a row for every criterion and the first test that turned red.
+`python -m tests.studies.gap_mutation [--only NAME ...] [--page FILE]` (kept: tests/unit/estimation/gap/mutation.md): each
+criterion by 30 % down and up (whole numbers by one; quantiles by 30 % of what is beyond them, since they end at one), in a
+process of its own in which the one record that every module holds has the other number; then
+tests/unit/estimation/gap/test_rules_*.py, no flights. Exit status 1 where one survives. The page has a row for every criterion
+and the first test that turned red.
 """
 
 import argparse
@@ -93,7 +94,7 @@ def page(found: Sequence[Outcome]) -> str:
         "# Does a test notice another number?",
         "",
         "Made by `python -m tests.studies.gap_mutation`; do not edit. Every criterion of the gap workflow",
-        "([gap-criteria.md](gap-criteria.md)) moved by 30 % down and up (whole numbers by one, quantiles by 30 % of what is",
+        "(docs/gap-criteria.md of the built site) moved by 30 % down and up (whole numbers by one, quantiles by 30 % of what is",
         f"beyond them), then the rule tests: {killed} of {len(found)} changes turn a test red.",
         "",
         "| criterion | value | moved to | tests that turn red first |",

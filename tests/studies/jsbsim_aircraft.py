@@ -11,7 +11,7 @@ Truth: slopes of JSBSim's forces and moments at fifteen places of the flight, by
 on by 20 microseconds, so that what goes with the rate of the angle of attack is in them as it is in a flight: the models here
 have no such term. A slope of a curve is a range: it reaches from the least to the greatest of these and of the straight line
 through the coefficients of the flight without noise. What mean slopes leave of those says how linear the aircraft is.
-The table is kept in docs/validation/jsbsim.md.
+The table is kept in docs/validation/jsbsim.csv, its sums in jsbsim.md.
 """
 
 import argparse

@@ -10,8 +10,10 @@ if TYPE_CHECKING:
 
 def _fit(task: Task) -> "Result":
     from estimation.estimators.equation_error import equation_error
+    from estimation.estimators.regression_error import with_regression_errors
 
-    return equation_error(task.model, task.smooth, stepwise=task.extras.stepwise)
+    result = equation_error(task.model, task.smooth, stepwise=task.extras.stepwise)
+    return with_regression_errors(result, task.smooth, stepwise=task.extras.stepwise)
 
 
 ESTIMATORS = (

@@ -63,7 +63,7 @@ def test_studies_are_found_on_pages() -> None:
 
 @pytest.mark.long
 def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
-    """Numbers 1 and 3, four flights of 20 s each, in place of four aircraft: ailerons that do 45 % less are told, nothing else."""
+    """Numbers 1 and 3, four flights of 20 s each, for four: ailerons that do 45 % less are told, nothing else."""
     shutil.copytree(PAGES / "fleet", tmp_path / "docs" / "validation" / "fleet")
     plan = tmp_path / "docs" / "validation" / "fleet" / "fleet.toml"
     head, *aircraft = plan.read_text().split("[[simulate]]\n")

@@ -68,6 +68,22 @@ def test_the_console_has_the_same_order_and_gives_no_number_for_what_cannot_be_t
     assert float(low) < float(value) < float(high)
 
 
+def test_every_table_heads_the_corrected_bound_as_such(session: EstimationSession, tmp_path: Path) -> None:
+    """`bound` is Cramer-Rao's, `corrected` the one to use: printed and on the page."""
+    page = Estimates(session).report(tmp_path).read_text(encoding="utf-8")
+    answer = page[page.index('id="answer"') :]
+    assert "± corrected</th>" in answer[: answer.index("</table>")]
+    lines = list(session_lines(session))
+    ml = session.flights[0].results["ml"].parameters["Cl_p"]
+    assert ml.std_coloured > 1.2 * ml.std
+    for start, heads in (("Cl_p ", ("corrected",)), ("  Cl_p ", ("bound", "corrected"))):
+        row = next(i for i, text in enumerate(lines) if text.startswith(start))
+        head = next(text.split() for text in reversed(lines[:row]) if "estimate" in text.split()[:2])
+        values = dict(zip(heads, lines[row].split()[2 : 2 + len(heads)]))
+        assert tuple(h for h in head if h in ("bound", "corrected")) == heads
+        assert float(values["corrected"]) == pytest.approx(ml.std_coloured, rel=0.1)
+
+
 def test_a_forest_shows_estimates_at_nought_and_others_where_they_lie() -> None:
     from matplotlib.figure import Figure
 

@@ -39,7 +39,7 @@ def test_the_page_shows_what_a_study_measured() -> None:
 
 
 def test_the_page_of_mutations_has_both_moves_of_every_criterion_and_a_test_for_each() -> None:
-    text = Path("docs/gap-mutation.md").read_text(encoding="utf-8")
+    text = Path("tests/unit/estimation/gap/mutation.md").read_text(encoding="utf-8")
     rows = [tuple(cell.strip() for cell in line.split("|")[1:4]) for line in text.splitlines() if line.startswith("|`")]
     expected = [(c, ", ".join(f"{v:.4g}" for v in moved(c))) for c in AS_SET.described()]
     assert rows == [(f"`{c.name}`", f"{c.value:g}", values) for c, values in expected]

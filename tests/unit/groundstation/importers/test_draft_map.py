@@ -48,6 +48,9 @@ def test_the_system_before_a_name_and_the_number_behind_it_say_nothing() -> None
         "az": ["INS1_NORMAL_ACCEL"],
     }
     assert candidate_columns(["EGI_ROLL", "roll_angle"]) == {"phi": ["EGI_ROLL", "roll_angle"]}
+    assert candidate_columns(["ADC_COMPUTED_AIRSPEED"]) == {
+        "V_cas": ["ADC_COMPUTED_AIRSPEED"]
+    }  # as air data computers say it
     assert candidate_columns(["FCC_A_PHI", "phi"])["phi"][0] == "phi"
 
 
