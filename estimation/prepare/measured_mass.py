@@ -48,9 +48,12 @@ def with_mass_history(
 ) -> tuple[Model, tuple[Flight, ...], tuple[str, ...]]:
     """The model with the flights' own mass in its equations, the flights with it in every sample, and a note that says so.
 
-    All as they were where a flight has no such column, or no equation has the aircraft's mass. Raises as `mass_history`.
+    All as they were where a flight has no such column, or no equation has the mass of the aircraft's file: what a model of
+    one's own calls m may be anything. Raises as `mass_history`.
     """
-    holds_mass = SYMBOL in model.constants and any(SYMBOL in names_in(text) for text in model.definitions.values())
+    holds_mass = model.constants.get(SYMBOL) == aircraft.mass and any(
+        SYMBOL in names_in(text) for text in model.definitions.values()
+    )
     if not holds_mass or not flights or not all(f.measured(COLUMN) for f in flights):
         return model, tuple(flights), ()
     histories = [mass_history(f, aircraft) for f in flights]

@@ -131,16 +131,17 @@ def _checked(work: Work, flight: Flight, conditions: Row) -> Iterator[Row]:
 
 
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
+    from estimation.prepare.measured_mass import with_mass_history
     from estimation.session import runner
     from estimation.session.sanity_checks import DoubtKind
     from estimation.session.structured import StructureWish
 
     begin = time.thread_time()
     try:
-        model = model_of(work.subjects[0], craft)
+        model, flown, _ = with_mass_history(model_of(work.subjects[0], craft), [flight], craft)
         about = {**about, "model": model.name}
         session = runner.estimate(
-            model, [flight], craft, [method], extras=_extras(work, method), structure=StructureWish.OFF
+            model, flown, craft, [method], extras=_extras(work, method), structure=StructureWish.OFF
         )
     except UserError as error:
         yield _row(work, method, FAILED, str(error), **about)

@@ -1,6 +1,8 @@
 """Fuel as a history of mass: an aircraft that burns a quarter of itself, by equations of its own."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,9 +10,11 @@ import pytest
 import sideslip as ss
 from estimation.aircraft import Aircraft, PriorDerivative
 from estimation.errors import DataError
+from estimation.models import load_model
 from estimation.performance.polar import fitted
 from estimation.performance.samples import all_stretches, usable
-from groundstation.flight import Flight
+from estimation.prepare.measured_mass import with_mass_history
+from groundstation.flight import Flight, write_flight
 from tests.unit.estimation.test_performance import CD_0, CD_K, CRAFT, MASS, glide
 
 S, B, C, FULL = 14.0, 9.0, 1.6, 2000.0
@@ -61,7 +65,8 @@ def burning(seed: int, *, least: float = 0.72) -> Flight:
         beta, phi, p, r = beta + step * beta_dot, phi + step * p, p + step * p_dot, r + step * r_dot
     names = ("beta", "p", "r", "phi", "ay", "delta_a", "delta_r", "mass")
     table = np.array(rows)
-    still = {n: np.full(len(table), v) for n, v in (("V", V), ("rho", RHO), ("alpha", 0.0), ("theta", 0.0), ("q", 0.0))}
+    steady = {"V": (V, 0.05), "rho": (RHO, 1e-5), "alpha": (0.0, 2e-4), "theta": (0.0, 2e-4), "q": (0.0, 2e-4)}
+    still = {n: value + noise * rng.standard_normal(len(table)) for n, (value, noise) in steady.items()}
     return Flight.build(f"burning{seed}", table[:, 0], {n: table[:, i + 1] for i, n in enumerate(names)} | still)
 
 
@@ -87,6 +92,16 @@ def test_fuel_that_is_read_seldom_is_filled_in_by_lines() -> None:
     assert answer["CY_beta"].estimate == pytest.approx(whole["CY_beta"].estimate, rel=5e-3)
 
 
+def test_what_a_model_of_ones_own_calls_m_is_left_alone() -> None:
+    flight = burning(4)
+    model = load_model("lateral", JET)
+    for constant, changed in ((FULL, True), (1500.0, False)):
+        other = replace(model, constants={**model.constants, "m": constant})
+        found, flights, notes = with_mass_history(other, [flight], JET)
+        assert (found is not other) == bool(notes) == changed
+        assert flights[0].measured("mass")
+
+
 @pytest.mark.parametrize(
     ("factor", "said"), [(2.2046, "is its unit right"), (0.1, "not its fuel"), (-1.0, "not above zero")]
 )
@@ -109,3 +124,22 @@ def test_a_polar_of_an_aircraft_that_grew_lighter() -> None:
         all_stretches([usable(lighter.with_columns(mass=np.full(len(flight), MASS)), CRAFT, throttle_off=True)])
     )
     assert not wrong["CD_0"].ends[0] < CD_0 < wrong["CD_0"].ends[1]
+
+
+def test_a_campaign_has_the_mass_of_each_flight(tmp_path: Path) -> None:
+    flight = burning(5)
+    write_flight(flight, tmp_path / "burning.csv")
+    derivatives = "".join(f"{n} = {v}\n" for n, v in TRUTH.items())
+    (tmp_path / "jet.toml").write_text(
+        f'name = "jet"\n[geometry]\nspan = {B}\narea = {S}\nchord = {C}\n[mass]\nmass = {FULL}\nIxx = 2500.0\nIyy = 6000.0\n'
+        f"Izz = 8000.0\nIxz = 0.0\n[derivatives]\n{derivatives}"
+    )
+    answer = ss.campaign(
+        [tmp_path / "burning.csv"], methods="ls", aircraft=tmp_path / "jet.toml", out=tmp_path / "c", serial=True
+    )
+    table = answer.to_pandas()
+    (told,) = table[(table.kind == "estimate") & (table.parameter == "CY_beta")].estimate
+    assert told == pytest.approx(
+        ss.estimate(flight, "lateral", "ls", aircraft=JET, structure="off")["CY_beta"].estimate, rel=1e-6
+    )
+    assert told == pytest.approx(TRUTH["CY_beta"], rel=0.03)
