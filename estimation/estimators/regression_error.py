@@ -25,7 +25,7 @@ from estimation.signals.denoise import denoise_many, noise_level
 REPLICATES = 3
 ROUNDS = 2  # the first says what the motion's noise took off the estimates, the second flies them with that restored
 SEED = 0
-UNKNOWN = "its bounds leave out noise of the measured motion: they are none to rely on"
+BOUNDS_LEAVE_OUT = "its bounds leave out noise of the measured motion: they are none to rely on"
 
 
 def with_regression_errors(result: Result, flights: Sequence[FlightData], *, stepwise: bool = False) -> Result:
@@ -36,7 +36,7 @@ def with_regression_errors(result: Result, flights: Sequence[FlightData], *, ste
     except NumericalFailure:
         errors = {}
     if not errors:
-        return replace(result, text=f"{result.text}; {UNKNOWN}")
+        return replace(result, text=f"{result.text}; {BOUNDS_LEAVE_OUT}")
     wider = {
         n: replace(e, std_coloured=float(np.hypot(e.std_coloured, errors.get(n, 0.0))))
         for n, e in result.parameters.items()

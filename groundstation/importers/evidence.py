@@ -37,12 +37,27 @@ def of_ardupilot(log: Log) -> Log:
     series, notes = dict(primaries.series), [*primaries.notes]
     for prefix in _prefixes(series, "GPS", "Status"):
         notes += _without_fix(series, prefix, "Status", ("Spd", "GCrs", "VZ", "VN", "VE", "Lat", "Lng", "Alt"))
+    notes += _tubes_turned(series)
     if "ARSP.Temp" in series and not np.any(series["ARSP.Temp"].values):
         del series["ARSP.Temp"]  # nothing but zeros: a sensor without a thermometer
     kind, note = _airspeed_of_ardupilot(log.parameters, series)
     contradictions = (*log.contradictions, *primaries.contradictions)
     log = replace(log, series=series, kinds={**log.kinds, "CTUN.As": kind}, contradictions=contradictions)
     return _dated_back(log.with_notes(*notes, *note))
+
+
+def _tubes_turned(series: dict[str, TimeSeries]) -> list[str]:
+    """Turns the differential pressures that are negative where the autopilot makes an airspeed of their size."""
+    notes = []
+    for prefix in _prefixes(series, "ARSP", "DiffPress"):
+        pressure, speed = series[f"{prefix}.DiffPress"], series.get(f"{prefix}.Airspeed")
+        if speed is None or not speed.values.size or speed.values.size != pressure.values.size:
+            continue
+        fast = speed.values > 0.5 * np.nanmax(speed.values)
+        if fast.any() and np.nanmedian(pressure.values[fast]) < 0.0:
+            series[f"{prefix}.DiffPress"] = replace(pressure, values=-pressure.values)
+            notes.append(f"{prefix}: the tubes of its pitot are swapped (DiffPress is negative in flight): turned")
+    return notes
 
 
 def _dated_back(log: Log) -> Log:

@@ -34,6 +34,7 @@ from estimation.estimators.neural_gauss_newton.solve import NeuralProblem, solve
 from estimation.estimators.neural_gauss_newton.training import NgnOptions, default_options
 from estimation.estimators.output_error import mean_of_locals
 from estimation.estimators.refits import PERCENTILES
+from estimation.estimators.regression_error import BOUNDS_LEAVE_OUT
 from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread, judge_status
 from estimation.estimators.uncertainty import judge_estimates
 from estimation.models.base import Model
@@ -70,6 +71,7 @@ def ngn_result(
     parameters |= {n: replace(e, identifiable=True, why="") for n, e in means.items()}
     ordered = {n: parameters[n] for n in model.free_names if n in parameters}
     status, text = _status(solution, ordered)
+    text = text if problem.options.improved else f"{text}; {BOUNDS_LEAVE_OUT}"
     cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
     return Result(
         model, "ngn-improved" if problem.options.improved else "ngn", status, text, max(f.iterations for f in solution.fits),

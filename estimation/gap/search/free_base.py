@@ -6,12 +6,15 @@ lateral derivatives off by up to 10 % nothing was found where a `Cn_beta3` was h
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Group
-from estimation.gap.fit.baseline import Baseline
+from estimation.gap.fit.baseline import Baseline, fit_from
 from estimation.gap.search.state import Setting
-from estimation.gap.significance.screen import Projected, build_screen, hypotheses_for
+from estimation.gap.significance.screen import Screen, build_screen, hypotheses_for
 from estimation.gap.significance.tangent import Tangent
 from estimation.models.base import Model
 
@@ -19,28 +22,35 @@ FACTOR = "k_"  # of a coefficient of a simulation: its derivatives, all free, sa
 
 
 def derivatives_off(setting: Setting, baseline: Baseline) -> tuple[str, ...]:
-    """The derivatives that a fitted base holds at numbers and the flights move, where several of them are off; none otherwise."""
+    """All derivatives that a fitted base holds at numbers, where several are off, one beside the other; none otherwise."""
     held = [e for e in setting.effects if e.group is Group.DERIVATIVE and any(f.frees for f in e.forms)]
     hypotheses = hypotheses_for(baseline.clean, held, setting.prepared.available)
-    if len(hypotheses) < baseline.criteria.many_derivatives:
-        return ()
-    screen = build_screen(Tangent(baseline.problem, baseline.fit), hypotheses)
-    if len(one_after_another(screen.projected(), baseline.criteria)) < baseline.criteria.many_derivatives:
-        return ()
-    return tuple(n for h in screen.hypotheses for n in h.form.frees)
+    problem, found, off = baseline.problem, baseline.fit, list[str]()
+    while not many(off, baseline.criteria):
+        rest = [h for h in hypotheses if h.form.frees[0] not in off]
+        if found.diverged or not rest:
+            return ()
+        name = largest(build_screen(Tangent(problem, found), rest), baseline.criteria)
+        if name is None:
+            return ()
+        off.append(name)
+        if not many(off, baseline.criteria):
+            problem = replace(problem, model=problem.model.freed(name))
+            found = fit_from(problem, found)
+    return tuple(h.form.frees[0] for h in hypotheses)
 
 
-def one_after_another(projected: Projected, criteria: Criteria) -> list[int]:
-    """Columns that gain beside those before them, the largest gain first, as far as that decides whether many do."""
-    chosen: list[int] = []
-    while len(chosen) < criteria.many_derivatives:
-        known = projected.gain(chosen) if chosen else 0.0
-        gains = {j: projected.gain([*chosen, j]) - known for j in range(len(projected.B)) if j not in chosen}
-        best = max(gains, key=lambda j: gains[j], default=-1)
-        if best < 0 or gains[best] <= criteria.exchange:
-            break
-        chosen.append(best)
-    return chosen
+def many(off: Sequence[str], criteria: Criteria) -> bool:
+    """Whether so many derivatives that are off are no answer any more."""
+    return len(off) >= criteria.many_derivatives
+
+
+def largest(screen: Screen, criteria: Criteria) -> str | None:
+    """The derivative that gains most, by linear theory; None where none gains clearly."""
+    projected = screen.projected()
+    gains = [projected.gain(screen.span(h)) for h in range(len(screen.hypotheses))]
+    best = int(np.argmax(gains)) if gains else -1
+    return screen.hypotheses[best].form.frees[0] if best >= 0 and gains[best] > criteria.exchange else None
 
 
 def with_free_derivatives(model: Model, names: Sequence[str]) -> Model:

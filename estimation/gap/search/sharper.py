@@ -20,18 +20,20 @@ from estimation.gap.search.select import Choice
 from estimation.gap.significance.calibration import Round
 
 ASKED = 3  # hypotheses, of the largest gain: rivals of one form are alike
+WORTH = 0.5  # of what decides: chance gains a third of that with the noise of the base, an effect that is worth it more
 
 
 def sharper_base(round_: Round, choice: Choice) -> Baseline | None:
     """The round's base with the noise that the best of the leading hypotheses leaves; None where the flights are hardly likelier
     with any of them."""
-    if not choice.candidates:
-        return None
     base = round_.baseline
+    worth = [c for c in choice.candidates if c.gain > WORTH * base.criteria.noise_held]
+    if not worth:
+        return None
     usual, _ = _surprise(base, base.fit)
-    leading = sorted(choice.candidates, key=lambda c: -c.gain)[:ASKED]
+    leading = sorted(worth, key=lambda c: -c.gain)[:ASKED]
     asked = [_surprise(base, candidate.fit) for candidate in leading]
-    surprise, noise = min(asked, key=lambda pair: pair[0], default=(usual, base.noise))
+    surprise, noise = min(asked, key=lambda pair: pair[0])
     return with_noise(base, noise) if holds_an_effect(usual - surprise, base.criteria) else None
 
 

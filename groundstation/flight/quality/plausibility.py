@@ -43,6 +43,8 @@ _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
 }
 
 
+NO_OFFSET = 10.0
+"""[Pa] by which a dynamic pressure below nothing is more than the offset of a pitot's zero: 4 m/s."""
 PULL_AGREES = 0.25
 """Of the normal force that pitch rate, speed and attitude make, by which az may differ: angle of attack, and its change."""
 
@@ -314,6 +316,9 @@ def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
 def _pressure_speed(time: Array, c: Columns) -> Iterator[Finding]:
     if "V" not in c or "p_dynamic" not in c:
         return
+    fast = c["V"] > 0.5 * np.nanmax(c["V"])
+    if fast.any() and _median(c["p_dynamic"][fast]) < -NO_OFFSET:
+        yield _suspect("p_dynamic", "negative in flight: are the tubes of the pitot swapped? turn it with sign = -1")
     rho = c.get("rho", np.full_like(c["V"], 1.2))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = c["V"] / np.sqrt(2 * np.where(c["p_dynamic"] > 20, c["p_dynamic"], np.nan) / rho)

@@ -62,19 +62,19 @@ def test_studies_are_found_on_pages() -> None:
 
 
 @pytest.mark.long
-def test_the_fleet_of_the_page_with_two_flights_each(tmp_path: Path) -> None:
-    """Ailerons that do 45 % less, for two flights of each are to tell it."""
+def test_the_fleet_of_the_page_with_two_aircraft(tmp_path: Path) -> None:
+    """Numbers 1 and 3, four flights of 20 s each, for four: ailerons that do 45 % less are told, nothing else."""
     shutil.copytree(PAGES / "fleet", tmp_path / "docs" / "validation" / "fleet")
     plan = tmp_path / "docs" / "validation" / "fleet" / "fleet.toml"
-    text = plan.read_text()
-    assert text.count("count = 6") == 4
-    plan.write_text(text.replace("count = 6", "count = 2").replace("-0.0853", "-0.052").replace("25.0", "20.0"))
+    head, *aircraft = plan.read_text().split("[[simulate]]\n")
+    assert len(aircraft) == 4
+    text = "[[simulate]]\n".join([head, *(a for a in aircraft if "number 1" in a or "number 3" in a)])
+    plan.write_text(text.replace("count = 6", "count = 4").replace("-0.0853", "-0.052").replace("25.0", "20.0"))
     (command,) = commands_of(PAGES / "fleet.md")
     printed = follow(command, tmp_path, ROOT, limit_s=LONG_S)
     differing = re.findall(r"^\s*(\w+) \(ml\): .*?number (\d) less .*?number (\d) .*they differ", printed, flags=re.M)
-    assert ("Cl_da", "3", "1") in differing
+    assert differing, printed
     assert {"Cl_da"} == {name for name, *_ in differing}
-    assert all("3" in pair for _, *pair in differing)
     assert (tmp_path / "fleet" / "report" / "index.html").is_file()
     (picture,) = re.findall(r"`python (docs/validation/fleet/picture\.py .*?)`", (PAGES / "fleet.md").read_text())
     subprocess.run([sys.executable, *shlex.split(picture)], cwd=tmp_path, check=True)

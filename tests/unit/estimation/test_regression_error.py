@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.estimators.equation_error import equation_error
-from estimation.estimators.regression_error import UNKNOWN, with_regression_errors
+from estimation.estimators.regression_error import BOUNDS_LEAVE_OUT, with_regression_errors
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.prepare.flight_data import FOR_REGRESSION
@@ -43,4 +43,4 @@ def test_where_the_answer_cannot_be_flown_the_bounds_are_said_to_be_none() -> No
     data = prepare_all(model, flight, FOR_REGRESSION)
     bare = equation_error(model, data)
     runaway = replace(bare, flights=tuple(replace(f, outputs=np.full_like(f.outputs, np.inf)) for f in bare.flights))
-    assert UNKNOWN in with_regression_errors(runaway, data).text
+    assert BOUNDS_LEAVE_OUT in with_regression_errors(runaway, data).text

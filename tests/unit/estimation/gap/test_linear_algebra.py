@@ -15,7 +15,7 @@ from estimation.gap.fit.spectra import (
     spectral_matrix,
     whitener,
 )
-from estimation.gap.fit.whitener import Whitener, spectrum_of
+from estimation.gap.fit.whitener import Slack, Whitener, spectrum_of
 from estimation.gap.search.confirm import leading
 from estimation.gap.search.select import credible_set
 from estimation.gap.significance.calibration import upper_quantile
@@ -180,3 +180,18 @@ def test_plays_and_lags_of_the_air_get_a_full_fit_whatever_a_small_step_says() -
     assert len(chosen) == len(set(chosen)) <= 14
     gains[list(plays)] = 200.0
     assert sorted(leading(screen, gains, AS_SET)[:4]) == sorted(plays), "and once only"
+
+
+@pytest.mark.parametrize("count", [9, 10])
+@pytest.mark.parametrize("forgiving", [False, True])
+def test_the_determinant_is_that_of_the_covariance_which_energies_are_by(count: int, forgiving: bool) -> None:
+    rng, ny = np.random.default_rng(count), 2
+    half = rng.standard_normal((count // 2 + 1, ny, ny)) + 1j * rng.standard_normal((count // 2 + 1, ny, ny))
+    half[[0, -1] if count % 2 == 0 else [0]] = half[[0, -1] if count % 2 == 0 else [0]].real
+    values, vectors = np.linalg.eigh(half @ half.conj().transpose(0, 2, 1) + np.eye(ny))
+    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
+    whitener = Whitener(root, count)
+    if forgiving:
+        whitener = Whitener(root, count, Slack(whitener.rows(rng.standard_normal((count, ny, 3)))))
+    precision = whitener.gram(np.eye(count * ny).reshape(count, ny, count * ny))
+    assert whitener.log_determinant == pytest.approx(-np.linalg.slogdet(precision)[1], rel=1e-9)

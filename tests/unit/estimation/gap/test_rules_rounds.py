@@ -23,13 +23,12 @@ from estimation.gap.search.accept import (
     repeats_on_flights,
 )
 from estimation.gap.search.confirm import FittedHypothesis
-from estimation.gap.search.free_base import moved_in_words, one_after_another, with_free_derivatives
+from estimation.gap.search.free_base import largest, many, moved_in_words, with_free_derivatives
 from estimation.gap.search.rounds import better_rivals, idle, questioners, run_rounds
 from estimation.gap.search.select import Choice
 from estimation.gap.search.sharper import holds_an_effect
 from estimation.gap.search.state import AcceptedEffect, Options
 from estimation.gap.significance.calibration import Round
-from estimation.gap.significance.screen import Projected
 from estimation.models.base import Parameter
 from tests.unit.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
 from tests.unit.estimation.gap.roll import ROLL
@@ -392,15 +391,16 @@ def test_a_round_is_asked_once_more_with_noise_that_holds_no_effect(monkeypatch:
 
 
 # ------------------------------------------------------------------------------------------------ a base that is off
-def test_a_base_is_off_in_many_derivatives_where_three_gain_one_beside_the_other() -> None:
-    """Gains of 25, 16, 9.5 and 9 where 8 is enough; a copy of the largest gains nothing beside it."""
-    loadings = np.sqrt([25.0, 25.0, 9.0, 16.0, 9.5])
-    columns = np.eye(5)
-    columns[:, 1] = columns[:, 0]
-    projected = Projected(columns.T @ columns, (columns.T @ loadings)[:, None], np.zeros(1), np.ones(5))
-    few = replace(projected, B=projected.B[:3, :3], b=projected.b[:3])
-    assert one_after_another(projected, AS_SET) == [0, 3, 4]
-    assert one_after_another(few, AS_SET) == [0, 2]
+@pytest.mark.parametrize(("gains", "off"), [((9.0, 25.0, 7.9), "b"), ((7.0, 7.9, 0.0), None), ((), None)])
+def test_a_derivative_is_off_that_gains_clearly(gains: tuple[float, ...], off: str | None) -> None:
+    hypotheses = [stub(form=stub(frees=(n,))) for n in "abc"[: len(gains)]]
+    screen = stub(hypotheses=hypotheses, span=lambda h: [h], projected=lambda: stub(gain=lambda span: gains[span[0]]))
+    assert largest(screen, AS_SET) == off
+
+
+@pytest.mark.parametrize(("off", "enough"), [("ab", False), ("abc", True)])
+def test_a_base_is_off_in_many_derivatives_where_three_gain_one_beside_the_other(off: str, enough: bool) -> None:
+    assert many(list(off), AS_SET) is enough
 
 
 def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:

@@ -85,6 +85,23 @@ def test_the_gap_of_a_delay_is_what_the_base_had_followed_by_timing(flown: dict[
     assert step.gap.closed > 0.7
 
 
+def recorded_late(flight: Flight, control: str) -> Flight:
+    """A flight with one control in the log a sample, 50 ms, behind where it was."""
+    columns = {n: c for n, c in flight.columns.items() if n != control}
+    late = np.concatenate([flight.columns[control][:1], flight.columns[control][:-1]])
+    return Flight.build(flight.name, flight.time, {**columns, control: late})
+
+
+def test_a_rudder_in_the_log_too_late_is_one_that_acts_early(flown: dict[str, list[Flight]]) -> None:
+    flights = [recorded_late(f, "delta_r") for f in flown["none"]]
+    asked = [e for e in catalogue() if e.name in FEW]
+    result = run_gap(load_model("lateral", "cdfp"), flights[:2], flights[2:], asked, options=QUICK)
+    (step,) = result.steps
+    assert step.effect == "rudder_delay"
+    assert step.estimates["rudder_delay"][0] == pytest.approx(-0.05, abs=0.008)
+    assert step.gap.closed > 0.7
+
+
 def _lives_where_it_arises(result: GapResult) -> None:
     """Frozen at the prior the gap is larger than after the refit, and there larger than with the effect named."""
     stages = {v.stage: v for v in result.views}

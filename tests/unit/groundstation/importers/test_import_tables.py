@@ -192,6 +192,18 @@ def test_speed_in_another_unit_is_told_by_how_the_aircraft_turns(
         import_data(write_csv(tmp_path / "log.csv", wrong))
 
 
+def test_tubes_of_a_pitot_that_are_swapped_are_told_and_a_zero_that_drifts_is_not() -> None:
+    time = 0.04 * np.arange(500)
+    speed = np.where(time < 8.0, 0.0, 17.0 + np.sin(time))
+    pressure = 0.58 * speed**2
+
+    def told(p_dynamic: np.ndarray) -> list[str]:
+        return [s.text for s in suspicions(time, {"V": speed, "p_dynamic": p_dynamic}) if "tubes" in s.text]
+
+    assert told(-pressure)
+    assert not told(pressure - 6.0)
+
+
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
