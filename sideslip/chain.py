@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from firmware_sim.world.scenario import Scenario
+    from groundstation.live.station import Station
+    from groundstation.receiver.receive import Receiver
     from groundstation.viewer.live import LiveView
 
 
@@ -48,7 +50,6 @@ def fly_scenario(
     from groundstation.calibration.recording import calibrate_recording
     from groundstation.flight import write_flight
     from groundstation.live.config import CalibrationConfig, GroundConfig
-    from groundstation.live.handover import hand_over
     from groundstation.live.station import Station
     from groundstation.receiver.ports import LinkConfig
     from groundstation.receiver.receive import Receiver
@@ -74,9 +75,8 @@ def fly_scenario(
             station.step()
             tell((now_ns - start_ns) * 1e-9 / flight.duration_s)
 
-        def no_room() -> (
-            bool
-        ):  # files that fail go on failing in simulated time: scans would be fetched again and again
+        def no_room() -> bool:
+            """Files that fail go on failing in simulated time: scans would be fetched again and again."""
             return any(not what.startswith("radio") for what in receiver.port_faults)
 
         def agreed() -> bool:
@@ -95,20 +95,27 @@ def fly_scenario(
         summary = receiver.summary()
     calibrated = calibrate_recording(folder / "onboard", salvage=True)
     write_flight(calibrated, folder / "flight.mcap")
-    ground, lines = None, []
-    recordings = sorted(ground_folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
-    if recordings:
-        session = next((s for s, r in receiver.session_recorders().items() if r.path == recordings[-1]), None)
-        handover = hand_over(
-            recordings[-1],
-            ground_folder,
-            origin="telemetry and backfill" if backfill_agreed else "telemetry",
-            identified=None if session is None else station.identifications.result(session),
-        )
-        ground, lines = handover.path, handover.lines()
+    origin = "telemetry and backfill" if backfill_agreed else "telemetry"
+    ground, lines = _received_flight(ground_folder, receiver, station, origin)
+    if ground is not None:
         summary["flight"] = str(ground)
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
     return ChainFlight(folder / "flight.mcap", ground, files.truth, summary, backfill_agreed, lines, sequencer)
+
+
+def _received_flight(
+    folder: Path, receiver: "Receiver", station: "Station", origin: str
+) -> tuple[Path | None, list[str]]:
+    """The flight as the ground has it, from its longest recording, and what is said of it; nothing where it received none."""
+    from groundstation.live.handover import hand_over
+
+    recordings = sorted(folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
+    if not recordings:
+        return None, []
+    session = next((s for s, r in receiver.session_recorders().items() if r.path == recordings[-1]), None)
+    identified = None if session is None else station.identifications.result(session)
+    handover = hand_over(recordings[-1], folder, origin=origin, identified=identified)
+    return handover.path, handover.lines()
 
 
 def _sequencer_words(onboard: Path) -> tuple[tuple[float, str], ...]:
