@@ -52,6 +52,7 @@ def test_studies_that_the_page_names_take_its_words(page: Path, monkeypatch: pyt
         if module in BY_THEIR_HEAD:
             continue
         monkeypatch.setattr(sys, "argv", [module, *words])
+        monkeypatch.delitem(sys.modules, module, raising=False)  # another study may have imported it
         with pytest.raises(Parsed):
             runpy.run_module(module, run_name="__main__")
 
