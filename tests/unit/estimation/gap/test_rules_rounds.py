@@ -12,6 +12,7 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search import rounds as searching
+from estimation.gap.search import sharper
 from estimation.gap.search.accept import (
     accept,
     by_timing,
@@ -412,3 +413,18 @@ def test_free_derivatives_stand_for_the_factor_on_their_coefficient() -> None:
     moved = stub(fit=stub(values={"Cl_p": -0.44, "L_p": -6.1}, std=lambda: {"Cl_p": 0.01, "L_p": 0.2}), criteria=AS_SET)
     words = moved_in_words(["Cl_p", "L_p"], {"Cl_p": -0.4, "L_p": -6.0}, moved)
     assert "all 2 were refitted first: Cl_p from -0.4 to -0.44 +- 0.01." in words
+
+
+@pytest.mark.parametrize(
+    ("gains", "surprise", "noise"),
+    [((60.0, 300.0, 90.0), 700.0, "noise of b"), ((60.0, 300.0, 90.0), 950.0, None), ((40.0, 49.0, 9.0), 700.0, None)],
+)
+def test_the_noise_is_that_of_the_hypothesis_with_which_flights_are_likeliest(
+    monkeypatch: pytest.MonkeyPatch, gains: tuple[float, ...], surprise: float, noise: str | None
+) -> None:
+    surprises = {"base": 1000.0, "a": 930.0, "b": surprise, "c": 999.0}
+    monkeypatch.setattr(sharper, "_surprise", lambda base, fit: (surprises[fit], f"noise of {fit}"))
+    monkeypatch.setattr(sharper, "with_noise", lambda base, noise: noise)
+    round_ = stub(baseline=stub(criteria=AS_SET, fit="base"))
+    choice = stub(candidates=[stub(gain=g, fit=f) for g, f in zip(gains, "abc", strict=True)])
+    assert sharper.sharper_base(round_, choice) == noise
