@@ -7,7 +7,7 @@ from pathlib import Path
 GREETING = """\
 Sideslip logs an aircraft's flight, brings it down by radio, and finds its aerodynamic derivatives from it.
 
-  sideslip demo                       the whole chain on a simulated aircraft, in about two minutes
+  sideslip demo                       the whole chain on a simulated aircraft, in about a minute
   sideslip import LOG -o flight.mcap  a log of your own: CSV, Parquet, MATLAB, ULog, ArduPilot, MAVLink
   sideslip estimate flight.mcap       derivatives with their bounds
 

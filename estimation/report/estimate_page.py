@@ -81,7 +81,8 @@ def write_estimate_report(session: "EstimationSession", folder: Path) -> Path:
         if estimated_flights
         else None,
         detail("joint", "All flights together", [joint], "Joint") if joint else None,
-        detail("mean", "Mean and scatter", [mean], "Means") if mean else None,
+        # on paper the joint estimate speaks for the flights
+        (unprinted if joint else detail)("mean", "Mean and scatter", [mean], "Means") if mean else None,
         unprinted("flights", "Flight by flight", flight_tables, "Flights"),
         detail("untold", "Not identifiable, and what would identify it", _untold_parts(session), "Not identifiable"),
         unprinted(

@@ -21,7 +21,7 @@ PAGES = (
     (
         "estimate",
         "Aerodynamic derivatives",
-        "estimates with bounds, histories, residuals, modes, what could not be told",
+        "estimates with bounds, histories, residuals, modes, what is not identifiable",
     ),
     ("gap", "Gap workflow", "what the model was missing, how it was found and what adding it changed"),
     ("campaign", "Campaign", "many flights together"),

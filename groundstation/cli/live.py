@@ -34,8 +34,8 @@ Say = Callable[[str], None]
 @click.option("--view", "window", type=VIEW, default="none", show_default=True, help=VIEW_HELP)
 @click.option(
     "--layout",
-    type=click.Choice(["full", "light"]),
-    help="Of the view: light for a browser that lags  [default: full].",
+    type=click.Choice(["full", "light", "phone"]),
+    help="Of the view: light for a browser that lags, phone for a narrow screen  [default: full].",
 )
 @aircraft_option("Name or file, for live identification", "the one the recording names")
 @click.option("--watch", "watched", is_flag=True, help="Say when the aircraft no longer flies as its file believes.")

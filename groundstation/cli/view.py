@@ -4,11 +4,15 @@ import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from daq.utilities.options import align_option
 from daq.utilities.outputs import tried_file
+
+if TYPE_CHECKING:
+    from groundstation.viewer.blueprint import Layout
 
 VIEW = click.Choice(["web", "native", "none"])
 VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
@@ -37,7 +41,7 @@ def terminated_is_interrupt() -> Iterator[None]:
 @click.argument("other", type=click.Path(path_type=Path), required=False)
 @align_option("Lay the flight OTHER on FILE in time")
 @click.option("--view", "window", type=VIEW, default="web", show_default=True, help=VIEW_HELP)
-@click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
+@click.option("--layout", type=click.Choice(["full", "light", "phone"]), default="full", show_default=True)
 @click.option(
     "--rrd", type=click.Path(path_type=Path), callback=tried_file, help="Write the rerun recording here and keep it."
 )
@@ -54,7 +58,7 @@ def view(
     other: Path | None,
     align: str | None,
     window: str,
-    layout: str,
+    layout: "Layout",
     rrd: Path | None,
     calibration: Path | None,
     save_blueprint: Path | None,
@@ -70,17 +74,16 @@ def view(
 
     if (other is None) != (align is None):
         raise click.UsageError("two flights in one view: sideslip view A B --align")
-    layout_name: blueprint.Layout = "light" if layout == "light" else "full"
     if save_blueprint is not None:
-        blueprint.save_blueprint(save_blueprint, layout_name)
+        blueprint.save_blueprint(save_blueprint, layout)
         click.echo(f"layout: {save_blueprint}")
     with ExitStack() as scratch:
         target = rrd or Path(scratch.enter_context(tempfile.TemporaryDirectory())) / "view.rrd"
         if other is not None and align is not None:
-            path, summary = both_as_rrd(file, other, target, layout_name, align, calibration)
+            path, summary = both_as_rrd(file, other, target, layout, align, calibration)
             click.echo(summary)
         else:
-            path = as_rrd(file, target, layout_name, calibration)
+            path = as_rrd(file, target, layout, calibration)
         if rrd is not None:
             click.echo(f"rerun recording: {path}")
         if window == "none":

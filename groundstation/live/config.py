@@ -38,7 +38,7 @@ class ViewConfig(_GroundTable):
     """The live view. port: where further viewers of this computer attach. host: where the page listens; beyond loopback, and with
     `token`, only who has the page's whole address gets in."""
 
-    layout: Literal["full", "light"] = "full"
+    layout: Literal["full", "light", "phone"] = "full"
     port: Annotated[int, Field(ge=1, le=65535)] = 9876
     web_port: Annotated[int, Field(ge=1, le=65535)] = 9090
     host: Annotated[str, Field(min_length=1, max_length=255)] = "127.0.0.1"

@@ -1,4 +1,4 @@
-"""The layout of the viewer: a full page for a ground station, and a light one for weak machines.
+"""The layout of the viewer: a full page for a ground station, a light one for weak machines, one column for a phone.
 
 Thirty-second sliding windows that follow live data; for a recorded flight the whole time range. It is embedded in every
 recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rbl` saves it alone, for rerun's own use.
@@ -17,7 +17,7 @@ from daq.identification.airframe import EQUATIONS
 from daq.utilities.durable import write_bytes
 from groundstation.viewer import entities as e
 
-Layout = Literal["full", "light"]
+Layout = Literal["full", "light", "phone"]
 WINDOW_S = 30.0  # two manoeuvres; a window of a minute is empty for the first half of a short flight
 
 
@@ -85,9 +85,12 @@ def blueprint(
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=e.TIMELINE, play_state=following),
     )
+    words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
+    if layout == "phone":
+        texts = rrb.Tabs(events, words) if identified and live else events
+        return rrb.Blueprint(rrb.Vertical(texts, plots["airdata"], plots["rates"]), *panels)
     if layout == "light":
         plots_left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
-        words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
         right = rrb.Vertical(events, words, row_shares=[1, 1.6]) if identified and live else events
         return rrb.Blueprint(
             rrb.Horizontal(plots_left, right, column_shares=[3, 2 if right is not events else 1]), *panels
@@ -146,34 +149,41 @@ def save_blueprint(path: Path, layout: Layout = "full") -> None:
     """Write the layout for live data as .rbl; OSError when the file cannot be written."""
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder) / "layout.rbl"
-        fitted(blueprint(layout), live=True).save(e.APPLICATION, str(scratch))
+        fitted(blueprint(layout), live=True, layout=layout).save(e.APPLICATION, str(scratch))
         write_bytes(path, scratch.read_bytes())
 
 
 TOP = 0.10  # of the height: a line of read-outs from 720 lines of screen on
+NARROW_TOP = 0.30  # of a phone's: four lines of read-outs, and the alarms in words below them
 CONTAINERS = (rrb.Vertical, rrb.Horizontal, rrb.Tabs, rrb.Grid)
 
 
-def fitted(page: rrb.Blueprint, *, live: bool, filled: Collection[str] | None = None) -> rrb.Blueprint:
+def fitted(
+    page: rrb.Blueprint, *, live: bool, filled: Collection[str] | None = None, layout: Layout = "full"
+) -> rrb.Blueprint:
     """The layout with read-outs and, live, the alarms above it.
 
     filled: entities with something to show, all of them where None is given; a pane without any is taken out, and so is a
     container that has no pane left.
     """
     body = page.root_container if filled is None else _without_empty(page.root_container, filled)
-    top = _top(live=live) if filled is None or e.READOUTS in filled else None
-    rows = [(part, share) for part, share in ((top, TOP), (body, 1.0 - TOP)) if part is not None]
+    narrow = layout == "phone"
+    top = _top(live=live, narrow=narrow) if filled is None or e.READOUTS in filled else None
+    height = NARROW_TOP * (1.0 if live else 0.5) if narrow else TOP  # a recorded flight has no alarms there
+    rows = [(part, share) for part, share in ((top, height), (body, 1.0 - height)) if part is not None]
     if rows:
         page.root_container = rrb.Vertical(*(p for p, _ in rows), row_shares=[s for _, s in rows])
     return page
 
 
-def _top(*, live: bool) -> rrb.Container:
+def _top(*, live: bool, narrow: bool) -> rrb.Container:
     """Read-outs; live with the alarms in words, and a lamp in the colour of the highest."""
     readouts = _bare(rrb.TextDocumentView(origin=e.READOUTS, name="Read-outs"))
     if not live:
         return rrb.Horizontal(readouts)
     words = _bare(rrb.TextDocumentView(origin=e.ALARM_WORDS, name="Alarms"))
+    if narrow:
+        return rrb.Vertical(readouts, words, row_shares=[1.4, 1.0])
     lamp = _bare(rrb.StateTimelineView(origin=e.ALARM, name="Alarm"))
     return rrb.Horizontal(readouts, words, lamp, column_shares=[3.4, 1.1, 0.5])
 

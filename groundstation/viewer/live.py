@@ -26,7 +26,7 @@ from groundstation.viewer.scene import Scene
 
 DEFAULT_PORT = 9876
 QUEUE_LENGTH = 600
-TICK_S: Mapping[str, float] = {"full": 0.1, "light": 1.0}
+TICK_S: Mapping[str, float] = {"full": 0.1, "light": 1.0, "phone": 1.0}
 FLUSH_TIMEOUT_S = 5.0
 
 
@@ -81,7 +81,7 @@ class LiveView:
         if not sinks:
             raise ViewerError("nothing to show to: neither a server nor a file was asked for")
         page = blueprint(options.layout, live=True, coefficients=options.coefficients)
-        self._stream.set_sinks(*sinks, default_blueprint=fitted(page, live=True))
+        self._stream.set_sinks(*sinks, default_blueprint=fitted(page, live=True, layout=options.layout))
         self._columns = columns
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()

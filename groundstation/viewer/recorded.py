@@ -167,7 +167,7 @@ def write_rrd(
     coefficients = _identified(flight)
     page = blueprint(layout, live=False, identified=bool(coefficients), coefficients=coefficients)
     try:
-        with rerun_file(stream, path, fitted(page, live=False, filled=filled)):
+        with rerun_file(stream, path, fitted(page, live=False, filled=filled, layout=layout)):
             scene = Scene(stream, tuple(flight.columns), whose)
             scene.flight(flight)
             for group, history in lanes.items():

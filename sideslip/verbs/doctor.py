@@ -27,7 +27,9 @@ def doctor(json_path: Path | None) -> int:
     click.echo(f"{facts['cores']} cores, {facts['free_gb']:.0f} GB free in {Path.cwd()}")
     click.echo(f"C compiler: {facts['compiler'] or 'none; models are integrated without one, more slowly'}")
     for extra, lacking in facts["extras"].items():
+        present = [f"{m} {v}" for m in EXTRAS[extra] if (v := facts["versions"].get(m))]
         state = f"lacks {', '.join(lacking)}; pip install 'sideslip[{extra}]'" if lacking else "installed"
+        state = state if lacking or not present else f"installed: {', '.join(present)}"
         click.echo(f"  {extra:<12} {state}")
     for port in facts["ports"]:
         click.echo(f"  {port['name']:<12} {port['what']}: {'may be opened' if port['allowed'] else NOT_ALLOWED}")
@@ -56,6 +58,7 @@ def examined() -> dict[str, Any]:
         "cores": len(affinity(0)) if affinity else os.cpu_count() or 1,
         "free_gb": shutil.disk_usage(Path.cwd()).free / 1e9,
         "compiler": shutil.which("gcc") or shutil.which("cc") or "",
+        "versions": {m: v for modules in EXTRAS.values() for m in modules if (v := _version_of(m))},
         "extras": {extra: [m for m in modules if not installed([m])] for extra, modules in EXTRAS.items()},
         "ports": [
             {
@@ -66,6 +69,16 @@ def examined() -> dict[str, Any]:
             for p in list_ports.comports()
         ],
     }
+
+
+def _version_of(module: str) -> str:
+    """Of the package that a module is from, where both have one name; else ""."""
+    for name in (module, module.replace("_", "-")):
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            continue
+    return ""
 
 
 @click.command(name="help", epilog="Example: sideslip help estimate")

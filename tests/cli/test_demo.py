@@ -1,6 +1,7 @@
 """The demo, whole: it ends well, leaves what it promises, and finds what was hidden."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,8 +9,22 @@ from pathlib import Path
 import pytest
 
 from sideslip.verbs.demo import DEMO_HIDDEN
+from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.long
+
+
+def pasted_in_the_readme() -> list[str]:
+    """The lines of the demo's output that README.md shows; it leaves lines out, and dots stand for what follows."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```\n(1  Four flights.*?)^```$", text, flags=re.M | re.S)
+    lines = [_plain(re.sub(r"(\.\.\.|Report: .*)$", "", line)) for line in block.splitlines()]
+    return [line for line in lines if line]
+
+
+def _plain(text: str) -> str:
+    """With every number as one sign, so that another processor's last digit or a busy machine's seconds do not count."""
+    return " ".join(re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", text).split())
 
 
 @pytest.mark.timeout(900)
@@ -40,5 +55,7 @@ def test_demo(tmp_path: Path) -> None:
     front = page.read_text(encoding="utf-8")
     assert 'id="hidden"' in front
     assert "error [bounds]" in front
+    for piece in pasted_in_the_readme():
+        assert piece in _plain(done.stdout), piece
     for name in ("check", "estimate", "gap"):
         assert 'href="../index.html"' in (out / "report" / name / "index.html").read_text(encoding="utf-8")

@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -51,6 +52,7 @@ def test_doctor_names_every_extra_and_what_it_lacks(
     status, out, _ = run(["doctor", "--json", str(tmp_path / "d.json")], capsys)
     assert status == 0
     assert "lacks torch; pip install 'sideslip[ngn]'" in out
+    assert re.search(r"estimation +installed: casadi \d", out)
     facts = json.loads((tmp_path / "d.json").read_text())
     assert facts["extras"]["ngn"] == ["torch"]
     assert facts["extras"]["estimation"] == []

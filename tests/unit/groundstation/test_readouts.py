@@ -113,3 +113,15 @@ def test_the_layout_keeps_only_panes_that_show_something() -> None:
     whole = views(fitted(blueprint("full"), live=True).root_container)
     assert whole[:4] == ["Read-outs", "Alarms", "Alarm", "Alpha, beta"]
     assert {"Map", "Status", "Sensor health", "Link quality"} <= set(whole)
+
+
+def test_a_phone_has_one_column_with_read_outs_and_alarms_first() -> None:
+    page = fitted(blueprint("phone"), live=True, layout="phone").root_container
+    assert views(page) == ["Read-outs", "Alarms", "Events and alarms", "Live identification", "Alpha, beta", "Rates"]
+
+    def side_by_side(pane: object) -> bool:
+        parts = [p for p in getattr(pane, "contents", ()) if hasattr(p, "kind")]
+        return type(pane).__name__ == "Horizontal" or any(side_by_side(p) for p in parts)
+
+    assert not side_by_side(page)
+    assert side_by_side(fitted(blueprint("full"), live=True).root_container)
