@@ -12,7 +12,7 @@ import click
 from daq.utilities.errors import UserError
 from daq.utilities.options import aircraft_option, json_option, model_option
 from daq.utilities.outputs import tried_folder
-from groundstation.cli.view import VIEW, VIEW_HELP, terminated_is_interrupt
+from groundstation.cli.view import LAYOUT, VIEW, VIEW_HELP, terminated_is_interrupt
 
 if TYPE_CHECKING:
     from daq.identification.regression import AircraftSource
@@ -34,7 +34,7 @@ Say = Callable[[str], None]
 @click.option("--view", "window", type=VIEW, default="none", show_default=True, help=VIEW_HELP)
 @click.option(
     "--layout",
-    type=click.Choice(["full", "light", "phone"]),
+    type=LAYOUT,
     help="Of the view: light for a browser that lags, phone for a narrow screen  [default: full].",
 )
 @aircraft_option("Name or file, for live identification", "the one the recording names")

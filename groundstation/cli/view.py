@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from groundstation.viewer.blueprint import Layout
 
 VIEW = click.Choice(["web", "native", "none"])
+LAYOUT = click.Choice(["full", "light", "phone"])
 VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 
 
@@ -41,7 +42,7 @@ def terminated_is_interrupt() -> Iterator[None]:
 @click.argument("other", type=click.Path(path_type=Path), required=False)
 @align_option("Lay the flight OTHER on FILE in time")
 @click.option("--view", "window", type=VIEW, default="web", show_default=True, help=VIEW_HELP)
-@click.option("--layout", type=click.Choice(["full", "light", "phone"]), default="full", show_default=True)
+@click.option("--layout", type=LAYOUT, default="full", show_default=True)
 @click.option(
     "--rrd", type=click.Path(path_type=Path), callback=tried_file, help="Write the rerun recording here and keep it."
 )

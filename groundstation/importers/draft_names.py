@@ -202,9 +202,8 @@ def rate_that_turns(
         return labels[0], ""
     with np.errstate(invalid="ignore", divide="ignore"):
         slope = np.diff(values[angle]) / np.diff(time)
-    runs_on = np.abs(np.diff(values[angle])) < 0.5 * np.nanmax(values[angle]) - 0.5 * np.nanmin(
-        values[angle]
-    )  # no half turn
+    half_way = 0.5 * (np.nanmax(values[angle]) - np.nanmin(values[angle]))
+    runs_on = np.abs(np.diff(values[angle])) < half_way  # no half turn
     follows = {}
     for label in labels:
         between = 0.5 * (values[label][1:] + values[label][:-1])

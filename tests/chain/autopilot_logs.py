@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.support.attitude import quaternion as quaternion_of
+
 Array = NDArray[np.float64]
 
 SERVOS = {
@@ -104,14 +106,7 @@ def _fmt(kind: int, length: int, name: str, layout: str, labels: str) -> bytes:
 def ulog(truth: Mapping[str, Array], rng: np.random.Generator) -> bytes:
     """PX4 ULog: header, flags, formats, subscriptions, data (PX4 user guide, 'ULog File Format')."""
     m = messages(truth, rng)
-    half = [m["attitude"].fields[n] / 2 for n in ("phi", "theta", "psi")]
-    (cf, ct, cp), (sf, st, sp) = [np.cos(h) for h in half], [np.sin(h) for h in half]
-    quaternion = [
-        cf * ct * cp + sf * st * sp,
-        sf * ct * cp - cf * st * sp,
-        cf * st * cp + sf * ct * sp,
-        cf * ct * sp - sf * st * cp,
-    ]
+    quaternion = quaternion_of(*(m["attitude"].fields[n] for n in ("phi", "theta", "psi")))
     imu, pitot, baro, s = (m[n].fields for n in ("imu", "pitot", "baro", "servo"))
     inertial = [imu[n] for n in ("p", "q", "r", "ax", "ay", "az")]
     fix = [m["gnss"].fields[n] for n in ("vn", "ve", "vd")]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from tests.support.attitude import quaternion as quaternion_of
 from tests.unit.groundstation.turning import Columns, turning_flight
 
 Table = tuple[str, str, np.ndarray, list[np.ndarray]]
@@ -140,14 +141,7 @@ def px4(
 ) -> bytes:
     """A ULog. source: airspeed_source; outputs: the instance of actuator_outputs that moves."""
     t = f["time"] + BOOT
-    half = [f[c] / 2 for c in ("phi", "theta", "psi")]
-    (cf, ct, cp), (sf, st, sp) = [np.cos(h) for h in half], [np.sin(h) for h in half]
-    q = [
-        cf * ct * cp + sf * st * sp,
-        sf * ct * cp - cf * st * sp,
-        cf * st * cp + sf * ct * sp,
-        cf * ct * sp - sf * st * cp,
-    ]
+    q = quaternion_of(f["phi"], f["theta"], f["psi"])
     g = slice(None, None, 5)
     lost = (f["time"][g] >= fix_lost[0]) & (f["time"][g] < fix_lost[1])
     fix = [np.where(lost, 0.0, f[c][g]) for c in ("vn", "ve", "vd")]

@@ -11,6 +11,7 @@ from groundstation.flight import FlightError
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.dataflash import read_dataflash
 from groundstation.importers.run import import_data
+from tests.support.attitude import quaternion as quaternion_of
 
 Columns = dict[str, np.ndarray]
 
@@ -41,14 +42,7 @@ def ulog_bytes(topics: dict[str, tuple[str, list[tuple[float, ...]]]]) -> bytes:
 
 def px4_topics(flown: Columns) -> dict[str, tuple[str, list[tuple[float, ...]]]]:
     t = flown["time"] + 5.0
-    half = [flown[a] / 2 for a in ("phi", "theta", "psi")]
-    (cf, ct, cp), (sf, st, sp) = [np.cos(h) for h in half], [np.sin(h) for h in half]
-    quaternion = (
-        cf * ct * cp + sf * st * sp,
-        sf * ct * cp - cf * st * sp,
-        cf * st * cp + sf * ct * sp,
-        cf * ct * sp - sf * st * cp,
-    )
+    quaternion = quaternion_of(flown["phi"], flown["theta"], flown["psi"])
     return {
         "sensor_combined": (
             "float[3] gyro_rad;float[3] accelerometer_m_s2;",

@@ -11,6 +11,7 @@ from groundstation.flight import Flight
 from groundstation.flight.expression import ExpressionError, parse
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.run import import_data
+from tests.support.attitude import quaternion as quaternion_of
 from tests.unit.groundstation.turning import Columns, turning_flight
 
 NAMES = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "V")
@@ -318,15 +319,8 @@ def test_topics_of_ros_need_no_map_and_come_in_our_axes(tmp_path: Path, turning:
     t = turning["time"]
     ground = {"vn": 19 * np.cos(turning["psi"]) + 2, "ve": 19 * np.sin(turning["psi"]) - 1, "vd": 0.5 * np.sin(t)}
     turning = {**turning, **ground}
-    half = [turning[n] / 2 * s for n, s in (("phi", 1), ("theta", -1), ("psi", -1))]
-    half[2] = half[2] + np.pi / 4  # from east, against the clock
-    (cr, cp, cy), (sr, sp, sy) = [np.cos(h) for h in half], [np.sin(h) for h in half]
-    quaternion = [
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    ]
+    from_east = np.pi / 2 - turning["psi"]  # against the clock
+    quaternion = quaternion_of(turning["phi"], -turning["theta"], from_east)
     topics = {
         "imu": {
             **{f"angular_velocity.{a}": s * turning[n] for a, n, s in (("x", "p", 1), ("y", "q", -1), ("z", "r", -1))},
