@@ -182,7 +182,7 @@ def decode_scan(data: bytes) -> Scan:
     except ValueError as error:
         raise ScanDecodeError(f"scan {message.number} has an unknown sensor state ({error})") from error
     values = {name: getattr(message, name) for name in _CHANNEL_NAMES if is_set(name)}
-    return Scan(*(getattr(message, name) for name, _ in _HEADER), groups=groups, values=values)
+    return Scan(**{name: getattr(message, name) for name, _ in _HEADER}, groups=groups, values=values)
 
 
 def scan_stamp(data: bytes) -> tuple[int, int, int]:
