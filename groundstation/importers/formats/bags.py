@@ -28,6 +28,9 @@ HEAD_BYTES = 4096  # read to find the profile
 LARGEST_RECORD = (
     64 << 20
 )  # bytes of one record of an MCAP file, and of a chunk unpacked: a chunk of a bag has a few megabytes
+LONGEST_MESSAGE = (
+    1 << 20
+)  # bytes of a message that is decoded: pictures and clouds of points are longer, and hold no series
 LONGEST_DEFINITION = 1 << 16  # bytes of the definition of a message, with those it uses: px4_msgs' longest has 10 kB
 _DAMAGE = (ValueError, LookupError, TypeError, AttributeError, OverflowError, EOFError, MemoryError, struct.error)
 Decode = Callable[[bytes], Any]
@@ -60,6 +63,9 @@ class Bag:
 
     def add_message(self, name: str, kind: str, time_ns: int, data: bytes, decode: Decode) -> None:
         """Decode and keep a message."""
+        if len(data) > LONGEST_MESSAGE:
+            self.unread[name] = f"messages of {len(data)} bytes; at most {LONGEST_MESSAGE} are read"
+            return
         try:
             row = numbers_of(decode(data))
         except Exception as error:  # noqa: BLE001 - protobuf and struct raise classes of their own for damaged bytes
