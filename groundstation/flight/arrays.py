@@ -10,8 +10,8 @@ Mask = NDArray[np.bool_]
 
 WINDOW = 4.0  # [s]: the drift of an integrated rate or acceleration is a straight line in it
 FEWEST_IN_WINDOW = 10  # samples
-MOST_WINDOWS = 600
-"""Of one signal, even over a long record: 40 minutes tell a scale or a sign to a hundredth of what is asked of it."""
+MOST_WINDOWS = 300
+"""Of one signal, even over a long record: 20 minutes tell a scale or a sign to a hundredth of what is asked of it."""
 
 
 def true_runs(mask: Mask, parts: Iterable[slice] | None = None) -> list[tuple[int, int]]:
