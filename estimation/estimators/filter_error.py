@@ -321,14 +321,8 @@ def _step(data: Sequence[FlightData]) -> float:
     return float(np.median(np.concatenate([np.diff(s.time) for flight in data for s in flight.segments])))
 
 
-def _law(
-    simulator: Simulator,
-    data: Sequence[FlightData],
-    values: Mapping[str, float],
-    noise: Array,
-    unit: Mapping[str, float],
-) -> GainLaw:
-    """The gain's law about the mean of what was flown."""
+def mean_matrices(simulator: Simulator, data: Sequence[FlightData], values: Mapping[str, float]) -> tuple[Array, Array]:
+    """A (nx, nx) and C (ny, nx) of the motion linearised about the mean of what was flown."""
     model = simulator.model
     inputs = np.concatenate([s.u for flight in data for s in flight.segments])
     starts = np.mean([s.x0 for flight in data for s in flight.segments], axis=0)
@@ -338,10 +332,21 @@ def _law(
         else starts[i]
         for i, n in enumerate(model.state_names)
     ]
-    A, C = state_matrices(
+    return state_matrices(
         trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values)
     )
-    states = tuple(model.state_names.index(s) for s in unit)
+
+
+def _law(
+    simulator: Simulator,
+    data: Sequence[FlightData],
+    values: Mapping[str, float],
+    noise: Array,
+    unit: Mapping[str, float],
+) -> GainLaw:
+    """The gain's law about the mean of what was flown."""
+    A, C = mean_matrices(simulator, data, values)
+    states = tuple(simulator.model.state_names.index(s) for s in unit)
     return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 
 

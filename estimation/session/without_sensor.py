@@ -50,8 +50,8 @@ MAY_LACK: Mapping[str, tuple[str, ...]] = {
 TRIM = "thrust_trim"
 UNTOLD = "CD_0"
 STEADY_THROTTLE = 0.05
-"""Standard deviation of a recorded throttle (0 to 1) up to which thrust passes for constant: a fifth of the thrust of level flight
-of a small propeller aeroplane at half throttle, the size of its zero-lift drag's usual bound."""
+"""Standard deviation of a recorded throttle (0 to 1) up to which thrust passes for constant: a fifth of the thrust of level
+flight of a small propeller aeroplane at half throttle, the size of its zero-lift drag's usual bound."""
 
 
 def without_sensor(model: Model, flights: Sequence[Flight]) -> tuple[Model, Sequence[Flight]]:
@@ -85,8 +85,8 @@ def _without_thrust(model: Model, flights: Sequence[Flight]) -> Model:
         moves = float(np.nanstd(f["throttle"])) if f.measured("throttle") else 0.0
         if moves > STEADY_THROTTLE:
             raise DataError(
-                f"{f.name}: thrust is not measured and the throttle moves (by {moves:.2f} of its range, one standard deviation), so "
-                "that thrust cannot be taken as constant; add the column thrust, or choose a stretch at constant throttle"
+                f"{f.name}: thrust is not measured and the throttle moves (by {moves:.2f} of its range, one sigma), "
+                "so that thrust cannot be taken as constant; add the column thrust, or choose a stretch at constant throttle"
             )
     inputs = tuple(replace(s, optional=True) if s.name == "thrust" else s for s in model.inputs)
     unknown = Parameter(TRIM, "N", local=True, description="thrust, constant in a flight", role=ParameterRole.CONSTANT)
