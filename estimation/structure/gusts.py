@@ -89,8 +89,8 @@ def _rows(result: Result, data: Sequence[FlightData], controls: list[int], outpu
 
 
 BY_CHANCE = 1e-4  # probability of a spectrum as far out by chance
-UNEVEN = 0.12
-"""Most that the share of the innovations' power below some frequency may differ from that frequency's share of the band: 0.09 at
+UNEVEN = 0.15
+"""Most that the share of the innovations' power below some frequency may differ from that frequency's share of the band: 0.12 at
 most in gusts, 0.16 to 0.55 with backlash, a lag or a curved derivative left out (docs/validation.md)."""
 
 
