@@ -5,9 +5,9 @@ between two samples (a tenth of the sample interval, for all surfaces together; 
 differs from the others by a few hundredths), of what an attitude filter makes of sampled rates (again a tenth of the interval,
 and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular acceleration), and of what
 its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for gravity, an error in bank that follows
-sideslip (V/(g T) of it where nothing is done against that, T the memory; a few hundredths with airspeed or GPS velocity). Nor is a
-simulation of fixed steps free of their length: one that steps rates by the moments of the last step, and attitudes by the rates
-of the next, has gyros half a step early and moments a step late (JSBSim as it is set: 2.5 and 5 ms at 200 Hz).
+sideslip (V/(g T) of it where nothing is done against that, T the memory; a few hundredths with airspeed or GPS velocity).
+A simulation of fixed steps is not free of their length: one that steps rates by the moments of the last step, and attitudes by
+the rates of the last, has gyros half a step early and moments a step late (JSBSim as it is set: 2.5 and 5 ms at 200 Hz).
 An attitude that a log has with times of its own is a tenth of its own interval off, be it a filter's or not. All are estimated
 with priors of that width, so that none is mistaken for an effect.
 

@@ -108,7 +108,17 @@ def test_nuisances_are_as_wide_as_what_no_flight_is_free_of() -> None:
     made = with_nuisance(base, noise, STEP, AS_SET, ("phi",))
     widths = {
         n: made.parameter(n).prior_std
-        for n in ("bias_beta", "timing_controls", "timing_delta_a", "timing_delta_r", "timing_phi", "timing_gyros", "timing_moments", "plumb_phi", "Cl_p")
+        for n in (
+            "bias_beta",
+            "timing_controls",
+            "timing_delta_a",
+            "timing_delta_r",
+            "timing_phi",
+            "timing_gyros",
+            "timing_moments",
+            "plumb_phi",
+            "Cl_p",
+        )
     }
     assert widths == pytest.approx(
         {
