@@ -105,10 +105,11 @@ def grid(
     *,
     own_scales: bool = False,
     sides: tuple[float, float] = SIDES,
+    beside: float = BESIDE_NUMBERS,
     **shared: Any,
 ) -> "tuple[Figure, Any]":
     """(figure, (rows, columns) axes) a page wide. height: of a row [inches]; own_scales: each axes writes its own ordinate, else
-    the first of a row does; sides: margins left and right [inches]; shared: of matplotlib's `subplots`.
+    the first of a row does; sides: margins left and right, beside: from axes to names [inches]; shared: of `subplots`.
 
     Margins and places of names are lengths, so that nothing need be laid out: matplotlib's layouts draw every letter three times
     before it is drawn, half of the time of a report, and a name that looks for its place measures every number of every row.
@@ -129,7 +130,7 @@ def grid(
         axis.set_title("", y=1.0)
         for name, place, x, y in (
             (axis.xaxis, (0.5, 0.0), 0.0, -BELOW_NUMBERS),
-            (axis.yaxis, (0.0, 0.5), -BESIDE_NUMBERS, 0.0),
+            (axis.yaxis, (0.0, 0.5), -beside, 0.0),
         ):
             name.set_label_coords(*place, axis.transAxes + ScaledTranslation(x, y, figure.dpi_scale_trans))
     return figure, axes
