@@ -34,13 +34,14 @@ NEXT: Mapping[str, str] = {
     "performance": "sideslip estimate {file} --model longitudinal",
     "frequency": "sideslip estimate {file} --method ml-frequency",
     "design": "sideslip fly nominal --manoeuvre {out}, before the aircraft flies it",
-    "aircraft": "sideslip estimate FLIGHT --aircraft the file named above",
+    "aircraft": "sideslip estimate FLIGHT --aircraft {rest[1]}",
     "campaign": "open {out}/report/index.html",
     "watch": "sideslip gap {file}, for what an alarm was about",
     "gap": "sideslip match the child model FLIGHT, on a flight that was not used",
     "doctor": "sideslip demo",
 }
-"""Verb -> what to do after it. {file}, {file2}: the first and second file on the command line; {out}: what it wrote.
+"""Verb -> what to do after it. {file}, {file2}: the first and second file on the command line; {out}: what it wrote;
+{rest}: the words behind the verb.
 
 `estimate`, `ground` and `info` say it themselves, from what they found."""
 
@@ -48,6 +49,7 @@ AFTER_A_FAILED_CHECK: Mapping[str, str] = {
     "preflight": "put right what stands above, then sideslip preflight {file}",
     "verify": "sideslip recover {file} -o recovered.mcap",
     "check": "sideslip view {file}, where it fails",
+    "aircraft": "write in {file} what is missing, then sideslip aircraft check {file}",
 }
 """The same where the answer is a failed check, if that is something else."""
 
@@ -57,9 +59,10 @@ WITH_OPTION: Mapping[tuple[str, str], str] = {
         "--draft-map",
     ): "write down in {out} what is UNKNOWN, then sideslip import {file} --map {out} -o flight.mcap",
     ("import", "--recipe"): "sideslip import {file} --draft-map -o map.toml",
+    ("aircraft", "new"): "",  # the verb says it itself
     ("check", "--write"): "sideslip estimate {out}/{stem}.mcap",
 }
-"""The same for an option with which a verb does something else."""
+"""The same for an option, or a word, with which a verb does something else."""
 
 OUTPUTS = ("-o", "--output", "--out", "--write")
 
@@ -75,7 +78,7 @@ def next_line(words: Sequence[str], *, failed: bool) -> str:
     out = next((b for a, b in zip(rest, rest[1:], strict=False) if a in OUTPUTS), "demo" if verb == "demo" else "OUT")
     files = [w for w in rest if w != out and not w.startswith("-") and Path(w).is_file()]
     file = _or(files, 0, "FLIGHT")
-    return text.format(out=out, file=file, file2=_or(files, 1, "FLIGHT"), stem=Path(file).stem)
+    return text.format(out=out, file=file, file2=_or(files, 1, "FLIGHT"), rest=rest, stem=Path(file).stem)
 
 
 def _or(files: Sequence[str], place: int, word: str) -> str:

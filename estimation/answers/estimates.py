@@ -200,11 +200,12 @@ class Estimates(Answer):
 
     @property
     def model(self) -> "Model":
-        """The model with the estimates as its values, and the ranges it was estimated from."""
-        from estimation.session.proof_of_match import flown_ranges
+        """The model with the estimates as its values, and the ranges and stretches it was estimated from."""
+        from estimation.session.proof_of_match import flown_ranges, stretches_of_recordings
 
         flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
-        return replace(self.best.fitted_model, flown=flown_ranges(self.best.model, flights))
+        ranges, stretches = flown_ranges(self.best.model, flights), stretches_of_recordings(flights)
+        return replace(self.best.fitted_model, flown=ranges, estimated_from=stretches)
 
     @property
     def passed(self) -> bool:

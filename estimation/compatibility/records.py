@@ -16,6 +16,7 @@ from estimation.prepare.conditioned import ConditionedFlight, condition_columns,
 from estimation.signals.denoise import noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.arrays import true_runs
+from groundstation.flight.contradictions.air import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
 
 SHORTEST = 40  # samples
@@ -127,7 +128,8 @@ def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
     slow = np.isfinite(V) & (from_speed > V)
     if slow.sum() > 0.5 * np.isfinite(V).sum() and not np.any(from_speed <= V):
         raise DataError(
-            f"{flight.name}: V never reaches {FLYING:g} m/s (largest {np.nanmax(V):.3g}): not in flight, or V is not in m/s"
+            f"{flight.name}: V never reaches {FLYING:g} m/s (largest {np.nanmax(V):.3g})"
+            + (no_airspeed(flight) or ": not in flight, or V is not in m/s")
         )
     if slow.any():
         share = int(slow.sum())

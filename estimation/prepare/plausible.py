@@ -13,6 +13,7 @@ from daq.utilities.constants import RADIAN
 from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
+from groundstation.flight.contradictions.air import no_airspeed
 from groundstation.flight.findings import Finding, FindingKind
 from groundstation.flight.quality.repeats import STUCK_SAMPLES, span_of
 
@@ -108,9 +109,10 @@ def _refuse_degrees(flight: Flight, name: str, size: float, limit: float, unit: 
 def _refuse_sign(flight: Flight, name: str, values: Array) -> None:
     times = flight.time[np.isfinite(flight[name])][values <= 0.0]
     unit = COLUMN_BY_NAME[name].unit
+    reason = no_airspeed(flight) if name == "V" else ""
     raise DataError(
         f"{flight.name}: {name} is {values.min():.3g} {unit} (zero or less at {times.size} samples, first at t = "
-        f"{times[0]:g} s); turn its sign, or leave that time out with --segments"
+        f"{times[0]:g} s)" + (reason or "; turn its sign, or leave that time out with --segments")
     )
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimation.errors import EstimationError
 from estimation.prepare.flight_data import SHORTEST_SEGMENT
 from groundstation.flight import Flight
-from groundstation.flight.stretches import is_times, stretches_where
+from groundstation.flight.stretches import airborne, is_times, stretches_where
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:
@@ -42,9 +42,12 @@ def spans_of(text: str) -> dict[str, tuple[float, float]]:
 
 def select_segments(flight: Flight, text: str | None) -> Flight:
     """The stretches of a flight, by times `2:12,15:25` [s], by a mode or by a condition (`groundstation.flight.stretches`), as
-    segments; EstimationError or FlightError where they make no sense."""
+    segments; without a text all of it, but what a record holds of standing, rolling and landing. EstimationError or FlightError
+    where they make no sense."""
     if text is None:
-        return flight
+        phase = airborne(flight)
+        labels = np.where(phase.flying, flight.segment, -1)
+        return _cut(flight, labels, (phase.text,)) if phase.stood and phase.flying.any() else flight
     if not is_times(text):
         selection = stretches_where(flight, text)
         return _cut(flight, selection.label, selection.notes)

@@ -120,19 +120,24 @@ def _mag(wiring: BoardWiring, device: str) -> PoweredChip:
     return mag
 
 
-def _pitot(wiring: BoardWiring, device: str) -> PoweredChip:
-    raw = wiring.instruments.inputs("pitot_pressure", "pitot_temperature")
-    sigma, rng = wiring.instruments.models.pitot.noise_pa, wiring.instruments.generator(device)
+def _pitot(instruments: Instruments, wiring: BoardWiring) -> Inputs:
+    """Impact pressure [Pa] at the sensor and its temperature [K], with the noise of the sensor and its value faults."""
+    raw = instruments.inputs("pitot_pressure", "pitot_temperature")
+    sigma, rng = instruments.models.pitot.noise_pa, instruments.generator("pitot")
 
     def inputs(time_ns: int) -> tuple[float, float]:
         pressure, temperature = raw(time_ns)
         return pressure + sigma * rng.standard_normal(), temperature
 
-    bent = wiring.bend(device, inputs)
+    return wiring.bend("pitot", inputs)
+
+
+def _pitot_chip(wiring: BoardWiring, device: str) -> PoweredChip:
+    inputs = _pitot(wiring.instruments, wiring)
     if wiring.driver(device) == "dlvr":
         assert wiring.sensors.pitot is not None
-        return DlvrChip(bent, wiring.sensors.pitot.span_pa[1])
-    return Ms5525Chip(bent) if wiring.driver(device) == "ms5525" else Ms4525doChip(bent)
+        return DlvrChip(inputs, wiring.sensors.pitot.span_pa[1])
+    return Ms5525Chip(inputs) if wiring.driver(device) == "ms5525" else Ms4525doChip(inputs)
 
 
 def _sdp3x(wiring: BoardWiring, device: str) -> PoweredChip:
@@ -231,7 +236,7 @@ def _encoder(wiring: BoardWiring, device: str) -> PoweredChip:
 
 CHIPS: Mapping[str, tuple[int, Callable[[BoardWiring, str], PoweredChip]]] = {
     "imu": (0x68, _imu),
-    "pitot": (0x28, _pitot),
+    "pitot": (0x28, _pitot_chip),
     "capture": (0x40, _capture),
     "thrust": (0x2A, _thrust),
     "static": (0x77, _static),

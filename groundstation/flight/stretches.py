@@ -25,6 +25,7 @@ STANDS = 3.0  # [m/s] below which an aeroplane stands, taxies or hovers, and no 
 SLOW = (
     0.55  # of the usual airspeed in flight: wings carry a third of the weight there, so something else carries the rest
 )
+STANDS_SHARE = 0.35  # of the fastest, where that is less: a model that flies at 4 m/s does not stand at 2
 LASTS = 2.0  # [s] that it is slow before it counts: a stall or a gust passes
 OFF_THE_GROUND = 3.0
 """[m] above where it stood before or after, below which an aeroplane that begins or ends slow still rolls or flares."""
@@ -105,17 +106,20 @@ def _in_mode(flight: Flight, name: str, modes: Iterable[FlightMode]) -> Array:
 
 @dataclass(frozen=True)
 class Airborne:
-    """flying: (N,) samples on the wings. text: what was left out and why; empty where nothing was."""
+    """flying: (N,) samples on the wings. text: what was left out and why; empty where nothing was. stood: whether the record
+    begins or ends with the aircraft standing, by its airspeed and, where measured, its speed over ground."""
 
     flying: Mask
     text: str
+    stood: bool = False
 
 
 def airborne(flight: Flight) -> Airborne:
     """When the aircraft flew; all of the flight where no speed tells."""
     speed = _speed(flight)
-    rolling_speeds = speed[np.isfinite(speed) & (speed > STANDS)]
-    limit = max(SLOW * float(np.median(rolling_speeds)), STANDS) if rolling_speeds.size else 0.0
+    stands = _standing(speed)
+    rolling_speeds = speed[np.isfinite(speed) & (speed > stands)]
+    limit = max(SLOW * float(np.median(rolling_speeds)), stands) if rolling_speeds.size else 0.0
     with np.errstate(invalid="ignore"):
         slow_runs = true_runs(speed < limit, flight.segments)
     slow = np.zeros(len(flight), bool)
@@ -130,7 +134,26 @@ def airborne(flight: Flight) -> Airborne:
         f"{seconds:.1f} s on the ground, at lift-off or landing, or in a hover are left out: slower than {limit:.3g} m/s"
         + (f", or within {OFF_THE_GROUND:g} m of the ground before and after" if (rolls & ~slow).any() else "")
     )
-    return Airborne(flying, text)
+    return Airborne(flying, text, _stood(flight, speed, stands, flying))
+
+
+def _standing(speed: Array) -> float:
+    """Airspeed [m/s] below which an aeroplane stands; no spike of a fiftieth of the record decides."""
+    known = speed[np.isfinite(speed)]
+    return min(STANDS, STANDS_SHARE * float(np.quantile(known, 0.98))) if known.size else 0.0
+
+
+def _stood(flight: Flight, speed: Array, stands: float, flying: Mask) -> bool:
+    """Whether a segment begins or ends below a speed, and the fixes, where there are any, do not say that it flew there."""
+    count = max(round(LASTS / flight.sample_interval), 1)
+    ends = [e for p in flight.segments for e in (speed[p][:count], speed[p][-count:]) if np.isfinite(e).any()]
+    if not any(np.nanmedian(e) < stands for e in ends):
+        return False
+    if not (flight.measured("vn") and flight.measured("ve")):
+        return True
+    ground = np.hypot(flight["vn"], flight["ve"])
+    there, in_flight = ground[~flying & np.isfinite(ground)], ground[flying & np.isfinite(ground)]
+    return there.size > 0 and in_flight.size > 0 and bool(np.median(there) < 0.5 * np.median(in_flight))
 
 
 def _speed(flight: Flight) -> Array:

@@ -17,6 +17,7 @@ from groundstation.importers.draft_names import (
     UnitGuess,
     candidate_columns,
     rate_that_turns,
+    running_column,
     time_column,
     time_unit,
     unit_fits,
@@ -107,8 +108,11 @@ def _of_table(path: Path) -> list[str]:
     table = _table(path)
     by_header, _ = header_map(table)
     header_time = by_header.time.column if by_header.time is not None else None
-    time_name = header_time or time_column([*table.numeric, *table.words, *table.dates])
+    by_name = header_time or time_column([*table.numeric, *table.words, *table.dates])
+    time_name = by_name or running_column(table.numeric)
     time_lines, time = _time_lines(table, time_name)
+    if by_name is None and time_name is not None:
+        time_lines[0] += "      # CHECK: it rises from row to row in even steps, as time does"
     names = [n for n in table.numeric if n != time_name]
     candidates = candidate_columns(names)
     columns = {column: labels[0] for column, labels in candidates.items()}

@@ -54,6 +54,13 @@ _SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s",
           "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
+_TIME_UNIT = re.compile(r"(?i)[\[( _](s|sec|ms|us|µs|ns)[\])]?$")
+FEWEST_STEPS = 20  # of a column that is taken for time by its values
+EVEN, MOSTLY_EVEN = (
+    0.5,
+    0.95,
+)  # share of a step by which steps differ, and of the steps that do not: gaps and jitter of loggers
+
 ANGLES = {"p": "phi", "q": "theta", "r": "psi"}
 """Rate -> the angle that it turns."""
 MOST_PREFIXES = 2  # words of a system before the name of a quantity: EGI_, FCC_A_
@@ -134,6 +141,21 @@ def _distance(name: str, column: str) -> tuple[bool, int]:
 def time_column(names: Sequence[str]) -> str | None:
     """The column that holds time, by its name."""
     return next((n for n in names if _TIME.fullmatch(re.sub(r"[^A-Za-z0-9]+", "_", n).strip("_"))), None)
+
+
+def running_column(values: Mapping[str, Array]) -> str | None:
+    """The column that rises from row to row in even steps, as time does, whatever its name: the first with a unit of time in
+    its name, else the first that does not count rows. None where none does."""
+    running = [name for name, column in values.items() if _runs(column)]
+    with_unit = [n for n in running if _TIME_UNIT.search(n)]
+    no_counter = [n for n in running if np.any(values[n] != np.round(values[n]))]
+    return next(iter((*with_unit, *no_counter)), None)
+
+
+def _runs(column: Array) -> bool:
+    steps = np.diff(column)
+    middle = float(np.median(steps)) if steps.size >= FEWEST_STEPS else 0.0
+    return middle > 0.0 and float(np.mean(np.abs(steps - middle) < EVEN * middle)) > MOSTLY_EVEN
 
 
 def time_unit(time: Array) -> tuple[str, str]:

@@ -9,6 +9,7 @@ from groundstation.flight.contradictions import air, motion
 from groundstation.flight.contradictions.contradiction import Contradiction, contradiction_from_json
 from groundstation.flight.contradictions.fits import FEWEST_BLOCKS, Array, Columns
 from groundstation.flight.flight import Flight
+from groundstation.flight.stretches import airborne
 
 __all__ = ["CONTRADICTIONS", "Contradiction", "contradictions", "contradictions_of"]
 
@@ -16,6 +17,7 @@ CONTRADICTIONS = "contradictions"
 """Key of a provenance's detail: those that an import saw in the log itself, which the columns of the flight no longer show."""
 
 COMPARISONS: tuple[Callable[[Array, Columns], Iterator[Contradiction]], ...] = (
+    air.pitot_against_ground,
     air.speed_and_pressure,
     air.scale_against_ground,
     air.density_twice,
@@ -40,9 +42,12 @@ def contradictions_of(time: Array, columns: Mapping[str, Array]) -> tuple[Contra
 def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
     """Those of a flight: what its import saw in the log, and what its columns show.
 
-    An airspeed that was reconstructed is not held against what it was made from: the measured one is.
+    An airspeed that was reconstructed is not held against what it was made from: the measured one is. At rest before and after a
+    flight a pitot reads its noise and the wind on the ground, so that is left out.
     """
-    columns = dict(flight.columns)
+    phase = airborne(flight)
+    rows = phase.flying if phase.stood and phase.flying.any() else np.ones(len(flight), bool)
+    columns = {name: values[rows] for name, values in flight.columns.items()}
     airspeed = columns.pop("V_measured", None)
     if airspeed is not None and "V" in flight.reconstructed:
         columns["V"] = airspeed
@@ -51,5 +56,5 @@ def contradictions(flight: Flight) -> tuple[Contradiction, ...]:
             columns.pop(name, None)
     entries = flight.provenance.detail.get(CONTRADICTIONS)
     imported = map(contradiction_from_json, entries if isinstance(entries, list | tuple) else ())
-    candidates = (*filter(None, imported), *contradictions_of(flight.time, columns))
+    candidates = (*filter(None, imported), *contradictions_of(flight.time[rows], columns))
     return tuple({(c.between, c.text): c for c in candidates}.values())

@@ -13,6 +13,7 @@ from groundstation.flight.atmosphere import (
 )
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, FitWithError, ratio_of, scale_by_ground
+from groundstation.flight.flight import Flight
 
 PRESSURE_TOLERANCE = 0.08  # of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %
 SCALE_TOLERANCE = 0.08  # of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %
@@ -20,6 +21,12 @@ DENSITY_TOLERANCE = 0.08  # between two densities: 25 K of temperature, or a day
 SIGMAS = 4.0
 TELLS_APART = 9.0  # difference of chi-square by which the motion favours one scale of V over another: three sigmas
 CREDIBLE_SCALE = 0.1  # A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours
+FLIES = 8.0  # [m/s] ground speed that only flight gives: small aircraft lift off at it
+NEGATIVE = (
+    -20.0
+)  # [Pa] in flight no tube in front of its static port reads less: wake and zero error together are below it
+LEAST_FAST = 0.1  # of a flight: fewer fast samples may be a taxi run, or errors of the fix
+LEAST_PRESSURE = 0.1  # of the dynamic pressure of the ground speed: less is a tail wind of two thirds of it, or a cover
 PRESSURE_ALTITUDE = 600.0  # [m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes
 
 
@@ -95,6 +102,32 @@ def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
     )
     moves = f"every derivative by up to {abs(fit.value**2 - 1.0):.0%}"
     yield _by_ratio(("V", "vn", "ve"), text, fit, "vn, ve", moves, stops=True)
+
+
+def pitot_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """Dynamic pressure where the ground speed is that of flight: negative from swapped tubes, next to none under a cover."""
+    if not {"p_dynamic", "vn", "ve"} <= c.keys():
+        return
+    speed = np.hypot(c["vn"], c["ve"])
+    fast = (speed > FLIES) & np.isfinite(c["p_dynamic"])
+    if np.mean(fast) < LEAST_FAST:
+        return
+    pressure, ground = _median(c["p_dynamic"][fast]), _median(speed[fast])
+    readings = f"p_dynamic is {pressure:.0f} Pa at a ground speed of {ground:.0f} m/s"
+    if pressure < NEGATIVE:
+        cure = "the tubes of the pitot are swapped: calibrate again with the slope in pitot.toml negative"
+    elif pressure < LEAST_PRESSURE * 0.5 * SEA_LEVEL_DENSITY * ground**2:
+        cure = "the pitot was covered or blocked: reconstruct V from GPS and attitude (sideslip reconstruct)"
+    else:
+        return
+    moves = "every derivative: V and the dynamic pressure are not those of the flight"
+    yield Contradiction(("p_dynamic", "vn", "ve"), f"{readings}; {cure}", favoured="vn, ve", moves=moves, stops=True)
+
+
+def no_airspeed(flight: Flight) -> str:
+    """Why a flight's V is none, for the end of a sentence; empty where its ground speed does not tell."""
+    contradiction = next(pitot_against_ground(flight.time, flight.columns), None)
+    return "" if contradiction is None else f"; {contradiction.text}"
 
 
 def _by_ratio(

@@ -6,6 +6,7 @@ import pytest
 from daq.utilities.constants import GRAVITY
 from groundstation.flight import Flight, Provenance, read_flight
 from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
+from groundstation.flight.contradictions.air import no_airspeed
 from groundstation.flight.contradictions.fits import ratio_of
 from tests.unit.groundstation.turning import RHO, Columns, turning_flight
 
@@ -38,6 +39,24 @@ def test_an_airspeed_of_another_ratio_is_told_and_the_pressure_favoured() -> Non
     assert found["V", "p_dynamic"].stops
     assert found["V", "vn", "ve"].ratio == pytest.approx(1 / 1.15, rel=0.02)
     assert found["V", "vn", "ve"].stops
+
+
+@pytest.mark.parametrize(("factor", "words"), [(-1.0, "tubes of the pitot are swapped"), (0.02, "covered or blocked")])
+def test_a_pitot_that_the_speed_over_ground_refutes_is_told(factor: float, words: str) -> None:
+    columns = turning_flight() | {"V": np.zeros(1250)}
+    columns["p_dynamic"] *= factor
+    assert words in found_in(columns)["p_dynamic", "vn", "ve"].text
+    assert found_in(columns)["p_dynamic", "vn", "ve"].stops
+    assert words in no_airspeed(Flight.build("f", columns.pop("time"), columns))
+
+
+def test_standing_with_noise_in_the_pitot_says_nothing_of_its_scale() -> None:
+    columns = turning_flight(seconds=90.0)
+    rest = columns["time"] < 35.0
+    for name, value in (("V", 2.0), ("vn", 0.0), ("ve", 0.0), ("vd", 0.0), ("psi", 0.7)):
+        columns[name][rest] = value
+    flight = Flight.build("f", columns.pop("time"), {n: columns[n] for n in ("V", "psi", "vn", "ve", "vd")})
+    assert contradictions(flight) == ()
 
 
 def test_without_turns_nobody_is_favoured_and_nothing_is_to_be_recommended() -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from estimation.prepare.stretches import select_segments
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.errors import FlightError
 from groundstation.flight.expression import DEEPEST, ExpressionError, parse, parse_condition
@@ -108,6 +109,31 @@ def test_the_ground_the_roll_and_a_hover_are_left_out_and_said() -> None:
     assert found.flying[(time > lift_off + 0.2) & (time < 59)].all()
     assert "on the ground, at lift-off or landing, or in a hover" in found.text
     assert found.text in stretches_where(flight, "V > 0").notes
+
+
+def whole_flight(ground_speed: float = 0.0) -> Flight:
+    """Standing with a pitot that reads its noise, off, level, landed, standing; by GNSS at rest where it stands, or not."""
+    time = np.arange(0.0, 100.0, 0.1)
+    speed = np.interp(time, [0, 8, 14, 80, 92, 100], [0, 0, 17, 17, 0, 0])
+    noise = np.abs(np.random.default_rng(3).normal(0.0, 1.8, time.size)) * (speed < 2.0)
+    height = np.interp(time, [0, 14, 40, 70, 86, 100], [4, 4, 90, 90, 4, 4])
+    return flown(V=speed + noise, altitude=height, vn=np.maximum(speed, ground_speed), ve=np.zeros(time.size))
+
+
+def test_of_a_whole_flight_what_stood_and_rolled_is_left_out_without_being_asked() -> None:
+    flight = whole_flight()
+    part = select_segments(flight, None)
+    assert part["V"].min() > 0.5 * 17
+    assert part["altitude"].min() > 7.0
+    assert 50.0 < part.time[-1] - part.time[0] < 75.0
+    assert airborne(flight).text in [str(n) for n in part.notes]
+    assert len(select_segments(flight, "0:100")) == len(flight)  # who asks for the ground has it
+
+
+def test_an_airspeed_of_nothing_at_speed_over_ground_is_not_standing() -> None:
+    assert len(select_segments(whole_flight(ground_speed=17.0), None)) == 1000
+    slow_flyer = flown(V=np.full(1000, 2.2), altitude=np.full(1000, 5.0))
+    assert len(select_segments(slow_flyer, None)) == 1000
 
 
 def test_a_stall_is_flown() -> None:
