@@ -200,11 +200,12 @@ class Estimates(Answer):
 
     @property
     def model(self) -> "Model":
-        """The model with the estimates as its values, and the ranges it was estimated from."""
-        from estimation.session.proof_of_match import flown_ranges
+        """The model with the estimates as its values, and the ranges and stretches it was estimated from."""
+        from estimation.session.proof_of_match import flown_ranges, stretches_of_recordings
 
         flights = [f.flight for f in (self.session.flights if self.session.joint else self.session.flights[:1])]
-        return replace(self.best.fitted_model, flown=flown_ranges(self.best.model, flights))
+        ranges, stretches = flown_ranges(self.best.model, flights), stretches_of_recordings(flights)
+        return replace(self.best.fitted_model, flown=ranges, estimated_from=stretches)
 
     @property
     def passed(self) -> bool:
@@ -220,7 +221,11 @@ class Estimates(Answer):
         return parameters[parameter]
 
     def to_json(self) -> dict[str, Any]:
-        return self.session.to_json()
+        """What `estimate --json` writes: the session, the conventions of its numbers, and the priors that entered the fit."""
+        from estimation.report.conventions import conventions, priors
+
+        more = {"conventions": dict(conventions(self.session)), "priors": priors(self.session)}
+        return {**self.session.to_json(), **more}
 
     def to_pandas(self) -> "pd.DataFrame":
         """A row for each flight (and "joint"), method and parameter; estimates are per rad, angles in rad."""

@@ -126,5 +126,9 @@ def _proof_lines(proof: "ProofOfMatch", limit: float) -> list[str]:
             f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
             f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}{f.limit(limit):7.2f}  {judged}"
         )
+    if proof.estimated_from:
+        lines.append(
+            "  the model was estimated from this flight: this shows the fit and proves no match; predict another"
+        )
     lines += [f"  beyond what the model was estimated from: {b.text}" for b in proof.beyond]
     return [*lines, *(f"  note: {note}" for note in proof.result.flights[0].notes)]

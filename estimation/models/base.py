@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -209,6 +209,8 @@ class Model(ModelParts):
         data["equations"] = list(self.equations)
         if self.flown:
             data["flown"] = {name: list(ends) for name, ends in self.flown.items()}
+        if self.estimated_from:
+            data["estimated_from"] = [asdict(stretch) for stretch in self.estimated_from]
         return data
 
     @classmethod
@@ -216,12 +218,12 @@ class Model(ModelParts):
         """Inverse of `to_dict`; ModelError names the key that does not fit."""
         known_keys = {
             "name", "title", "description", "states", "inputs", "outputs", "parameters", "transforms",
-            "constants", "output_delays", "equations", "flown",
+            "constants", "output_delays", "equations", "flown", "estimated_from",
         }  # fmt: skip
         unknown = sorted(set(data) - known_keys)
         if unknown:
             raise ModelError(f"unknown key {unknown[0]!r}; known are {', '.join(sorted(known_keys))}")
-        for key in ("name", "states", "outputs", "parameters", "equations"):
+        for key in ("name", "outputs", "parameters", "equations"):
             if key not in data:
                 raise ModelError(f"key {key!r} is missing")
         return cls(
@@ -239,6 +241,7 @@ class Model(ModelParts):
             output_delays={str(k): str(v) for k, v in plain.read_table(data, "output_delays").items()},
             equations=plain.read_lines(data["equations"]),
             flown={str(k): plain.read_ends(v, f"flown.{k}") for k, v in plain.read_table(data, "flown").items()},
+            estimated_from=tuple(plain.read_stretch(d) for d in plain.read_list(data, "estimated_from")),
         )
 
     @cached_property

@@ -133,6 +133,15 @@ class ModelStructure:
         return hashlib.sha256(json.dumps(astuple(self)).encode()).hexdigest()[:24]
 
 
+@dataclass(frozen=True, slots=True)
+class EstimatedStretch:
+    """A stretch of a recording that a model was estimated from: digest of the recording, first and last time [s]."""
+
+    sha256: str
+    begin: float
+    end: float
+
+
 @dataclass(frozen=True)
 class ModelParts:
     """The parts of a model as they were written, not yet looked at: see `estimation.models.base.Model`."""
@@ -150,6 +159,7 @@ class ModelParts:
     description: str = ""
     flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Name -> least and greatest value in the flights that the model was estimated from; empty where nobody says."""
+    estimated_from: tuple[EstimatedStretch, ...] = ()
 
     @property
     def state_names(self) -> tuple[str, ...]:

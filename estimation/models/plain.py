@@ -5,8 +5,9 @@ from dataclasses import asdict, replace
 from enum import Enum
 from typing import Any
 
+from daq.utilities.plain_words import one_line
 from estimation.errors import ModelError
-from estimation.models.parts import InputTransform, Parameter, ParameterRole, Signal, usual_role
+from estimation.models.parts import EstimatedStretch, InputTransform, Parameter, ParameterRole, Signal, usual_role
 
 
 def without_defaults(item: Any) -> dict[str, Any]:
@@ -34,6 +35,14 @@ def read_ends(value: object, key: str) -> tuple[float, float]:
     if not low <= high:
         raise ModelError(f"{key} = {value!r}: the first must not be the greater")
     return low, high
+
+
+def read_stretch(data: object) -> EstimatedStretch:
+    """One of the stretches that a model was estimated from, or ModelError."""
+    if not isinstance(data, Mapping) or set(data) != {"sha256", "begin", "end"}:
+        raise ModelError(f"estimated_from = {data!r} must be a table of sha256, begin and end")
+    begin, end = read_ends([data["begin"], data["end"]], "estimated_from")
+    return EstimatedStretch(one_line(str(data["sha256"])), begin, end)
 
 
 def read_list(data: Mapping[str, Any], key: str) -> list[Any]:

@@ -15,6 +15,7 @@ from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Array, Result
 from estimation.models.base import Model
 from estimation.models.dependence import force_states
+from estimation.models.parts import EstimatedStretch
 from estimation.prepare.flight_data import FlightData
 from estimation.signals.goodness_of_fit import ChannelFit, to_json
 from groundstation.flight import Flight
@@ -39,6 +40,25 @@ def flown_ranges(model: Model, flights: Sequence[Flight]) -> dict[str, tuple[flo
             low, high = np.quantile(values, [LONELY, 1.0 - LONELY])
             ranges[name] = (float(low), float(high))
     return ranges
+
+
+def stretches_of_recordings(flights: Sequence[Flight]) -> tuple[EstimatedStretch, ...]:
+    """The stretches of flights whose recording is known by its digest."""
+    return tuple(
+        EstimatedStretch(f.provenance.sha256, float(f.time[s.start]), float(f.time[s.stop - 1]))
+        for f in flights
+        if f.provenance.sha256
+        for s in f.segments
+    )
+
+
+def was_estimated_from(model: Model, flight: Flight) -> bool:
+    """Whether some of a flight is in what a model was estimated from, so that to predict it proves nothing."""
+    return any(
+        part.sha256 == used.sha256 and part.begin < used.end and used.begin < part.end
+        for part in stretches_of_recordings([flight])
+        for used in model.estimated_from
+    )
 
 
 @dataclass(frozen=True)
@@ -91,10 +111,13 @@ class ProofOfMatch:
     result: Result
     beyond: tuple[Beyond, ...] = ()
     """In what the flight leaves the ranges that the model was estimated from."""
+    estimated_from: bool = False
+    """Whether the model was estimated from some of this flight."""
 
     def to_json(self) -> dict[str, Any]:
         """One flight's entry of `match --json`."""
         data = {"name": self.name, "fit": to_json(self.fit), "converged": self.converged, "status": self.text}
+        data |= {"estimated_from": self.estimated_from} if self.result.model.estimated_from else {}
         return {**data, "beyond": {b.name: b.to_json() for b in self.beyond}} if self.result.model.flown else data
 
 
@@ -113,5 +136,5 @@ def predict_flight(model: Model, flight: Flight | FlightData, *, free: Sequence[
     exceeded = beyond_flown(model, flight) if isinstance(flight, Flight) else ()
     return ProofOfMatch(
         fitted.name, result.converged, text, result.model.output_names, fitted.time, fitted.measured, fitted.outputs,
-        dict(fitted.fit), result, exceeded,
+        dict(fitted.fit), result, exceeded, isinstance(flight, Flight) and was_estimated_from(model, flight),
     )  # fmt: skip

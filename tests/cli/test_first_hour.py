@@ -83,6 +83,9 @@ def test_every_verb_says_what_to_do_next_and_quiet_does_not(capsys: pytest.Captu
     assert next_line(["calibrate", RAW, "-o", "a.mcap"], failed=False).startswith("sideslip check a.mcap")
     assert next_line(["verify", RAW], failed=True) == f"sideslip recover {RAW} -o recovered.mcap"
     assert next_line(["verify", "--help"], failed=False) == ""
+    assert next_line(["aircraft", "new", "glider"], failed=False) == ""
+    assert next_line(["aircraft", "check", "cdfp"], failed=False) == "sideslip estimate FLIGHT --aircraft cdfp"
+    assert "missing" in next_line(["aircraft", "check", RAW], failed=True)
     drafted = next_line(["import", RAW, "--draft-map", "-o", "map.toml"], failed=False)
     assert drafted.endswith(f"then sideslip import {RAW} --map map.toml -o flight.mcap")
     right = next_line(["check", RAW, "--write", "right"], failed=False)

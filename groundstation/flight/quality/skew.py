@@ -124,9 +124,9 @@ def _correlation_delay(parts: list[tuple[Array, Array, Array]]) -> tuple[float, 
     samples, curvature = 0, 0.0
     for t, response, command in parts:
         scale = float(np.std(response) / np.std(command)) if np.std(command) > 0 else 1.0
-        for i, lag in enumerate(lags):
-            shifted = scale * np.interp(t - lag, t, command)
-            cost[i] += float(np.sum((response - response.mean() - shifted + shifted.mean()) ** 2))
+        shifted = scale * np.interp(t - lags[:, None], t, command)
+        left_over = response - response.mean() - shifted + shifted.mean(axis=1, keepdims=True)
+        cost += np.sum(left_over**2, axis=1)
         samples += t.size
         curvature += float(np.sum((scale * np.gradient(command, t)) ** 2))
     lowest = int(np.argmin(cost))

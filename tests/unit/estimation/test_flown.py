@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import sideslip as ss
 from estimation.errors import ModelError
 from estimation.models import load_model, write_model
 from estimation.models.load import read_model
-from estimation.session.proof_of_match import beyond_flown, flown_ranges
+from estimation.session.proof_of_match import beyond_flown, flown_ranges, stretches_of_recordings, was_estimated_from
 from groundstation.flight import Flight, write_flight
 from sideslip.verbs.estimate import estimate
 from sideslip.verbs.match import match
@@ -51,6 +52,30 @@ def test_a_flight_of_half_the_size_stays_within_and_one_of_twice_does_not(made_f
     assert first.text.startswith("beta from ")
     assert " deg, estimated from " in first.text
     assert beyond_flown(LATERAL, flight) == ()  # a model of which nobody says what was flown
+
+
+def test_a_flight_that_the_model_was_estimated_from_proves_no_match(made_flights: list[Flight], tmp_path: Path) -> None:
+    flight, other = (
+        replace(f, provenance=replace(f.provenance, sha256=digest))
+        for f, digest in zip(made_flights, ("a1", "b2"), strict=False)
+    )
+    middle = 0.5 * (flight.time[0] + flight.time[-1])
+    first_half, second_half = flight.part(flight.time < middle), flight.part(flight.time > middle)
+    model = replace(LATERAL, estimated_from=stretches_of_recordings([first_half]))
+    assert was_estimated_from(model, flight)
+    assert was_estimated_from(model, flight.part(flight.time < middle - 1.0))
+    assert not was_estimated_from(model, second_half)
+    assert not was_estimated_from(model, other)
+    assert not was_estimated_from(model, replace(flight, provenance=replace(flight.provenance, sha256="")))
+    write_model(model, tmp_path / "m.toml")
+    assert read_model(tmp_path / "m.toml").estimated_from == model.estimated_from
+    answer = ss.match(tmp_path / "m.toml", [flight, second_half], aircraft="cdfp")
+    assert [p["estimated_from"] for p in answer.to_json()["flights"]] == [True, False]
+    assert sum("proves no match" in line for line in answer.lines()) == 1
+    broken = (tmp_path / "m.toml").read_text().replace('sha256 = "a1"', "sha = 1")
+    (tmp_path / "m.toml").write_text(broken)
+    with pytest.raises(ModelError, match="estimated_from"):
+        read_model(tmp_path / "m.toml")
 
 
 def test_from_the_command_line(made_flights: list[Flight], tmp_path: Path) -> None:

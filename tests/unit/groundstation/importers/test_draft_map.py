@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from groundstation.importers.draft import draft_map
-from groundstation.importers.draft_names import candidate_columns, rate_that_turns, unit_in_name
+from groundstation.importers.draft_names import candidate_columns, rate_that_turns, running_column, unit_in_name
 from groundstation.importers.draft_surfaces import sign_of
 from groundstation.importers.mapping import load_map
 from groundstation.importers.run import import_data
@@ -35,6 +35,16 @@ def test_names_and_the_units_in_them() -> None:
         None,
         None,
     ]
+
+
+def test_what_rises_evenly_is_time_whatever_its_name() -> None:
+    rng = np.random.default_rng(2)
+    clock = 812.0 + 0.02 * np.arange(400) + 0.001 * rng.uniform(size=400)
+    clock[200:] += 3.0  # a gap
+    columns = {"satz": np.arange(400.0), "hoehe": 20.0 + np.cumsum(rng.uniform(0, 1, 400)), "laufzeit": clock}
+    assert running_column(columns) == "laufzeit"
+    assert running_column({**columns, "Zeit [ms]": 20.0 * np.arange(400)}) == "Zeit [ms]"
+    assert running_column({"satz": np.arange(400.0), "p": rng.normal(size=400)}) is None
 
 
 def test_the_system_before_a_name_and_the_number_behind_it_say_nothing() -> None:
