@@ -22,7 +22,7 @@ FEWEST = 20  # samples of a channel from which its residuals tell anything
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
-    """Whether process noise drives the residuals of output error, the sentence that says so, and one that says why none is seen."""
+    """Whether process noise drives the residuals of output error, the sentence that says so, and one that says why none does."""
 
     present: bool
     text: str
