@@ -12,6 +12,7 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.decision.unnamed import held_instrument, held_step
 from estimation.gap.fit.spectra import NoisePart, NoiseSource, Shapes, as_seen, estimate_noise, whitener
 from estimation.gap.fit.whitener import spectrum_of
+from estimation.gap.records.sampling import command_times
 
 COUNT, STEP = 1200, 0.05
 GUST = NoisePart(NoiseSource.RATE, "p")
@@ -86,3 +87,23 @@ def test_an_instrument_that_holds_its_values_is_an_unknown_and_no_term_of_the_mo
     assert "beta holds its values: a new one comes every 0.3 s" in text
     assert "83%" in text
     assert "no model term is wrong" in text
+
+
+def test_a_command_may_have_moved_within_the_interval_of_its_record() -> None:
+    """Against moves that are drawn anew by hand: each edge, drawn out by a servo's lag, at a time of its own."""
+    step, lag, rng = 0.04, 0.05, np.random.default_rng(81)
+    time = step * np.arange(200)
+
+    def flown(starts: tuple[float, float]) -> np.ndarray:
+        moves = zip((0.1, -0.2), starts, strict=True)
+        return np.asarray(sum(a * (1.0 - np.exp(-np.maximum(time - t, 0.0) / lag)) for a, t in moves))
+
+    starts = (2.011, 5.003)
+    errors = command_times(flown(starts), step, step, 400, rng)
+    by_hand = np.array([flown((starts[0] - a, starts[1] - b)) for a, b in rng.uniform(-step / 2, step / 2, (400, 2))])
+    scatter = np.sqrt(np.mean((by_hand - flown(starts)) ** 2, axis=0))
+    assert np.sqrt(np.mean(errors**2, axis=0)).sum() == pytest.approx(scatter.sum(), rel=0.25)
+    first, second = errors[:, (time > 1.9) & (time < 2.6)], errors[:, (time > 4.9) & (time < 5.6)]
+    assert np.corrcoef(first[:, 4], first[:, 6])[0, 1] > 0.95, "one move is early or late as a whole"
+    assert abs(np.corrcoef(first[:, 4], second[:, 4])[0, 1]) < 0.15, "two moves each by themselves"
+    assert not command_times(np.full(50, 0.1), step, step, 3, rng).any()
