@@ -125,7 +125,7 @@ def logged(interval: float) -> Flight:
     }
     columns = {n: np.zeros(50) for n in ("delta_a", "delta_r", "p")}
     detail = {"channels": {"delta_a": channel}}
-    return Flight.build("f", 0.04 * np.arange(50), columns, provenance=Provenance(detail=detail))
+    return Flight.build("f", np.linspace(0.0, 1.96, 50), columns, provenance=Provenance(detail=detail))
 
 
 def test_commands_recorded_late_are_told_with_their_time_by_the_gyros() -> None:
