@@ -12,7 +12,7 @@ from daq.utilities.outputs import tried_file, write_json
 if TYPE_CHECKING:
     from daq.contract.recordings.accounting import Verification
 
-_JSON = json_option("Also write the result as JSON to PATH.")
+_JSON = json_option()
 _RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_type=Path))
 
 

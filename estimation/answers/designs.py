@@ -170,7 +170,7 @@ def _lines(answer: "InputDesign") -> list[str]:
     std_of_doublets, std = answer.expected_of_doublets, answer.expected
     for name, relative in answer.relative.items():
         size = answer.sizes[name]
-        mark = "  cannot be told" if name in answer.untold else ""
+        mark = "  cannot tell" if name in answer.untold else ""
         doublets = 100 * std_of_doublets[name] / abs(size)
         lines.append(f"  {name:<12}{size:>10.4g}{std[name]:>10.2g}{100 * relative:>9.1f}%{doublets:>9.1f}%{mark}")
     return lines
