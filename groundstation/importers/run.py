@@ -104,7 +104,7 @@ def _record(path: Path, log: Log, mapping: Map, rate_hz: float | None, accept_im
             "write a mapping file (--map)"
         )
     notes = [*log.notes, *imported.notes, *value_notes]
-    if mapping.title.startswith(EXAMPLE):
+    if mapping.title.startswith(EXAMPLE) and mapping.servos:
         notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
     if no_output:
         notes.append(f"servo outputs named in the mapping and not in the file: {listed(no_output)}")
